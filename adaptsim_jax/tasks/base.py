@@ -1,0 +1,33 @@
+"""What Phase 1, Phase 2 and the baselines know of a task: a frozen record of pure functions."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from adaptsim_jax.space import Gaussian, Space
+
+Array = Any
+Policy = Any  # a pytree
+Trajectory = Any  # a pytree
+Reference = Any  # a pytree
+
+
+@dataclass(frozen=True)
+class Task:
+    """A simulation-adaptation contextual bandit (paper, Definition 1) as pure functions.
+
+    All functions work on one sample, are jit- and vmap-able, and consume the keys they are given.
+    `params` are raw physical values, ordered as `space.names`.
+    """
+
+    name: str
+    space: Space  # Omega: the box that simulation parameters stay in
+    targets: Space  # where Phase 1 draws its targets from: Omega, or a wider box
+    obs_dim: int
+    settings: Mapping[str, Mapping[str, float]]  # named targets: wd, ood-1 .. ood-4 (paper, table A2)
+    init_policy: Callable[[Array], Policy]  # (key) -> policy
+    train: Callable[[Array, Gaussian, Policy], Policy]  # (key, dist, policy) -> policy
+    rollout: Callable[[Array, Policy, Array], Trajectory]  # (key, policy, params [D]) -> trajectory
+    observe: Callable[[Trajectory], Array]  # trajectory -> [obs_dim]
+    reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this target are scaled with
+    reward: Callable[[Trajectory, Reference], Array]  # -> [] in [0, 1] where the policy is of any use
