@@ -1,0 +1,171 @@
+"""Omega, the box of simulation parameters, and the distributions over it (paper, section 4.1).
+
+Everything that learns works in *unit coordinates* `u: [..., D]`, where the box is `[0, 1]^D` whatever the scale of a
+parameter; `Space.physical` and `Space.unit` convert to and from physical values. Targets may lie outside the box: the
+maps extrapolate, they never clamp.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.errors import BadInput
+
+Scale = Literal["linear", "log", "categorical"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One simulation parameter: its range in Omega and the range in which it means anything at all.
+
+    `low`, `high` are in `unit`. A log parameter is linear in its logarithm; a categorical one takes the integers
+    `low..high` and is rounded whenever it is made physical.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str = ""
+    scale: Scale = "linear"
+    physical_low: float = -np.inf
+    physical_high: float = np.inf
+    description: str = ""
+
+    def __post_init__(self):
+        if not self.low < self.high:
+            raise BadInput(
+                f"parameter {self.name}: low {self.low} is not below high {self.high}; swap or widen them"
+            )
+        if self.scale == "log" and self.low <= 0:
+            raise BadInput(f"parameter {self.name}: a log scale needs low > 0, got {self.low}")
+        if self.scale not in ("linear", "log", "categorical"):
+            raise BadInput(f"parameter {self.name}: scale {self.scale!r} is none of linear, log, categorical")
+
+
+@dataclass(frozen=True)
+class Space:
+    """A box of parameters; hashable, so that it may be closed over or be static under jit."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self):
+        names = [p.name for p in self.parameters]
+        if len(set(names)) != len(names):
+            raise BadInput(f"parameter names repeat: {names}; each must be unique")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def dim(self) -> int:
+        return len(self.parameters)
+
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        is_log = np.array([p.scale == "log" for p in self.parameters])
+        raw = np.array([(p.low, p.high) for p in self.parameters])
+        ends = np.where(is_log[:, None], np.log(np.where(is_log[:, None], raw, 1.0)), raw)
+        return ends[:, 0], ends[:, 1], is_log
+
+    @property
+    def is_categorical(self) -> np.ndarray:
+        return np.array([p.scale == "categorical" for p in self.parameters])
+
+    def physical(self, u: jax.Array) -> jax.Array:
+        """Unit coordinates `[..., D]` to physical values `[..., D]` in each parameter's unit."""
+        u = jnp.asarray(u)
+        low, high, is_log = (jnp.asarray(b, u.dtype if b.dtype != bool else bool) for b in self._bounds())
+        lead = (1,) * (u.ndim - 1)
+        x = low.reshape(*lead, -1) + u * (high - low).reshape(*lead, -1)
+        x = jnp.where(is_log.reshape(*lead, -1), jnp.exp(x), x)
+        return jnp.where(jnp.asarray(self.is_categorical).reshape(*lead, -1), jnp.round(x), x)
+
+    def unit(self, x: jax.Array) -> jax.Array:
+        """Physical values `[..., D]` to unit coordinates `[..., D]`; outside Omega it extrapolates."""
+        x = jnp.asarray(x)
+        low, high, is_log = (jnp.asarray(b, x.dtype if b.dtype != bool else bool) for b in self._bounds())
+        lead = (1,) * (x.ndim - 1)
+        is_log = is_log.reshape(*lead, -1)
+        y = jnp.where(is_log, jnp.log(jnp.where(is_log, x, 1.0)), x)
+        return (y - low.reshape(*lead, -1)) / (high - low).reshape(*lead, -1)
+
+    def sample(self, key: jax.Array, shape: tuple[int, ...] = ()) -> jax.Array:
+        """Uniform over the box, in unit coordinates `[*shape, D]`."""
+        return jax.random.uniform(key, (*shape, self.dim))
+
+    def values(self, settings: Mapping[str, float], where: str = "parameters") -> np.ndarray:
+        """Named physical values to an array `[D]`, each checked: all names there, none unknown, physically possible."""
+        for name in settings:
+            if name not in self.names:
+                near = get_close_matches(name, self.names, 1)
+                hint = f"did you mean {near[0]!r}?" if near else f"the names are {', '.join(self.names)}"
+                raise BadInput(f"{where}: unknown parameter {name!r}; {hint}")
+        return np.array([self._checked(p, settings, where) for p in self.parameters])
+
+    @staticmethod
+    def _checked(p: Parameter, settings: Mapping[str, float], where: str) -> float:
+        if p.name not in settings:
+            raise BadInput(f"{where}: parameter {p.name!r} is missing; add it, in {p.unit or 'its own unit'}")
+        value = settings[p.name]
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+            raise BadInput(
+                f"{where}: {p.name} = {value!r} is not a finite number; give one in {p.unit or 'its unit'}"
+            )
+        if not p.physical_low <= value <= p.physical_high:
+            raise BadInput(
+                f"{where}: {p.name} = {value} {p.unit} is outside its physical range "
+                f"[{p.physical_low:g}, {p.physical_high:g}]; mend the value or its unit"
+            )
+        return float(value)
+
+    def with_range(self, name: str, low: float, high: float) -> "Space":
+        """The same box with another range for one parameter."""
+        if name not in self.names:
+            raise BadInput(f"unknown parameter {name!r}; the names are {', '.join(self.names)}")
+        return Space(tuple(replace(p, low=low, high=high) if p.name == name else p for p in self.parameters))
+
+
+class Gaussian(NamedTuple):
+    """A simulation parameter distribution E: mean within Omega, fixed spread; both in unit coordinates.
+
+    mean: `[..., D]`, std: `[..., D]`.
+    """
+
+    mean: jax.Array
+    std: jax.Array
+
+
+def gaussian(space: Space, mean: jax.Array, std: float | Sequence[float] = 1e-4) -> Gaussian:
+    """E with the given mean (unit coordinates, clipped to the box) and standard deviation in fractions of the range."""
+    mean = jnp.clip(jnp.asarray(mean), 0.0, 1.0)
+    return Gaussian(mean, jnp.broadcast_to(jnp.asarray(std, mean.dtype), mean.shape))
+
+
+def sample(key: jax.Array, dist: Gaussian, shape: tuple[int, ...] = ()) -> jax.Array:
+    """Draw unit coordinates `[*shape, D]` from E, truncated to the box by clipping."""
+    noise = jax.random.normal(key, (*shape, *dist.mean.shape), dist.mean.dtype)
+    lead = (1,) * len(shape)
+    return jnp.clip(
+        dist.mean.reshape(*lead, *dist.mean.shape) + noise * dist.std.reshape(*lead, *dist.std.shape),
+        0.0,
+        1.0,
+    )
+
+
+MINUS, PLUS, STAY = 0, 1, 2
+
+
+def step(space: Space, dist: Gaussian, action: jax.Array, delta: jax.Array | float) -> Gaussian:
+    """Move the mean of E by one adaptation step (paper, section 4.1): `action: [D]` of {MINUS, PLUS, STAY}.
+
+    `delta` is a fraction of the range; a categorical parameter moves by a whole category. Clipped to the box.
+    """
+    categories = np.array([max(p.high - p.low, 1.0) for p in space.parameters])
+    size = jnp.where(jnp.asarray(space.is_categorical), jnp.asarray(1.0 / categories, dist.mean.dtype), delta)
+    move = jnp.array([-1.0, 1.0, 0.0], dist.mean.dtype)[action] * size
+    return dist._replace(mean=jnp.clip(dist.mean + move, 0.0, 1.0))
