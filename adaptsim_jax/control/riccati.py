@@ -1,0 +1,243 @@
+"""Algebraic Riccati equations, continuous and discrete, by structure-preserving doubling.
+
+Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations", Linear
+Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for the discrete one. The solve works on a
+whole batch at once (see `small_matrix`), refines with Newton-Kleinman steps, and differentiates by the implicit
+function theorem, in forward and reverse mode and more than once.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from adaptsim_jax.control.small_matrix import (
+    batch_last,
+    eye_like,
+    inverse,
+    mm,
+    norm,
+    solve,
+    symmetric,
+    transpose,
+)
+
+Array = Any
+
+CONVERGED, INACCURATE, NOT_STABILISING, NOT_FINITE = 0, 1, 2, 3
+_MESSAGES = {
+    CONVERGED: "converged: the residual is at rounding level",
+    INACCURATE: "inaccurate: the residual is above rounding level; the solution is usable with care",
+    NOT_STABILISING: "no stabilising solution found: is (A, B) stabilisable and (A, Q) detectable?",
+    NOT_FINITE: "not finite: the input or an intermediate value is NaN or overflowed",
+}
+_MAX_DOUBLINGS = 40
+
+
+class RiccatiSolution(NamedTuple):
+    """`P: [n, n]` symmetric; `residual: []` relative to the equation's largest term; `code: []` int32, 0 is good."""
+
+    P: Array
+    residual: Array
+    code: Array
+
+
+def riccati_message(code: int) -> str:
+    """What a result code of `solve_care` or `solve_dare` means."""
+    return _MESSAGES[int(code)]
+
+
+def solve_care(A: Array, B: Array, Q: Array, R: Array, *, refine: int | None = None) -> RiccatiSolution:
+    """Stabilising `P` of `A'P + PA - P B R^-1 B' P + Q = 0`.
+
+    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts. `refine` Newton
+    steps follow the doubling (1 in double precision, none in single, unless told). Never raises on values: read `code`.
+    """
+    return _solution(_care, A, B, Q, R, refine)
+
+
+def solve_dare(A: Array, B: Array, Q: Array, R: Array, *, refine: int | None = None) -> RiccatiSolution:
+    """Stabilising `P` of `P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q`. Shapes and options as in `solve_care`."""
+    return _solution(_dare, A, B, Q, R, refine)
+
+
+def care_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
+    """`A'P + PA - P B R^-1 B' P + Q`, `[n, n]`, all arguments with or without trailing batch axes."""
+    PA, PB = mm(P, A), mm(P, B)
+    return PA + transpose(PA) - mm(PB, solve(R, transpose(PB))) + Q
+
+
+def dare_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
+    """`A'PA - A'PB (R + B'PB)^-1 B'PA + Q - P`, `[n, n]`, all arguments with or without trailing batch axes."""
+    PA, PB = mm(P, A), mm(P, B)
+    APB = mm(transpose(A), PB)
+    return mm(transpose(A), PA) - mm(APB, solve(R + mm(transpose(B), PB), transpose(APB))) + Q - P
+
+
+def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array, refine: int | None) -> RiccatiSolution:
+    A, B, Q, R = (jnp.asarray(x, jnp.result_type(A, B, Q, R, jnp.float32)) for x in (A, B, Q, R))
+    if refine is None:
+        refine = 1 if A.dtype == jnp.float64 else 0
+    P, residual, code = solver(refine, A, B, symmetric(Q), symmetric(R))
+    return RiccatiSolution(P, residual, code.astype(jnp.int32))
+
+
+# --- the doubling -----------------------------------------------------------------------------------------------------
+
+
+def _double(A: Array, G: Array, H: Array) -> tuple[Array, Array, Array]:
+    """From A, G, H of k steps to those of 2k steps; H converges to P, and A to zero, quadratically."""
+    n = A.shape[0]
+    W = eye_like(A) + mm(G, H)
+    X = solve(W, jnp.concatenate([A, G], axis=1))
+    AX, AY = mm(A, X[:, :n]), mm(A, X[:, n:])
+    return AX, symmetric(G + mm(AY, transpose(A))), symmetric(H + mm(mm(transpose(A), H), X[:, :n]))
+
+
+def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
+    """Double until H settles. `[n, n, batch]` each -> `P`, and whether each sample settled, `[batch]`."""
+    # Quadratic convergence: once a change is below sqrt(eps), the next one would be below eps.
+    small = 0.1 * jnp.finfo(A.dtype).eps ** 0.5
+
+    def step(carry: Any) -> Any:
+        A, G, H, k, settled, dead = carry
+        A2, G2, H2 = _double(A, G, H)
+        frozen = (settled | dead)[None, None]
+        change = norm(H2 - H)
+        A, G, H = (jnp.where(frozen, old, new) for old, new in ((A, A2), (G, G2), (H, H2)))
+        settled = settled | (~dead & (change <= small * norm(H2)) & jnp.isfinite(change))
+        return A, G, H, k + 1, settled, dead | ~jnp.isfinite(change)
+
+    def going(carry: Any) -> Array:
+        k, settled, dead = carry[3:]
+        return (k < _MAX_DOUBLINGS) & ~jnp.all(settled | dead)
+
+    no = jnp.zeros(A.shape[2:], bool)
+    _, _, H, _, settled, _ = lax.while_loop(going, step, (A, G, H, 0, no, no))
+    return H, settled
+
+
+def _stein(A: Array, S: Array) -> Array:
+    """`X = A' X A + S` by squared Smith doubling; `A` must be stable. `[n, n, batch]`."""
+
+    def step(carry: Any) -> Any:
+        A, X, k, _ = carry
+        more = mm(transpose(A), mm(X, A))
+        going = jnp.any(norm(more) > 1e-3 * jnp.finfo(A.dtype).eps ** 0.5 * norm(X))
+        return mm(A, A), X + more, k + 1, going
+
+    carry = (A, S, 0, jnp.asarray(True))
+    return lax.while_loop(lambda c: (c[2] < _MAX_DOUBLINGS) & c[3], step, carry)[1]
+
+
+def _cayley(A: Array, G: Array, Q: Array) -> tuple[Array, Array, Array]:
+    """Discrete-time A, G, H whose doubling has the CARE's solution as limit.
+
+    The shifted Hamiltonian `K` has no zero eigenvalue whenever a stabilising solution exists, whatever the shift, so
+    inverting it whole is safe where the textbook form, which inverts `A - gamma`, is not.
+    """
+    n = A.shape[0]
+    gamma = _shift(A, G, Q)
+    shifted = A - gamma * eye_like(A)
+    K = jnp.concatenate(
+        [jnp.concatenate([shifted, -G], axis=1), jnp.concatenate([-Q, -transpose(shifted)], axis=1)], axis=0
+    )
+    T = inverse(K)
+    return (
+        eye_like(A) + 2 * gamma * T[:n, :n],
+        symmetric(-2 * gamma * T[:n, n:]),
+        symmetric(-2 * gamma * T[n:, :n]),
+    )
+
+
+def _shift(A: Array, G: Array, Q: Array) -> Array:
+    """A shift on the scale of the Hamiltonian's eigenvalues, `[1, 1, batch]`."""
+    A2 = mm(A, A) + mm(G, Q)
+    return jnp.sqrt(norm(A2) / A.shape[0] ** 0.5)[None, None]
+
+
+def _care_batch(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+    G = symmetric(mm(B, solve(R, transpose(B))))
+    # P -> P / scale brings the quadratic and the constant term to the same size.
+    scale = jnp.sqrt(norm(Q) / norm(G))[None, None]
+    scale = jnp.where(jnp.isfinite(scale) & (scale > 0), scale, 1.0)
+    P, settled = _doubling(*_cayley(A, G * scale, Q / scale))
+    P = P * scale
+    for _ in range(refine):
+        P = _care_newton(A, G, Q, P)
+    terms = norm(Q) + 2 * norm(mm(P, A)) + norm(mm(P, mm(G, P)))
+    return _judged(P, norm(_care_defect(A, G, Q, P)) / terms, settled)
+
+
+def _care_defect(A: Array, G: Array, Q: Array, P: Array) -> Array:
+    PA = mm(P, A)
+    return PA + transpose(PA) - mm(P, mm(G, P)) + Q
+
+
+def _care_newton(A: Array, G: Array, Q: Array, P: Array) -> Array:
+    """One Newton-Kleinman step: the Lyapunov equation of the closed loop, by its Cayley transform."""
+    closed = A - mm(G, P)
+    gamma = (norm(closed) / A.shape[0] ** 0.5)[None, None]
+    T = inverse(closed - gamma * eye_like(A))
+    S = 2 * gamma * mm(transpose(T), mm(_care_defect(A, G, Q, P), T))
+    better = symmetric(P + _stein(eye_like(A) + 2 * gamma * T, S))
+    return jnp.where(jnp.isfinite(norm(better))[None, None], better, P)
+
+
+def _dare_batch(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+    P, settled = _doubling(A, symmetric(mm(B, solve(R, transpose(B)))), Q)
+    for _ in range(refine):
+        PB = mm(P, B)
+        gain = solve(R + mm(transpose(B), PB), mm(transpose(PB), A))
+        better = symmetric(P + _stein(A - mm(B, gain), dare_residual(A, B, Q, R, P)))
+        P = jnp.where(jnp.isfinite(norm(better))[None, None], better, P)
+    terms = norm(Q) + norm(P) + norm(mm(transpose(A), mm(P, A)))
+    return _judged(P, norm(dare_residual(A, B, Q, R, P)) / terms, settled)
+
+
+def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Array]:
+    """Result code by the relative residual; a float here, since it shares a derivative rule with P."""
+    good = 1e3 * jnp.finfo(P.dtype).eps
+    finite = jnp.isfinite(norm(P)) & jnp.isfinite(residual)
+    code = jnp.where(residual <= good, CONVERGED, INACCURATE)
+    code = jnp.where(settled & (residual < 1e-2), code, NOT_STABILISING)
+    return P, residual, jnp.where(finite, code, NOT_FINITE).astype(P.dtype)
+
+
+# --- derivatives ------------------------------------------------------------------------------------------------------
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _care(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+    return batch_last(partial(_care_batch, refine))(A, B, Q, R)
+
+
+@_care.defjvp
+def _care_jvp(refine: int, primals: Any, tangents: Any) -> Any:
+    A, B, _, R = primals
+    P, residual, code = _care(refine, *primals)
+    _, S = jax.jvp(lambda *abqr: care_residual(*abqr, P), primals, tangents)
+    closed = A - mm(B, solve(R, mm(transpose(B), P)))
+    eye = jnp.eye(A.shape[0], dtype=A.dtype)
+    operator = jnp.kron(closed.T, eye) + jnp.kron(eye, closed.T)
+    dP = -jnp.linalg.solve(operator, S.reshape(-1)).reshape(S.shape)
+    return (P, residual, code), (symmetric(dP), jnp.zeros_like(residual), jnp.zeros_like(code))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _dare(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+    return batch_last(partial(_dare_batch, refine))(A, B, Q, R)
+
+
+@_dare.defjvp
+def _dare_jvp(refine: int, primals: Any, tangents: Any) -> Any:
+    A, B, _, R = primals
+    P, residual, code = _dare(refine, *primals)
+    _, S = jax.jvp(lambda *abqr: dare_residual(*abqr, P), primals, tangents)
+    PB = mm(P, B)
+    closed = A - mm(B, solve(R + mm(transpose(B), PB), mm(transpose(PB), A)))
+    operator = jnp.eye(A.size, dtype=A.dtype) - jnp.kron(closed.T, closed.T)
+    dP = jnp.linalg.solve(operator, S.reshape(-1)).reshape(S.shape)
+    return (P, residual, code), (symmetric(dP), jnp.zeros_like(residual), jnp.zeros_like(code))
