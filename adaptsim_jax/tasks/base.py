@@ -29,5 +29,6 @@ class Task:
     train: Callable[[Array, Gaussian, Policy], Policy]  # (key, dist, policy) -> policy
     rollout: Callable[[Array, Policy, Array], Trajectory]  # (key, policy, params [D]) -> trajectory
     observe: Callable[[Trajectory], Array]  # trajectory -> [obs_dim]
-    reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this target are scaled with
-    reward: Callable[[Trajectory, Reference], Array]  # -> [] in [0, 1] where the policy is of any use
+    score: Callable[[Trajectory], Array]  # -> [], the raw return; higher is better; all that a real target can tell
+    reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this simulated target are scaled with
+    reward: Callable[[Trajectory, Reference], Array]  # -> [], at most 1; in [0, 1] where the policy is of any use

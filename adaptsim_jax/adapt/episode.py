@@ -1,0 +1,77 @@
+"""One adaptation trajectory: the inner loop that Algorithms 1 and 2 share."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax import space as spaces
+from adaptsim_jax.space import Gaussian
+from adaptsim_jax.tasks.base import Task
+
+
+class Visit(NamedTuple):
+    """A distribution tried in the target.
+
+    mean: `[D]` unit coordinates, policy: the task policy trained there, obs: `[D + obs_dim]` as the adaptation policy sees it,
+    score: `[]` raw return, reward: `[]` scaled.
+    """
+
+    mean: jax.Array
+    policy: Any
+    obs: jax.Array
+    score: jax.Array
+    reward: jax.Array
+
+
+class Episode(NamedTuple):
+    """`I` adaptation steps: `I + 1` visits, the start included, and the `[I, D]` actions between them."""
+
+    mean: jax.Array
+    policy: Any
+    obs: jax.Array
+    score: jax.Array
+    reward: jax.Array
+    action: jax.Array
+
+
+def visit(key, task: Task, dist: Gaussian, policy, target, reference, obs_noise=0.0) -> Visit:
+    """Train (or fine-tune) the task policy on `dist`, run it in `target: [D]`, look at what came of it."""
+    train_key, run_key, noise_key = jax.random.split(key, 3)
+    policy = task.train(train_key, dist, policy)
+    trajectory = task.rollout(run_key, policy, target)
+    seen = task.observe(trajectory)
+    seen = seen + obs_noise * jax.random.normal(noise_key, seen.shape, seen.dtype)
+    obs = jnp.concatenate([2.0 * dist.mean - 1.0, seen])
+    return Visit(dist.mean, policy, obs, task.score(trajectory), task.reward(trajectory, reference))
+
+
+def run_episode(
+    key: jax.Array,
+    task: Task,
+    act: Callable[[jax.Array, jax.Array], jax.Array],
+    start: Gaussian,
+    policy: Any,
+    target: jax.Array,
+    *,
+    steps: int,
+    delta: jax.Array | float,
+    obs_noise: jax.Array | float = 0.0,
+) -> Episode:
+    """Adapt `start` to `target: [D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`."""
+    first_key, scan_key = jax.random.split(key)
+    reference = task.reference(target)
+    first = visit(first_key, task, start, policy, target, reference, obs_noise)
+
+    def one(carry, key):
+        dist, now = carry
+        act_key, visit_key = jax.random.split(key)
+        action = act(act_key, now.obs)
+        dist = spaces.step(task.space, dist, action, delta)
+        after = visit(visit_key, task, dist, now.policy, target, reference, obs_noise)
+        return (dist, after), (after, action)
+
+    _, (rest, actions) = jax.lax.scan(one, (start, first), jax.random.split(scan_key, steps))
+    visits = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
+    return Episode(*visits, actions)

@@ -1,0 +1,251 @@
+"""Phase 1: meta-learn the adaptation policy in simulation (paper, Algorithm 1), as one pure function.
+
+A *round* runs `parallel` adaptation trajectories of `horizon` steps side by side, writes them to the replay and to the
+set S_E, and then trains. Everything that a sweep varies is a traced leaf of `Phase1Hyper`; sizes are `Phase1Config`.
+The round number is an argument and not part of the state, so that it stays unbatched under `vmap` (see `replay`), and
+each round draws its randomness from `(state.key, round)` alone: however a run is cut into calls, it gives the same bits.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.adapt.episode import Episode, run_episode
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners import replay as ring
+from adaptsim_jax.learners.bdq import BDQ, BDQConfig, BDQHyper, BDQState, make_bdq
+from adaptsim_jax.learners.replay import Transition
+from adaptsim_jax.space import gaussian
+from adaptsim_jax.tasks.base import Task
+
+
+@dataclass(frozen=True)
+class Phase1Config:
+    """Sizes, static under jit.
+
+    trajectories: how many adaptation trajectories in all, K / horizon; parallel: how many at once; horizon: adaptation
+    steps of each; updates: gradient steps after each round; batch: transitions in each; capacity: of the replay, in
+    transitions; archive: size of S_E, distributions; warmup: rounds before the first update.
+    """
+
+    trajectories: int = 10_000
+    parallel: int = 50
+    horizon: int = 10
+    updates: int = 60
+    batch: int = 64
+    capacity: int = 10_000
+    archive: int = 20_000
+    warmup: int = 1
+    hidden: tuple[int, ...] = (128, 128)
+    activation: str = "elu"
+    layer_norm: bool = False
+
+    @property
+    def rounds(self) -> int:
+        return self.trajectories // self.parallel
+
+
+class Phase1Hyper(NamedTuple):
+    """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
+
+    delta: adaptation step, a fraction of the range. threshold: the sparse reward's; rewards below it count as 0.
+    gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft: instead of the line,
+    `1 / (1 + gain (1 - r))` where 1 (informative however bad the policy is). epsilon falls linearly from `epsilon_start` to
+    `epsilon_end` over the first `epsilon_share` of the rounds. rate_end: the learning rate falls linearly to this share
+    of its start over the last half. obs_noise: standard deviation of noise on the observation, in training only.
+    terminal: 1 ends the return at the horizon, as the paper's equation 2 does; 0 bootstraps through it.
+    """
+
+    learner: BDQHyper = BDQHyper()
+    delta: Any = 0.1
+    threshold: Any = 0.95
+    gain: Any = 1.0
+    soft: Any = 0.0
+    epsilon_start: Any = 1.0
+    epsilon_end: Any = 0.1
+    epsilon_share: Any = 0.75
+    rate_end: Any = 1.0
+    obs_noise: Any = 0.0
+    terminal: Any = 1.0
+
+
+class Archive(NamedTuple):
+    """S_E: simulation parameter distributions used, and their task policies; rings of `[archive, ...]`."""
+
+    mean: jax.Array
+    policy: Any
+
+
+class Phase1State(NamedTuple):
+    """All that the next round needs, apart from its number."""
+
+    key: jax.Array
+    learner: BDQState
+    replay: Transition
+    archive: Archive
+
+
+class Phase1Info(NamedTuple):
+    """Of one round, each `[]`: means of the task reward over all steps and at the last step, of the shaped reward, and
+    the learner's loss, Q and gradient norm averaged over the updates (0 during warm-up)."""
+
+    reward: jax.Array
+    final_reward: jax.Array
+    shaped: jax.Array
+    epsilon: jax.Array
+    loss: jax.Array
+    q: jax.Array
+    grad_norm: jax.Array
+
+
+class Phase1(NamedTuple):
+    """Phase 1 of one task as pure functions; see `make_phase1`."""
+
+    task: Task
+    config: Phase1Config
+    bdq: BDQ
+    init: Callable[[jax.Array], Phase1State]
+    round: Callable[..., tuple[Phase1State, Phase1Info]]
+    run: Callable[..., tuple[Phase1State, Phase1Info]]
+
+
+def make_phase1(task: Task, config: Phase1Config) -> Phase1:
+    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps.
+
+    * `init(key) -> Phase1State`
+    * `round(state, hyper, number []) -> (state, info)`
+    * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when vmapping
+    """
+    _check(config)
+    bdq = make_bdq(
+        BDQConfig(
+            obs_dim=task.space.dim + task.obs_dim,
+            branches=task.space.dim,
+            hidden=config.hidden,
+            activation=config.activation,
+            layer_norm=config.layer_norm,
+        )
+    )
+
+    def init(key):
+        key, net = jax.random.split(key)
+        return Phase1State(key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config))
+
+    def one_round(state, hyper, number):
+        act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
+        epsilon = _epsilon(config, hyper, number)
+        episodes = _collect(act_key, task, bdq, config, hyper, state.learner.online, epsilon)
+        batch, shaped = _transitions(episodes, hyper)
+        state = state._replace(
+            replay=ring.write(state.replay, batch, number), archive=_remember(state.archive, episodes, number)
+        )
+        learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
+        info = Phase1Info(
+            episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats
+        )
+        return state._replace(learner=learner), info
+
+    def run(state, hyper, numbers):
+        return jax.lax.scan(lambda s, n: one_round(s, hyper, n), state, numbers)
+
+    return Phase1(task, config, bdq, init, one_round, run)
+
+
+def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
+    """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0 below the threshold."""
+    line = jnp.maximum(1.0 - hyper.gain * (1.0 - reward), 0.0)
+    curve = 1.0 / (1.0 + hyper.gain * jnp.maximum(1.0 - reward, 0.0))
+    shaped = jnp.where(hyper.soft > 0, curve, line)
+    return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
+
+
+def _collect(key, task, bdq, config, hyper, weights, epsilon) -> Episode:
+    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis `parallel`."""
+
+    def one(key):
+        target_key, start_key, run_key = jax.random.split(key, 3)
+        target = task.targets.physical(task.targets.sample(target_key))
+        start = gaussian(task.space, task.space.sample(start_key))
+        return run_episode(
+            run_key,
+            task,
+            lambda k, obs: bdq.act(k, weights, obs, epsilon),
+            start,
+            task.init_policy(run_key),
+            target,
+            steps=config.horizon,
+            delta=hyper.delta,
+            obs_noise=hyper.obs_noise,
+        )
+
+    return jax.vmap(one)(jax.random.split(key, config.parallel))
+
+
+def _transitions(episodes: Episode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
+    """Flatten `[parallel, horizon + 1]` visits to `[parallel * horizon]` transitions; the reward is of the visit after."""
+    shaped = shape_reward(episodes.reward, hyper)
+    flat = lambda x: x.reshape(-1, *x.shape[2:])
+    last = jnp.zeros_like(shaped[:, 1:]).at[:, -1].set(1.0)
+    return Transition(
+        flat(episodes.obs[:, :-1]),
+        flat(episodes.action),
+        flat(shaped[:, 1:]),
+        flat(episodes.obs[:, 1:]),
+        flat(1.0 - hyper.terminal * last),
+    ), shaped
+
+
+def _learn(key, bdq: BDQ, config, hyper, state: Phase1State, number):
+    """`updates` gradient steps on batches drawn beforehand; skipped in effect during warm-up."""
+    block = config.parallel * config.horizon
+    filled = jnp.minimum((number + 1) * block, config.capacity)
+    batches = ring.sample(key, state.replay, filled, (config.updates, config.batch))
+    on = number >= config.warmup
+    rates = hyper.learner._replace(
+        learning_rate=hyper.learner.learning_rate * _rate_share(config, hyper, number) * on,
+        tau=hyper.learner.tau * on,
+    )
+    learner, info = jax.lax.scan(lambda s, b: bdq.update(s, b, rates), state.learner, batches)
+    return learner, (info.loss.mean() * on, info.q.mean() * on, info.grad_norm.mean() * on)
+
+
+def _epsilon(config, hyper, number):
+    share = jnp.clip(number / (hyper.epsilon_share * max(config.rounds - 1, 1)), 0.0, 1.0)
+    return hyper.epsilon_start + (hyper.epsilon_end - hyper.epsilon_start) * share
+
+
+def _rate_share(config, hyper, number):
+    late = jnp.clip(2.0 * number / max(config.rounds, 1) - 1.0, 0.0, 1.0)
+    return 1.0 + (hyper.rate_end - 1.0) * late
+
+
+def _empty_replay(bdq: BDQ, config: Phase1Config) -> Transition:
+    obs = jnp.zeros(bdq.config.obs_dim)
+    action = jnp.zeros(bdq.config.branches, jnp.int32)
+    return ring.empty(Transition(obs, action, jnp.zeros(()), obs, jnp.zeros(())), config.capacity)
+
+
+def _empty_archive(task: Task, config: Phase1Config) -> Archive:
+    policy = jax.eval_shape(task.init_policy, jax.random.key(0))
+    return ring.empty(Archive(jnp.zeros(task.space.dim), policy), config.archive)
+
+
+def _remember(archive: Archive, episodes: Episode, number) -> Archive:
+    """Add every distribution that an action was taken from, with its policy (Algorithm 1, line 10)."""
+    used = Archive(episodes.mean, episodes.policy)
+    return ring.write(archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number)
+
+
+def _check(config: Phase1Config) -> None:
+    if config.trajectories % config.parallel or config.parallel < 1:
+        raise BadInput(
+            f"{config.trajectories} trajectories do not divide into rounds of {config.parallel}; "
+            f"use {config.parallel * max(1, round(config.trajectories / max(config.parallel, 1)))}"
+        )
+    if min(config.horizon, config.updates, config.batch) < 1 or config.warmup < 0:
+        raise BadInput(f"Phase 1 sizes must be positive, got {config}")
+    ring.check_capacity(config.capacity, config.parallel * config.horizon)
+    ring.check_capacity(config.archive, config.parallel * config.horizon)

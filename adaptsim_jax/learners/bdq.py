@@ -1,0 +1,169 @@
+"""Branching dueling Q-network with Double-Q targets (Tavakoli et al. 2018; paper, section 4.1).
+
+One trunk, one state value, one advantage per parameter and bin: `Q_d(s, a) = V(s) + A_d(s, a) - mean_a A_d(s, a)`.
+The target of every branch is the same, `r + discount * mean_d Q_d^-(s', argmax_a Q_d(s', a))`, where `Q^-` is the slowly
+moving copy. Sizes are static (`BDQConfig`); rates are traced (`BDQHyper`), so that one compiled step serves a sweep.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners.replay import Transition
+
+ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
+    "elu": nn.elu,
+    "relu": nn.relu,
+    "silu": nn.silu,
+    "tanh": jnp.tanh,
+}
+
+
+@dataclass(frozen=True)
+class BDQConfig:
+    """Sizes of the network, static under jit."""
+
+    obs_dim: int
+    branches: int
+    bins: int = 3
+    hidden: tuple[int, ...] = (128, 128)
+    activation: str = "elu"
+    layer_norm: bool = False
+
+
+class BDQHyper(NamedTuple):
+    """Rates of the learner, each a traced scalar.
+
+    learning_rate: Adam's; discount: gamma; tau: share of the online network that enters the target network at each
+    update; max_grad_norm: the gradient is scaled down to this global norm.
+    """
+
+    learning_rate: Any = 3e-4
+    discount: Any = 0.9
+    tau: Any = 0.01
+    max_grad_norm: Any = 1.0
+
+
+class BDQState(NamedTuple):
+    """What the next update needs. Weights are flat `[n]` vectors: one fused update instead of one for each layer."""
+
+    online: jax.Array
+    target: jax.Array
+    opt: optax.OptState
+
+
+class BDQInfo(NamedTuple):
+    """Of one update: loss, mean Q of the taken actions, gradient norm before clipping; each `[]`."""
+
+    loss: jax.Array
+    q: jax.Array
+    grad_norm: jax.Array
+
+
+class Network(nn.Module):
+    """`obs [..., obs_dim] -> Q [..., branches, bins]`."""
+
+    config: BDQConfig
+
+    @nn.compact
+    def __call__(self, obs: jax.Array) -> jax.Array:
+        cfg = self.config
+        x = obs
+        for width in cfg.hidden:
+            x = nn.Dense(width, kernel_init=nn.initializers.he_uniform())(x)
+            x = nn.LayerNorm()(x) if cfg.layer_norm else x
+            x = ACTIVATIONS[cfg.activation](x)
+        # All heads are linear in the trunk, so one matrix holds them; dueling is applied to its columns.
+        heads = nn.Dense(1 + cfg.branches * cfg.bins, kernel_init=nn.initializers.lecun_uniform())(x)
+        value, advantage = heads[..., :1, None], heads[..., 1:]
+        advantage = advantage.reshape(*advantage.shape[:-1], cfg.branches, cfg.bins)
+        return value + advantage - advantage.mean(-1, keepdims=True)
+
+
+class BDQ(NamedTuple):
+    """The learner as pure functions; see `make_bdq`."""
+
+    config: BDQConfig
+    init: Callable[[jax.Array], BDQState]
+    q_values: Callable[[jax.Array, jax.Array], jax.Array]
+    greedy: Callable[[jax.Array, jax.Array], jax.Array]
+    act: Callable[..., jax.Array]
+    update: Callable[..., tuple[BDQState, BDQInfo]]
+
+
+def make_bdq(config: BDQConfig) -> BDQ:
+    """Check the sizes and return the learner.
+
+    * `init(key) -> BDQState`
+    * `q_values(weights, obs [..., obs_dim]) -> [..., branches, bins]`, `weights` being `state.online` or `.target`
+    * `greedy(weights, obs) -> [..., branches]` int32
+    * `act(key, weights, obs, epsilon) -> [..., branches]`: with probability epsilon *all* branches are uniform
+    * `update(state, batch, hyper) -> (BDQState, BDQInfo)`: one Adam step on a `Transition` of `[B, ...]`
+    """
+    _check(config)
+    network = Network(config)
+    example = jnp.zeros((1, config.obs_dim))
+    unravel = ravel_pytree(network.init(jax.random.key(0), example))[1]
+
+    def q_values(weights, obs):
+        return network.apply(unravel(weights), obs)
+
+    def init(key):
+        online = ravel_pytree(network.init(key, example))[0]
+        return BDQState(online, online, optax.scale_by_adam().init(online))
+
+    def greedy(weights, obs):
+        return jnp.argmax(q_values(weights, obs), -1).astype(jnp.int32)
+
+    def act(key, weights, obs, epsilon):
+        return explore(key, greedy(weights, obs), config.bins, epsilon)
+
+    def update(state, batch, hyper):
+        target = double_q_target(q_values, state, batch, hyper.discount)
+        (loss, q), grad = jax.value_and_grad(_loss, argnums=1, has_aux=True)(q_values, state.online, batch, target)
+        norm = optax.global_norm(grad)
+        grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
+        step, opt = optax.scale_by_adam().update(grad, state.opt)
+        online = state.online - hyper.learning_rate * step
+        slow = state.target + hyper.tau * (online - state.target)
+        return BDQState(online, slow, opt), BDQInfo(loss, q, norm)
+
+    return BDQ(config, init, q_values, greedy, act, update)
+
+
+def explore(key: jax.Array, action: jax.Array, bins: int, epsilon: jax.Array) -> jax.Array:
+    """With probability epsilon replace a whole action `[..., branches]` by a uniform one."""
+    coin, noise = jax.random.split(key)
+    random = jax.random.randint(noise, action.shape, 0, bins, action.dtype)
+    return jnp.where(jax.random.uniform(coin, (*action.shape[:-1], 1)) < epsilon, random, action)
+
+
+def taken(q: jax.Array, action: jax.Array) -> jax.Array:
+    """Q of the chosen bins: `[..., branches, bins]`, `[..., branches]` -> `[..., branches]`."""
+    return jnp.take_along_axis(q, action[..., None], -1)[..., 0]
+
+
+def double_q_target(q_values, state: BDQState, batch: Transition, discount: jax.Array) -> jax.Array:
+    """`[B]`: the online network chooses in each branch, the target network values, branches are averaged."""
+    best = jnp.argmax(q_values(state.online, batch.next_obs), -1)
+    value = taken(q_values(state.target, batch.next_obs), best).mean(-1)
+    return batch.reward + discount * batch.bootstrap * value
+
+
+def _loss(q_values, weights, batch: Transition, target):
+    q = taken(q_values(weights, batch.obs), batch.action)
+    return jnp.mean(jnp.square(q - target[:, None])), q.mean()
+
+
+def _check(config: BDQConfig) -> None:
+    if min(config.obs_dim, config.branches, *config.hidden) < 1 or config.bins < 2 or not config.hidden:
+        raise BadInput(f"BDQ sizes {config}: each must be positive, with two bins or more and one hidden layer or more")
+    if config.activation not in ACTIVATIONS:
+        raise BadInput(f"BDQ activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")
