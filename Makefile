@@ -1,0 +1,65 @@
+# Needs Python 3.11 or newer, make, and nothing else; pip's own configuration is honoured.
+# `make demo` and `make test` build .venv on first use; later calls start at once.
+
+VENV := .venv
+BIN := $(VENV)/bin
+JOBS ?= 2
+DEMO_OUT ?= demo_out
+export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
+export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
+
+.PHONY: demo test lint format bench clean help
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo    install into $(VENV), run 'adaptsim demo', leave figures and a page in $(DEMO_OUT)"
+	@echo "make test    run the test suite on $(JOBS) processes (JOBS=n for another number)"
+	@echo "make lint    ruff and pyright"
+	@echo "make bench   run every benchmark that needs no extra package"
+	@echo "make clean   remove $(VENV) and what the other targets wrote"
+
+demo: $(VENV)/.core
+	$(BIN)/adaptsim demo --out $(DEMO_OUT)
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.core
+	@set -e; for script in benchmarks/bench_*.py; do \
+	  [ -e "$$script" ] || { echo "no benchmarks/bench_*.py yet"; exit 0; }; \
+	  echo "== $$script"; $(BIN)/python "$$script"; done
+
+clean:
+	rm -rf $(VENV) .cache demo_out build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
+
+# A stamp is written only when its step ended well, so an interrupted install is taken up again.
+$(VENV)/.made:
+	@set -e; found=; for python in $(PYTHON) python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	    found="$$python"; break; fi; done; \
+	if [ -z "$$found" ]; then \
+	  echo "make: no Python 3.11 or newer with the venv module found; install one or say make PYTHON=/path/to/python3" >&2; \
+	  exit 1; fi; \
+	echo "using $$($$found --version) for $(VENV)"; "$$found" -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.core: $(VENV)/.made requirements.lock pyproject.toml
+	$(BIN)/python -m pip install --quiet -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.core requirements-dev.lock
+	$(BIN)/python -m pip install --quiet -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.test
+	@touch $@

@@ -1,0 +1,157 @@
+"""The `adaptsim` command: parse, set the compile cache up, run one command, turn errors into one line.
+
+Exit codes: 0, 1 (it failed), 2 (bad input: one line that names it and the mend), 130 (stopped by Ctrl-C).
+Nothing here imports JAX or NumPy, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import errno
+import importlib
+import os
+import sys
+import traceback
+from typing import NoReturn
+
+from adaptsim_jax import __version__, compile_cache
+from adaptsim_jax.commands import SUMMARIES, common
+from adaptsim_jax.config import suggest
+from adaptsim_jax.errors import BadInput
+
+FAILED, BAD_INPUT, STOPPED = 1, 2, 130
+_DISK = (errno.ENOSPC, errno.EDQUOT)
+_OUTSIDE = (
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.ENAMETOOLONG,
+    errno.EFBIG,
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse that reports bad input as everything else here does: one line, code 2, the nearest name."""
+
+    def __init__(self, *args, **kwargs):
+        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(*args, allow_abbrev=False, **kwargs)
+
+    def error(self, message: str) -> NoReturn:
+        raise BadInput(f"{message.removeprefix('argument ')}; see '{self.prog} --help'")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command line (default: `sys.argv`); returns the exit code and never raises for bad input."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    args = None
+    try:
+        args = parse(argv)
+        _set_up_cache(args)
+        return args.run(args) or 0
+    except SystemExit as stop:  # argparse's --help and --version
+        return stop.code if isinstance(stop.code, int) else FAILED
+    except BadInput as error:
+        return _say(str(error), BAD_INPUT)
+    except KeyboardInterrupt:
+        hint = getattr(args, "resume_hint", None)
+        return _say(f"stopped; {hint}" if hint else "stopped; nothing half-written is left", STOPPED)
+    except BrokenPipeError:  # the reader of our output went away (`adaptsim effects | head`)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except OSError as error:
+        return _file_system(error)
+    except Exception as error:
+        traceback.print_exc()
+        return _say(f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED)
+
+
+def parse(argv: list[str]) -> argparse.Namespace:
+    """The arguments of one command, with `run` set to it; only that command's module is loaded."""
+    parser = _top()
+    name = next((word for word in argv if not word.startswith("-")), None)
+    if name is None:
+        options = parser.parse_args(argv)  # --help, --version, or an error
+        options.run = lambda _: parser.print_help()
+        return options
+    if name not in SUMMARIES:
+        raise BadInput(f"unknown command '{name}'; {suggest(name, SUMMARIES)}")
+    before, after = argv[: argv.index(name)], argv[argv.index(name) + 1 :]
+    if before:
+        parser.parse_args(before)
+    module = importlib.import_module(f"adaptsim_jax.commands.{name}")
+    command = _command(name, module)
+    args, unknown = command.parse_known_args(after)
+    if unknown:
+        raise BadInput(_unknown_argument(command, unknown[0]))
+    args.run = module.run
+    return args
+
+
+def _top() -> Parser:
+    lines = "\n".join(f"  {name:10} {summary}" for name, summary in SUMMARIES.items())
+    parser = Parser(
+        prog="adaptsim",
+        usage="adaptsim [-h] [--version] COMMAND ...",
+        description="Find simulation parameters that make a task policy work in a target environment,\n"
+        "and trace what a simulator lacks from measured data.",
+        epilog=f"commands:\n{lines}\n\n'adaptsim COMMAND --help' shows its options and examples.",
+    )
+    parser.add_argument("--version", action="version", version=f"adaptsim_jax {__version__}")
+    return parser
+
+
+def _command(name: str, module) -> Parser:
+    parser = Parser(
+        prog=f"adaptsim {name}",
+        description=f"{SUMMARIES[name]}.",
+        epilog=f"examples:\n{module.EXAMPLES.rstrip()}",
+    )
+    module.arguments(parser)
+    shared = parser.add_argument_group("shared by all commands")
+    shared.add_argument("--seed", type=common.seed, default=0, metavar="N", help="random seed (default 0)")
+    shared.add_argument("--no-cache", action="store_true", help="keep no compiled programs on disk")
+    return parser
+
+
+def _unknown_argument(parser: Parser, word: str) -> str:
+    options = [option for action in parser._actions for option in action.option_strings]
+    near = difflib.get_close_matches(word.partition("=")[0], options, n=1, cutoff=0.5)
+    mend = f"did you mean '{near[0]}'?" if near else f"see '{parser.prog} --help'"
+    return f"unknown argument '{word}'; {mend}"
+
+
+def _set_up_cache(args: argparse.Namespace) -> None:
+    if "jax" in sys.modules:
+        return
+    if getattr(args, "no_cache", False):
+        compile_cache.disable()
+    elif trouble := compile_cache.enable():
+        print(f"adaptsim: {trouble}", file=sys.stderr)
+
+
+def _file_system(error: OSError) -> int:
+    where = f"{error.filename}: " if error.filename else ""
+    what = error.strerror or str(error)
+    if error.errno in _DISK:
+        return _say(f"{where}no space left on the disk; free some and run again", BAD_INPUT)
+    if error.errno == errno.ENOENT and error.filename:
+        return _say(f"{where}no such file or folder; check the name", BAD_INPUT)
+    if error.errno in _OUTSIDE:
+        return _say(f"{where}{what}; name a file or folder that you may use", BAD_INPUT)
+    traceback.print_exc()
+    return _say(f"failed: {where}{what}", FAILED)
+
+
+def _say(message: str, code: int) -> int:
+    with contextlib.suppress(OSError, ValueError):
+        print(f"adaptsim: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,14 @@
+"""One module a command, with `arguments(parser)` and `run(args) -> exit code`; JAX is loaded only in `run`."""
+
+SUMMARIES = {
+    "demo": "the tour: train, adapt, close the loop on sample data; a few minutes on two cores",
+    "train": "Phase 1: learn how to adapt simulation parameters, in simulation",
+    "adapt": "Phase 2: adapt a trained run to a target",
+    "compare": "methods x settings x seeds, as in Table 1 of the paper",
+    "diagnose": "close the loop: measured data in, cause of the residual and mended model out",
+    "effects": "the catalogue of effects that a model may lack",
+    "robot": "ask/tell adaptation with a real robot",
+    "parity": "physics backends against each other over random samples",
+    "doctor": "versions, devices, backends that work here, compile-cache folder",
+}
+TASKS = ("pendulum", "pushing", "scooping")

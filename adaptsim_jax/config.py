@@ -1,0 +1,227 @@
+"""Config files: frozen dataclasses to and from TOML, with every key checked and the nearest name offered."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import math
+import re
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+from adaptsim_jax.errors import BadInput
+
+T = TypeVar("T")
+
+
+def suggest(name: str, known: typing.Iterable[str]) -> str:
+    """'; did you mean ...?' or '; known: ...': the mend for a name that is not known."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known) or 'none'}"
+
+
+def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
+    """`name` if it is known, else BadInput with the nearest name."""
+    known = list(known)
+    if name not in known:
+        raise BadInput(f"unknown {kind} '{name}'; {suggest(name, known)}")
+    return name
+
+
+# ---------------------------------------------------------------- TOML
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """The table in a TOML file; BadInput with the line where it is not TOML."""
+    try:
+        return tomllib.loads(Path(path).read_bytes().decode())
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such file; check the name") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a readable TOML file") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{path}: not text in UTF-8; write it as TOML") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadInput(f"{path}: not TOML ({' '.join(str(error).split())}); mend that line") from None
+
+
+def write(path: str | Path, table: dict[str, Any]) -> None:
+    """`table` as a TOML file, whole or not at all."""
+    from adaptsim_jax import store
+
+    store.write_bytes(path, dumps(table).encode())
+
+
+def dumps(table: dict[str, Any]) -> str:
+    """TOML text of nested tables of numbers, strings, booleans and lists; None is left out."""
+    return "\n".join(_lines(table, ())).strip() + "\n"
+
+
+def _lines(table: dict[str, Any], path: tuple[str, ...]) -> list[str]:
+    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and v is not None}
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
+    if path and (plain or not table):
+        lines = ["", f"[{'.'.join(map(_key, path))}]", *lines]
+    for name, child in table.items():
+        if isinstance(child, dict):
+            lines += _lines(child, (*path, name))
+    return lines
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _string(name)
+
+
+def _string(text: str) -> str:
+    # JSON escapes are TOML escapes, but for DEL and for pairs of surrogates (so: no ASCII-only output)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value).replace("-nan", "nan")
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, Path):
+        return _string(str(value))
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
+    raise TypeError(f"no TOML for {type(value).__name__}")
+
+
+# ---------------------------------------------------------------- dataclasses
+
+
+def to_table(config: Any) -> dict[str, Any]:
+    """A (nested) dataclass as the table that `from_table` reads back."""
+    return json.loads(json.dumps(dataclasses.asdict(config), default=str))
+
+
+def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "") -> T:
+    """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key."""
+    hints = typing.get_type_hints(kind)
+    fields = {field.name: field for field in dataclasses.fields(kind) if field.init}  # type: ignore[arg-type]
+    for name in table:
+        if name not in fields:
+            raise BadInput(f"{where}: unknown key '{prefix}{name}'; {suggest(name, fields)}")
+    values = {}
+    for name, field in fields.items():
+        if name in table:
+            values[name] = _typed(hints[name], table[name], where, f"{prefix}{name}")
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            raise BadInput(f"{where}: key '{prefix}{name}' is missing; add it")
+    return kind(**values)
+
+
+def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
+    origin = typing.get_origin(hint)
+    if dataclasses.is_dataclass(hint) and isinstance(value, dict):
+        return from_table(hint, value, where, f"{key}.")  # type: ignore[arg-type]
+    if origin is typing.Literal:
+        if value in typing.get_args(hint):
+            return value
+        raise BadInput(f"{where}: key '{key}' is {value!r}; one of {list(typing.get_args(hint))} is wanted")
+    if origin in (types.UnionType, typing.Union):
+        return _first_fit(typing.get_args(hint), value, where, key)
+    if origin in (tuple, list) and isinstance(value, list | tuple):
+        return _sequence(hint, value, where, key)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if hint is Any or (isinstance(hint, type) and type(value) is hint):
+        return value
+    if origin is dict and isinstance(value, dict):
+        return value
+    name = getattr(hint, "__name__", str(hint))
+    raise BadInput(f"{where}: key '{key}' is {value!r}; a value of type {name} is wanted")
+
+
+def _first_fit(hints: tuple[Any, ...], value: Any, where: str, key: str) -> Any:
+    error: BadInput | None = None
+    for hint in hints:
+        if hint is type(None):
+            if value is None:
+                return None
+            continue
+        try:
+            return _typed(hint, value, where, key)
+        except BadInput as this:
+            error = this
+    raise error or BadInput(f"{where}: key '{key}' is {value!r}; leave it out")
+
+
+def _sequence(hint: Any, value: Any, where: str, key: str) -> Any:
+    arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is list or (len(arguments) == 2 and arguments[1] is Ellipsis):
+        kinds = [arguments[0]] * len(value)
+    else:
+        kinds = list(arguments)
+    if len(kinds) != len(value):
+        raise BadInput(f"{where}: key '{key}' has {len(value)} entries; {len(kinds)} are wanted")
+    items = [
+        _typed(kind, item, where, f"{key}[{i}]")
+        for i, (kind, item) in enumerate(zip(kinds, value, strict=True))
+    ]
+    return tuple(items) if typing.get_origin(hint) is tuple else items
+
+
+def with_settings(config: T, settings: typing.Sequence[str]) -> T:
+    """`config` with `key=value` strings applied (dotted keys reach into nested tables; values are TOML)."""
+    table = to_table(config)
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals:
+            raise BadInput(f"--set {setting}: no '='; write --set key=value")
+        try:
+            value = tomllib.loads(f"v = {text}")["v"]
+        except tomllib.TOMLDecodeError:
+            value = text  # a bare word is a string
+        target = table
+        *parents, last = key.strip().split(".")
+        for parent in parents:
+            target = target.get(parent)
+            if not isinstance(target, dict):
+                raise BadInput(f"--set {setting}: unknown key '{parent}'; {suggest(parent, table)}")
+        target[last] = value
+    return from_table(type(config), table, "--set")
+
+
+# ---------------------------------------------------------------- comparing
+
+
+def flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables as one with dotted keys; None is the same as absent, a tuple as a list."""
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict):
+            flat |= flatten(value, f"{prefix}{name}.")
+        elif value is not None:
+            flat[f"{prefix}{name}"] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def differences(have: dict[str, Any], want: dict[str, Any]) -> list[str]:
+    """'key: 3 there, 4 asked' for every key in which two config tables differ."""
+    a, b = flatten(have), flatten(want)
+    keys = sorted(a.keys() | b.keys())
+    return [
+        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked"
+        for key in keys
+        if a.get(key) != b.get(key)
+    ]
+
+
+def digest(table: dict[str, Any]) -> str:
+    """A hash of a config table that does not depend on the order of its keys."""
+    return hashlib.sha256(json.dumps(flatten(table), sort_keys=True).encode()).hexdigest()
