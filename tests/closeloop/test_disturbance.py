@@ -1,0 +1,48 @@
+"""Variance components and whitening against data whose truth is known."""
+
+import numpy as np
+import pytest
+from linear_world import make
+
+from adaptsim_jax.closeloop import disturbance
+
+
+@pytest.mark.parametrize("force_std", [0.05, 0.5])
+def test_force_variance_is_recovered(force_std):
+    lin = make(np.random.default_rng(1), force_std=force_std)
+    parts = disturbance.estimate(lin)
+    assert parts.force_std()[0] == pytest.approx(force_std, rel=0.3)
+    assert parts.sensor[0] == pytest.approx(1.0, rel=0.25)
+
+
+def test_white_data_show_no_force():
+    parts = disturbance.estimate(make(np.random.default_rng(2)))
+    assert parts.force_std()[0] < 0.02
+
+
+def test_wrong_sensor_noise_is_noticed():
+    parts = disturbance.estimate(make(np.random.default_rng(3), noise=2.0))
+    assert parts.sensor[0] == pytest.approx(4.0, rel=0.3)
+
+
+def test_whitened_rows_are_white_and_free_of_initial_states():
+    lin = make(np.random.default_rng(4), force_std=0.3)
+    white = disturbance.whiten(lin, disturbance.whitener(lin, disturbance.estimate(lin)))
+    assert np.sum(white.residual**2) / white.rows.sum() == pytest.approx(1.0, rel=0.1)
+    moved = disturbance.whiten(
+        disturbance.Linearised(
+            **{**lin.__dict__, "residual": lin.residual + lin.jac_state @ np.array([0.3, -2.0])}
+        ),
+        disturbance.whitener(lin, disturbance.estimate(lin)),
+    )
+    np.testing.assert_allclose(moved.residual, white.residual, atol=1e-6)
+
+
+def test_unexplained_force_follows_the_truth():
+    lin = make(np.random.default_rng(5), effect=0.4)
+    mean, std = disturbance.unexplained_force(lin, disturbance.estimate(lin))
+    t = np.arange(40)[None] * 0.01 + 0.4 * np.arange(40)[:, None]
+    truth = 0.4 * np.sign(np.sin(2.1 * t + 0.5) + 0.7 * np.sin(5.3 * t))
+    inner = slice(8, -8)  # a window's ends see no future
+    assert np.corrcoef(mean[:, 0, inner].ravel(), truth[:, inner].ravel())[0, 1] > 0.8
+    assert np.isfinite(std).all()
