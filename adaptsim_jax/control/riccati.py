@@ -1,9 +1,9 @@
 """Algebraic Riccati equations, continuous and discrete, by structure-preserving doubling.
 
-Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations", Linear
-Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for the discrete one. The solve works on a
-whole batch at once (see `small_matrix`), refines with Newton-Kleinman steps, and differentiates by the implicit
-function theorem, in forward and reverse mode and more than once.
+Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations",
+Linear Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for the discrete one. The solve
+works on a whole batch at once (see `small_matrix`), refines with Newton-Kleinman steps, and differentiates by the
+implicit function theorem, in forward and reverse mode and more than once.
 """
 
 from functools import partial
@@ -37,7 +37,7 @@ _MAX_DOUBLINGS = 40
 
 
 class RiccatiSolution(NamedTuple):
-    """`P: [n, n]` symmetric; `residual: []` relative to the equation's largest term; `code: []` int32, 0 is good."""
+    """`P: [n, n]` symmetric; `residual: []` relative to the equation's terms; `code: []` int32, 0 is good."""
 
     P: Array
     residual: Array
@@ -52,8 +52,9 @@ def riccati_message(code: int) -> str:
 def solve_care(A: Array, B: Array, Q: Array, R: Array, *, refine: int | None = None) -> RiccatiSolution:
     """Stabilising `P` of `A'P + PA - P B R^-1 B' P + Q = 0`.
 
-    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts. `refine` Newton
-    steps follow the doubling (1 in double precision, none in single, unless told). Never raises on values: read `code`.
+    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts. `refine`
+    Newton steps follow the doubling (1 in double precision, none in single, unless told). Values never raise:
+    read `code`.
     """
     return _solution(_care, A, B, Q, R, refine)
 
@@ -70,7 +71,7 @@ def care_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
 
 
 def dare_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
-    """`A'PA - A'PB (R + B'PB)^-1 B'PA + Q - P`, `[n, n]`, all arguments with or without trailing batch axes."""
+    """`A'PA - A'PB (R + B'PB)^-1 B'PA + Q - P`, `[n, n]`, with or without trailing batch axes."""
     PA, PB = mm(P, A), mm(P, B)
     APB = mm(transpose(A), PB)
     return mm(transpose(A), PA) - mm(APB, solve(R + mm(transpose(B), PB), transpose(APB))) + Q - P
@@ -84,7 +85,7 @@ def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array, refine: int |
     return RiccatiSolution(P, residual, code.astype(jnp.int32))
 
 
-# --- the doubling -----------------------------------------------------------------------------------------------------
+# --- the doubling ---
 
 
 def _double(A: Array, G: Array, H: Array) -> tuple[Array, Array, Array]:
@@ -135,8 +136,8 @@ def _stein(A: Array, S: Array) -> Array:
 def _cayley(A: Array, G: Array, Q: Array) -> tuple[Array, Array, Array]:
     """Discrete-time A, G, H whose doubling has the CARE's solution as limit.
 
-    The shifted Hamiltonian `K` has no zero eigenvalue whenever a stabilising solution exists, whatever the shift, so
-    inverting it whole is safe where the textbook form, which inverts `A - gamma`, is not.
+    The shifted Hamiltonian `K` has no zero eigenvalue whenever a stabilising solution exists, whatever the
+    shift, so inverting it whole is safe where the textbook form, which inverts `A - gamma`, is not.
     """
     n = A.shape[0]
     gamma = _shift(A, G, Q)
@@ -206,7 +207,7 @@ def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Ar
     return P, residual, jnp.where(finite, code, NOT_FINITE).astype(P.dtype)
 
 
-# --- derivatives ------------------------------------------------------------------------------------------------------
+# --- derivatives ---
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -1,7 +1,7 @@
-"""Small matrices with the batch on the trailing axes, so that every sum and product vectorises over the batch.
+"""Small matrices with the batch on the trailing axes, so that sums and products vectorise over the batch.
 
-XLA calls LAPACK once per sample for a batched solve and runs a scalar loop for a batched 4x4 product. Written out over
-the few rows and columns, with the batch last, both become a handful of element-wise kernels. Arrays here are
+XLA calls LAPACK once per sample for a batched solve and runs a scalar loop for a batched 4x4 product. Written out
+over the few rows and columns, with the batch last, both become a handful of element-wise kernels. Arrays here are
 `[rows, columns, ...batch]`; `batch_last` lets ordinary code (`[rows, columns]` under `vmap`) use them.
 """
 
@@ -42,19 +42,19 @@ def symmetric(a: Array) -> Array:
 
 
 def eye_like(a: Array) -> Array:
-    """Identity of the rows of `a: [n, m, ...]`, shaped `[n, n, 1, ...]` so that it broadcasts over the batch."""
+    """Identity as large as `a: [n, m, ...]` has rows, `[n, n, 1, ...]`: it broadcasts over the batch."""
     return jnp.eye(a.shape[0], dtype=a.dtype).reshape((a.shape[0],) * 2 + (1,) * (a.ndim - 2))
 
 
 def norm(a: Array) -> Array:
-    """Frobenius norm over the two leading axes, `[...batch]`; scaled first, so that it does not overflow early."""
+    """Frobenius norm over the two leading axes, `[...batch]`, scaled so that it does not overflow early."""
     biggest = jnp.max(jnp.abs(a), axis=(0, 1))
     safe = jnp.where(biggest > 0, biggest, 1.0)
     return safe * jnp.sqrt(jnp.sum((a / safe[None, None]) ** 2, axis=(0, 1)))
 
 
 def solve(a: Array, b: Array) -> Array:
-    """Solve `a x = b` by Gauss-Jordan elimination with row pivoting: `[n, n, ...]`, `[n, m, ...] -> [n, m, ...]`.
+    """Solve `a x = b` by Gauss-Jordan elimination with row pivoting: `[n, n, ...], [n, m, ...] -> [n, m, ...]`.
 
     A singular `a` gives infinities or NaN, which the caller's result code must catch.
     """
@@ -78,14 +78,14 @@ def inverse(a: Array) -> Array:
 def batch_last(core: Callable[..., Any]) -> Callable[..., Any]:
     """Make `core`, written for arguments with one trailing batch axis, a function of unbatched arguments.
 
-    The first argument must be a matrix, `[n, m]`, before batching. Each `vmap` level becomes a trailing axis instead of a leading one, and all of them reach `core` as one flat axis.
-    The result has no derivative rule: wrap it in `custom_jvp`.
+    The first argument must be a matrix, `[n, m]`, before batching. Each `vmap` level becomes a trailing axis instead
+    of a leading one, and all of them reach `core` as one flat axis. The result has no derivative rule: wrap it in `custom_jvp`.
     """
 
     @custom_vmap
     def mapped(*args: Array) -> Any:
         depth = args[0].ndim - 2
-        flat = [x.reshape(x.shape[: x.ndim - depth] + (-1,)) for x in args]
+        flat = [x.reshape((*x.shape[: x.ndim - depth], -1)) for x in args]
         batch = args[0].shape[args[0].ndim - depth :]
         return jax.tree.map(lambda y: y.reshape(y.shape[:-1] + batch), core(*flat))
 
