@@ -104,31 +104,53 @@ def _value(value: Any) -> str:
 # ---------------------------------------------------------------- dataclasses
 
 
-def to_table(config: Any) -> dict[str, Any]:
-    """A (nested) dataclass as the table that `from_table` reads back."""
-    return json.loads(json.dumps(dataclasses.asdict(config), default=str))
+def to_table(config: Any) -> Any:
+    """A (nested) dataclass or named tuple as the table that `from_table` reads back."""
+    if _is_record(type(config)):
+        return {name: to_table(getattr(config, name)) for name in _fields(type(config))}
+    if isinstance(config, tuple | list):
+        return [to_table(item) for item in config]
+    if isinstance(config, dict):
+        return {name: to_table(value) for name, value in config.items()}
+    return config
+
+
+def _is_record(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind) or (isinstance(kind, type) and hasattr(kind, "_field_defaults"))
+
+
+def _fields(kind: Any) -> dict[str, bool]:
+    """The fields of a dataclass or named tuple, and whether each must be given."""
+    if not dataclasses.is_dataclass(kind):
+        return {name: name not in kind._field_defaults for name in kind._fields}
+    missing = dataclasses.MISSING
+    return {
+        field.name: field.default is missing and field.default_factory is missing
+        for field in dataclasses.fields(kind)
+        if field.init
+    }
 
 
 def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "") -> T:
     """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key."""
     hints = typing.get_type_hints(kind)
-    fields = {field.name: field for field in dataclasses.fields(kind) if field.init}  # type: ignore[arg-type]
+    fields = _fields(kind)
     for name in table:
         if name not in fields:
             raise BadInput(f"{where}: unknown key '{prefix}{name}'; {suggest(name, fields)}")
     values = {}
-    for name, field in fields.items():
+    for name, needed in fields.items():
         if name in table:
             values[name] = _typed(hints[name], table[name], where, f"{prefix}{name}")
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        elif needed:
             raise BadInput(f"{where}: key '{prefix}{name}' is missing; add it")
     return kind(**values)
 
 
 def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
     origin = typing.get_origin(hint)
-    if dataclasses.is_dataclass(hint) and isinstance(value, dict):
-        return from_table(hint, value, where, f"{key}.")  # type: ignore[arg-type]
+    if _is_record(hint) and isinstance(value, dict):
+        return from_table(hint, value, where, f"{key}.")
     if origin is typing.Literal:
         if value in typing.get_args(hint):
             return value

@@ -20,7 +20,7 @@ _SCENE = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hing
 
 
 def examine() -> dict[str, Any]:
-    """Versions, devices, backends and the compile cache; `faults` has a line for each thing the core lacks."""
+    """Versions, devices, backends, compile cache; `faults` has a line for each thing the core lacks."""
     versions = {name: _version(name) for name in PACKAGES}
     backends = {name: _try(trial) for name, trial in _TRIALS.items()}
     files, size = compile_cache.size()
@@ -158,6 +158,4 @@ def _faults(found: dict[str, Any]) -> list[str]:
         faults.append(
             f"mujoco {versions['mujoco']} with mujoco-mjx {versions['mujoco-mjx']}: install one version"
         )
-    if sys.version_info < (3, 11):
-        faults.append("Python is older than 3.11")
     return faults

@@ -1,8 +1,8 @@
 """Run folders and checkpoints: written under a temporary name, renamed, checked in full, never executed.
 
 A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<hash>.npz`) that it names. The
-payload is written and renamed first, the manifest after it, the old payload removed last: whenever the process
-dies, the manifest on disk names a whole payload. It also records how long `metrics.jsonl` was.
+payload is written and renamed first, the manifest after it, the old payload removed last: whenever the
+process dies, the manifest on disk names a whole payload. It also records how long `metrics.jsonl` was.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ _FIELDS = {
 
 
 def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
-    """The manifest of the checkpoint in `folder`, checked: ours, whole, of a version that this package reads."""
+    """The manifest of the checkpoint in `folder`, checked: ours, whole, and of a version read here."""
     path = Path(folder) / MANIFEST
     try:
         manifest = json.loads(path.read_bytes())

@@ -29,6 +29,8 @@ def pack(tree: Any) -> tuple[list[dict[str, Any]], bytes]:
         if entry is None:
             raise TypeError(f"leaf {jax.tree_util.keystr(path)} is {type(leaf).__name__}, not an array")
         leaves.append({"path": jax.tree_util.keystr(path), **entry})
+        if entry["kind"] == "key":
+            leaves[-1]["impl"] = str(jax.random.key_impl(leaf))
         arrays[f"a{index}"] = _raw(leaf, entry)
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
@@ -104,7 +106,7 @@ def _compare(wanted: list[tuple[Any, Any]], leaves: list[dict[str, Any]], where:
 def _restore(array: np.ndarray, entry: dict[str, Any], like: Any, where: str) -> Any:
     shape = tuple(entry["shape"])
     if entry["kind"] == "key":
-        return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(like))
+        return jax.random.wrap_key_data(jnp.asarray(array), impl=entry["impl"])
     dtype = np.dtype(entry["dtype"]) if entry["dtype"] in np.sctypeDict else np.dtype(like.dtype)
     if array.dtype != dtype:
         array = array.view(dtype)

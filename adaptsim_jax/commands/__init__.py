@@ -1,4 +1,4 @@
-"""One module a command, with `arguments(parser)` and `run(args) -> exit code`; JAX is loaded only in `run`."""
+"""One module a command, with `arguments(parser)` and `run(args) -> exit code`; only `run` loads JAX."""
 
 SUMMARIES = {
     "demo": "the tour: train, adapt, close the loop on sample data; a few minutes on two cores",
