@@ -185,8 +185,9 @@ def test_torn_anywhere(whole, tmp_path_factory, data):
     except BadInput as error:
         assert "\n" not in str(error) and str(folder) in str(error)
     else:
-        assert name == store.MANIFEST and step == 5  # white space in JSON carries nothing
-        assert json.loads(new) == json.loads(old)
+        # zeros over zeros are no damage, and white space in JSON carries nothing
+        assert new == old or (name == store.MANIFEST and json.loads(new) == json.loads(old))
+        assert step == 5
         assert_same(loaded, tree)
 
 
