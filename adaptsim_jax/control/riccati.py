@@ -1,9 +1,9 @@
 """Algebraic Riccati equations, continuous and discrete, by structure-preserving doubling.
 
 Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations",
-Linear Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for the discrete one. The solve
-works on a whole batch at once (see `small_matrix`), refines with Newton-Kleinman steps, and differentiates by the
-implicit function theorem, in forward and reverse mode and more than once.
+Linear Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for the discrete one. The
+solve works on a whole batch at once (see `small_matrix`), refines with Newton-Kleinman steps, and
+differentiates by the implicit function theorem, in forward and reverse mode and more than once.
 """
 
 from functools import partial

@@ -1,8 +1,9 @@
 """Small matrices with the batch on the trailing axes, so that sums and products vectorise over the batch.
 
-XLA calls LAPACK once per sample for a batched solve and runs a scalar loop for a batched 4x4 product. Written out
-over the few rows and columns, with the batch last, both become a handful of element-wise kernels. Arrays here are
-`[rows, columns, ...batch]`; `batch_last` lets ordinary code (`[rows, columns]` under `vmap`) use them.
+XLA calls LAPACK once per sample for a batched solve and runs a scalar loop for a batched 4x4 product. Written
+out over the few rows and columns, with the batch last, both become a handful of element-wise kernels. Arrays
+here are `[rows, columns, ...batch]`; `batch_last` lets ordinary code (`[rows, columns]` under `vmap`) use
+them.
 """
 
 from collections.abc import Callable
@@ -54,7 +55,8 @@ def norm(a: Array) -> Array:
 
 
 def solve(a: Array, b: Array) -> Array:
-    """Solve `a x = b` by Gauss-Jordan elimination with row pivoting: `[n, n, ...], [n, m, ...] -> [n, m, ...]`.
+    """Solve `a x = b` by Gauss-Jordan elimination with row pivoting: `[n, n, ...], [n, m, ...] -> [n, m,
+    ...]`.
 
     A singular `a` gives infinities or NaN, which the caller's result code must catch.
     """
@@ -78,8 +80,9 @@ def inverse(a: Array) -> Array:
 def batch_last(core: Callable[..., Any]) -> Callable[..., Any]:
     """Make `core`, written for arguments with one trailing batch axis, a function of unbatched arguments.
 
-    The first argument must be a matrix, `[n, m]`, before batching. Each `vmap` level becomes a trailing axis instead
-    of a leading one, and all of them reach `core` as one flat axis. The result has no derivative rule: wrap it in `custom_jvp`.
+    The first argument must be a matrix, `[n, m]`, before batching. Each `vmap` level becomes a trailing axis
+    instead of a leading one, and all of them reach `core` as one flat axis. The result has no derivative
+    rule: wrap it in `custom_jvp`.
     """
 
     @custom_vmap

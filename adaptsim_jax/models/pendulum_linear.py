@@ -1,8 +1,9 @@
 """Double pendulum linearized about upright (paper, section 5.1), propagated exactly.
 
-Unit links with point masses at their ends; `params: [4]` are `m1, m2` (kg) and the viscous joint dampings `b1, b2`
-(N m s/rad); the state is `(q1, q2, v1, v2)` (rad, rad/s) with q2 relative to link 1 and zero upright. Between samples
-the closed loop is a matrix power, so a cost over 1000 samples takes a dozen products instead of 1000 steps.
+Unit links with point masses at their ends; `params: [4]` are `m1, m2` (kg) and the viscous joint dampings
+`b1, b2` (N m s/rad); the state is `(q1, q2, v1, v2)` (rad, rad/s) with q2 relative to link 1 and zero
+upright. Between samples the closed loop is a matrix power, so a cost over 1000 samples takes a dozen products
+instead of 1000 steps.
 """
 
 from collections.abc import Sequence
@@ -33,12 +34,12 @@ OK, UNSTABLE, OVERFLOW = 0, 1, 2
 _MESSAGES = {
     OK: "ok",
     UNSTABLE: "the closed loop is unstable; its cost over the horizon is finite and exact",
-    OVERFLOW: "the closed loop overflowed within the horizon, or its input was not finite; the cost is a ceiling",
+    OVERFLOW: "overflow within the horizon, or input that is not finite; the cost is a ceiling",
 }
 
 
 class LinearRollout(NamedTuple):
-    """`cost: []` summed over the samples, `points: [K, 4]` states at the wanted samples, `code: []` int32."""
+    """`cost: []` summed over the samples, `points: [K, 4]` states at wanted samples, `code: []` int32."""
 
     cost: Array
     points: Array
@@ -75,8 +76,8 @@ def optimal_gain(params: Array) -> LqrGain:
 def rollout(params: Array, gain: Array, indices: Sequence[int] = SNAPSHOTS) -> LinearRollout:
     """Closed loop `u = -gain x` from hanging: `params: [4]`, `gain: [2, 4]` -> cost, points, code.
 
-    The cost is the plain sum of `x'x + u'u` over the 1000 samples of [0, 2.5] s; `indices` (static) are the samples
-    wanted as points. Nothing returned is NaN or infinite: an unstable loop says so in its code.
+    The cost is the plain sum of `x'x + u'u` over the 1000 samples of [0, 2.5] s; `indices` (static) are the
+    samples wanted as points. Nothing returned is NaN or infinite: an unstable loop says so in its code.
     """
     A, B = linearized(params)
     return linear_rollout(A, B, gain, jnp.asarray(START, A.dtype), tuple(indices))
@@ -89,7 +90,7 @@ def linear_rollout(A: Array, B: Array, gain: Array, x0: Array, indices: tuple[in
 
 
 def linear_trajectory(A: Array, B: Array, gain: Array, x0: Array, times: Array) -> tuple[Array, Array]:
-    """States `[T, n]` and commands `[T, m]` of the closed loop `u = -gain x` at equispaced `times: [T]` s from 0."""
+    """States `[T, n]` and commands `[T, m]` under `u = -gain x` at equispaced `times: [T]` s from 0."""
     T = times.shape[0]
     power = transition(A - mm(B, gain), times[1] - times[0])
     states = x0[None]
