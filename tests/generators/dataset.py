@@ -154,7 +154,7 @@ def _tame(drafts: list[Draft], drive: Drive) -> Run:
     p = _lanes(drafts)
     for _ in range(4):
         run = simulate(p, effects.Table(drive.times.shape[1]), drive.quiet(), SIZING_STEP)
-        wild = (np.abs(run.state[:, :2]).max((0, 1)) > 4.5) & (np.abs(drive.feedforward).max((0, 1)) > 0)
+        wild = (np.abs(run.state[:, :2]).max((0, 1)) > 3.8) & (np.abs(drive.feedforward).max((0, 1)) > 0)
         if p.linear or not wild.any():
             break
         drive.feedforward[..., wild] *= 0.6
@@ -199,7 +199,11 @@ def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None
         table = effects.Table(len(lanes))
         for (_, e), span in zip(jobs, spans, strict=True):
             table.add(e["name"], max(e["joint"] - 1, 0), span, e["params"])
-        step = 1.25e-3 if {"presliding", "hard_stop"} & set(table.values) else SIZING_STEP
+        step = (
+            1.25e-3
+            if {"presliding", "hard_stop", "actuator_lag", "sensor_lag"} & set(table.values)
+            else SIZING_STEP
+        )
         run = simulate(p, table, alone, step)
         for (d, e), span, (sizes, shares) in zip(jobs, spans, tried, strict=True):
             share = sizing.measure(d.rig, run, span, d.valid(len(run.times)))
@@ -207,9 +211,9 @@ def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None
             shares.append(share.counted)
             e["share"] = share
             if turn < rounds - 1:
-                largest = effects.LARGEST.get(e["name"], np.inf)
+                low, high = effects.SMALLEST.get(e["name"], 0.0), effects.LARGEST.get(e["name"], np.inf)
                 target = e["multiple"] * sizing.JUST_MATTERS
-                e["params"]["size"] = sizing.next_size(sizes, shares, target, largest)
+                e["params"]["size"] = sizing.next_size(sizes, shares, target, low, high)
 
 
 def effect_table(drafts: list[Draft], lanes: int) -> effects.Table:

@@ -33,6 +33,10 @@ class Scale:
     q_high: float
     inertia: float  # effective inertia [kg m2]
 
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.q_low + self.q_high)
+
 
 def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
     """Parameters of one effect apart from its size, with the `size` to start the search from."""
@@ -59,7 +63,11 @@ def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
         "rotor_inertia": lambda: {"size": 0.03 * s.inertia},
         "friction_drift": lambda: {"size": few * 2 / s.speed, "decay": 0.8 + 2.5 * u},
         "periodic_disturbance": lambda: {"size": few * 1.4, "frequency": float(np.exp(rng.uniform(np.log(0.7), np.log(12)))), "free_phase": float(rng.random() < 0.5), "phase": 2 * np.pi * u},
-        "hard_stop": lambda: {"size": 0.1, "side": sign, "edge": s.q_high if sign > 0 else s.q_low, "span": span, "stiffness": s.inertia * (40 + 60 * u) ** 2, "ratio": 0.1},
+        "hard_stop": lambda: {
+            "size": 20 * few,
+            "side": sign,
+            "angle": s.middle + sign * span / 2 * rng.uniform(0.6, 0.85),
+        },
         "load_friction": lambda: {"size": 0.04},
         "sensor_lag": lambda: {"size": 0.004},
     }[name]()  # fmt: skip
@@ -68,15 +76,18 @@ def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
 # Size past which an effect would be implausible, in the unit of `size`.
 LARGEST = {
     "tilt": 0.35, "encoder_offset": 0.35, "torque_gain": 0.5, "delay": 0.06, "actuator_lag": 0.08,
-    "saturation": 0.85, "backlash": 0.2, "hard_stop": 0.45, "load_friction": 0.5, "sensor_lag": 0.06,
+    "saturation": 0.85, "backlash": 0.2, "load_friction": 0.5, "sensor_lag": 0.06,
 }  # fmt: skip
+
+# Filters faster than this are beyond the inner step.
+SMALLEST = {"actuator_lag": 1.5e-3, "sensor_lag": 1.5e-3}
 
 UNITS = {
     "coulomb": "N m", "stribeck": "N m", "quadratic_drag": "N m s2/rad2", "spring": "N m/rad", "bias": "N m",
     "tilt": "rad", "encoder_offset": "rad", "torque_gain": "1", "delay": "s", "actuator_lag": "s",
     "saturation": "1 (share of peak cut off)", "dead_zone": "N m", "presliding": "N m", "backlash": "rad",
     "cogging": "N m", "rotor_inertia": "kg m2", "friction_drift": "N m s/rad", "periodic_disturbance": "N m",
-    "hard_stop": "1 (share of the range cut off)", "load_friction": "1", "sensor_lag": "s",
+    "hard_stop": "N m/rad", "load_friction": "1", "sensor_lag": "s",
 }  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def make_trial(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> 
     home = np.array([0.0 if rig.sign > 0 else np.pi, 0.0, 0.0, 0.0])
     start[:2] = rng.uniform(-0.2, 0.2, 2)
     if kind == "swing":
-        start[:2] = rng.uniform(0.5, 1.9, 2) * rng.choice([-1, 1], 2)
+        start[:2] = rng.uniform(0.5, [1.9, 1.3]) * rng.choice([-1, 1], 2)
         return Trial(kind, t, zero, gain, rest, start + home)
     if kind == "tracking":
         inertia = np.abs(np.array(rig.inertia + rig.m * rig.c**2))

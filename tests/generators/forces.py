@@ -56,13 +56,10 @@ def force_terms(table: Table, inertia: np.ndarray, step: float, free_phase: np.n
 
 def hard_stop(e: dict[str, np.ndarray]):
     """A spring and damper beyond an angle that the motion reaches; it never pulls."""
-    on = e["size"] > 0
-    angle = e["edge"] - e["side"] * e["size"] * e["span"]
-    damping = e["ratio"] * e["stiffness"] * 0.01
 
     def force(q, v, t, u):
-        depth = np.where(on, np.maximum(e["side"] * (q - angle), 0.0), 0.0)
-        push = e["stiffness"] * depth + damping * e["side"] * v * (depth > 0)
+        depth = np.maximum(e["side"] * (q - e["angle"]), 0.0)
+        push = e["size"] * (depth + 0.002 * e["side"] * v * (depth > 0))
         return -e["side"] * np.maximum(push, 0.0)
 
     return force

@@ -46,11 +46,8 @@ class Run:
     state: np.ndarray  # [K, 4, L] true
     measured: np.ndarray  # [K, 4, L]
     clean: np.ndarray  # [K, 4, L]
-    clean_acceleration: np.ndarray  # [K, 2, L] of the clean measured angles, just after the row
+    smooth: np.ndarray  # [K, 4, L] as clean, but with velocities free of the jumps of backlash: for sizing
     command: np.ndarray  # [K, 2, L]
-    applied_change: (
-        np.ndarray
-    )  # [K, 2, L] mean over the row of what reached the joint minus its value at the start
 
 
 class Delay:
@@ -118,15 +115,15 @@ class Plant:
             out[2] = np.where(self.lag > 0, (u - y[2]) / np.maximum(self.lag, 1e-6), 0.0)
         if self.filter is not None:
             out[4] = np.where(self.filter > 0, (q - y[4]) / np.maximum(self.filter, 1e-6), 0.0)
-        return out, applied
+        return out
 
-    def sense(self, y: np.ndarray, slack: np.ndarray, rate: np.ndarray):
-        """Clean sensor readings and their acceleration: (`[4, L]`, `[2, L]`)."""
-        q, v, a = y[0], y[1], rate[1]
+    def sense(self, y: np.ndarray, slack: np.ndarray):
+        """Clean sensor readings, and the same without the velocity jumps of backlash: two of `[4, L]`."""
+        q, v = y[0], y[1]
         if self.filter is not None:
             f, on = np.maximum(self.filter, 1e-6), self.filter > 0
-            fv = (y[0] - y[4]) / f
-            q, v, a = np.where(on, y[4], q), np.where(on, fv, v), np.where(on, (y[1] - fv) / f, a)
+            q, v = np.where(on, y[4], q), np.where(on, (y[0] - y[4]) / f, v)
+        smooth = v
         if "backlash" in self.table:
             width = self.table["backlash"]["size"]
             moving = (np.abs(slack - y[0]) >= width / 2 * 0.999) & ((y[0] - slack) * y[1] >= 0)
@@ -135,7 +132,7 @@ class Plant:
         if "encoder_offset" in self.table:
             e = self.table["encoder_offset"]
             q = q + e["size"] * e["sign"]
-        return np.concatenate([q, v]), a
+        return np.concatenate([q, v]), np.concatenate([q, smooth])
 
 
 def simulate(p: Lanes, table: Table, drive: Drive, step: float) -> Run:
@@ -148,28 +145,21 @@ def simulate(p: Lanes, table: Table, drive: Drive, step: float) -> Run:
         y[4] = y[0]
         y[4] -= plant.filter * y[1]
     slack = y[0].copy()
-    run = Run(drive.times, *(np.zeros((rows, n, lanes)) for n in (4, 4, 4, 2, 2, 2)))
+    run = Run(drive.times, *(np.zeros((rows, n, lanes)) for n in (4, 4, 4, 4, 2)))
     delay = Delay(table["delay"]["size"], drive.times, run.command) if "delay" in table else None
-    gaps = np.diff(drive.times, axis=0, append=drive.times[-1:] + 0.0)
+    gaps = np.diff(drive.times, axis=0, append=drive.times[-1:])
     for k in range(rows):
-        rate, _ = plant.rate(y, drive.times[k], np.zeros((2, lanes)), drive.disturbance[k])
-        clean, _ = plant.sense(y, slack, rate)
         run.state[k] = y[:2].reshape(4, lanes)
+        clean, run.smooth[k] = plant.sense(y, slack)
         command = _command(drive, k, clean, run)
         t, h = drive.times[k], gaps[k]
         pieces = max(1, int(np.ceil(h.max() / step - 1e-9)))
         h = h / pieces
-        total, first = np.zeros((2, lanes)), None
         for i in range(pieces):
             u = forces.static_command(table, command if delay is None else delay(t + i * h, h))
-            if i == 0:
-                rate, first = plant.rate(y, t, u, drive.disturbance[k])
-                _, run.clean_acceleration[k] = plant.sense(y, slack, rate)
-            y, applied = _rk4(plant, y, t + i * h, h, u, drive.disturbance[k])
-            total += applied / pieces
+            y = _rk4(plant, y, t + i * h, h, u, drive.disturbance[k])
             if "backlash" in table:
                 slack = play(y[0], slack, table["backlash"]["size"])
-        run.applied_change[k] = total - first
     return run
 
 
@@ -188,9 +178,9 @@ def _command(drive: Drive, k: int, clean: np.ndarray, run: Run) -> np.ndarray:
 
 
 def _rk4(plant: Plant, y, t, h, u, d):
-    """One classical Runge-Kutta step with u and d held; also the torque that reached the joint, mid-step."""
-    k1, _ = plant.rate(y, t, u, d)
-    k2, applied = plant.rate(y + 0.5 * h * k1, t + 0.5 * h, u, d)
-    k3, _ = plant.rate(y + 0.5 * h * k2, t + 0.5 * h, u, d)
-    k4, _ = plant.rate(y + h * k3, t + h, u, d)
-    return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), applied
+    """One classical Runge-Kutta step with u and d held."""
+    k1 = plant.rate(y, t, u, d)
+    k2 = plant.rate(y + 0.5 * h * k1, t + 0.5 * h, u, d)
+    k3 = plant.rate(y + 0.5 * h * k2, t + 0.5 * h, u, d)
+    k4 = plant.rate(y + h * k3, t + h, u, d)
+    return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)

@@ -1,7 +1,7 @@
 """How large an effect is: the torque that the best-fitting declared model leaves unexplained.
 
-Along a noise-free run, the declared inverse dynamics Y(q, v, a) theta are evaluated with what the sensors read and
-compared with the commanded torque. The discrepancy, each joint divided by the RMS of its torque, is projected
+Along a noise-free run, the declared inverse dynamics Y(q, v, a) theta are evaluated with what the sensors read, on
+average over each row (a from the change of v), and compared with the commanded torque of that row. The discrepancy, each joint divided by the RMS of its torque, is projected
 orthogonal to the columns of Y (so what a declared parameter can absorb does not count). Its RMS, summed over the
 joints in squares, is the *unexplained share*; the RMS before projection is the *raw share*.
 
@@ -39,10 +39,15 @@ class Share:
 
 def measure(rig: Rig, run: Run, lanes: slice, valid: np.ndarray) -> Share:
     """The shares of whatever separates this (quiet) run of one data set from the declared model."""
-    pick = lambda x: x[..., lanes].transpose(2, 0, 1)[valid]  # noqa: E731  [K, n, L] -> [N, n]
-    clean, a, u = pick(run.clean), pick(run.clean_acceleration), pick(run.command)
-    y = regressor(rig, clean[:, :2], clean[:, 2:], a)
-    gap = (y @ base_parameters(rig)).T - u + pick(run.applied_change)
+    smooth, u = run.smooth[..., lanes], run.command[..., lanes]
+    dt = np.maximum(np.diff(run.times[:, lanes], axis=0), 1e-12)[:, None]
+    middle, slope = (smooth[1:] + smooth[:-1]) / 2, np.diff(smooth[:, 2:], axis=0) / dt
+    pick = lambda x: x.transpose(2, 0, 1)[valid[:, :-1]]  # noqa: E731  [K, n, L] -> [N, n]
+    x, a, u = pick(middle), pick(slope), pick(u[:-1])
+    y = regressor(rig, x[:, :2], x[:, 2:], a)
+    if not np.isfinite(y).all():  # the closed loop did not bear an effect of this size
+        return Share(np.inf, np.inf, np.ones(2))
+    gap = (y @ base_parameters(rig)).T - u
     torque = np.sqrt(np.mean(u**2, axis=0))
     # A joint that is hardly driven is measured against the larger of the two, scaled.
     torque = np.maximum(torque, 0.1 * torque.max() + 1e-9)
@@ -53,11 +58,13 @@ def measure(rig: Rig, run: Run, lanes: slice, valid: np.ndarray) -> Share:
     return Share(float(np.sqrt(2 * np.mean(target**2))), float(np.sqrt(2 * np.mean(rest**2))), torque)
 
 
-def next_size(sizes: list[float], shares: list[float], target: float, largest: float) -> float:
+def next_size(sizes: list[float], shares: list[float], target: float, low: float, high: float) -> float:
     """The next size to try: proportional at first, then the secant in logarithms with a bounded slope."""
+    if not np.isfinite(shares[-1]):
+        return sizes[-1] / 3
     slope = 1.0
-    if len(sizes) > 1 and sizes[-1] != sizes[-2]:
+    if len(sizes) > 1 and sizes[-1] != sizes[-2] and np.isfinite(shares[-2]):
         rise = np.log(max(shares[-1], 1e-9) / max(shares[-2], 1e-9))
         slope = float(np.clip(rise / np.log(sizes[-1] / sizes[-2]), 0.3, 3.0))
     factor = (target / max(shares[-1], 1e-9)) ** (1 / slope)
-    return float(min(sizes[-1] * np.clip(factor, 0.1, 10.0), largest))
+    return float(np.clip(sizes[-1] * np.clip(factor, 0.2, 5.0), low, high))
