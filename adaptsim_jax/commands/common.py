@@ -1,12 +1,14 @@
-"""What several commands share: tasks by name, seeds, and words about where results are."""
+"""What several commands share: tasks, targets, seeds and counts by the words a person types."""
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+from pathlib import Path
+from typing import Any
 
+from adaptsim_jax import config
 from adaptsim_jax.commands import TASKS
-from adaptsim_jax.config import pick
 from adaptsim_jax.errors import BadInput
 
 MAX_SEED = 2**32 - 1
@@ -19,29 +21,49 @@ def available_tasks() -> list[str]:
 
 def check_task(task: str) -> str:
     """`task` if it is known and there; BadInput with the nearest name otherwise."""
-    pick("task", task, TASKS)
+    config.pick("task", task, TASKS)
     if task not in available_tasks():
         raise BadInput(f"task '{task}' is not in this version yet; there is: {', '.join(available_tasks())}")
     return task
 
 
+def read_target(text: str, task: Any) -> tuple[str, Any]:
+    """`(name, params [D])` of a target: a setting of `task`, or a TOML file that names every parameter.
+
+    The parameters stand at the top of the file or under `[params]`; all are checked against physical ranges.
+    """
+    if text in task.settings:
+        return text, task.space.values(task.settings[text], text)
+    path = Path(text)
+    if not path.exists():
+        known = (*task.settings, "a TOML file of parameters")
+        raise BadInput(f"unknown target '{text}', and no such file; {config.suggest(text, known)}")
+    table = config.read(path)
+    if "params" in table:
+        for key in table:
+            if key != "params":
+                raise BadInput(f"{path}: unknown key '{key}' beside [params]; remove it")
+        table = table["params"]
+        if not isinstance(table, dict):
+            raise BadInput(f"{path}: 'params' is not a table; write [params] and a line for each parameter")
+    return path.stem, task.space.values(table, str(path))
+
+
 def seed(text: str) -> int:
     """A seed of JAX: an integer in [0, 2^32)."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= MAX_SEED:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 to {MAX_SEED}; try --seed 0")
-    return value
+    return _whole(text, 0, MAX_SEED)
 
 
 def positive(text: str) -> int:
     """A count of at least one."""
+    return _whole(text, 1, 10**9)
+
+
+def _whole(text: str, low: int, high: int) -> int:
     try:
         value = int(text)
     except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least 1; try 1")
+        value = low - 1
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}; try {low}")
     return value

@@ -1,0 +1,86 @@
+"""`adaptsim effects`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+EXAMPLES = """
+  adaptsim effects                           physics, parameters, bounds, look-alikes, what shows each
+  adaptsim effects pendulum --brief          a line for each
+  adaptsim effects pendulum --name stribeck  one of them
+  adaptsim effects --json                    for a program
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("task", nargs="?", default="pendulum", metavar="TASK", help="default: pendulum")
+    parser.add_argument("--name", metavar="EFFECT", help="all about one effect")
+    parser.add_argument("--brief", action="store_true", help="a line for each")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """List the catalogue of a task."""
+    from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax.config import pick
+    from adaptsim_jax.models.effects import catalogue
+
+    effects = [describe(effect) for effect in catalogue(check_task(args.task))]
+    if args.name:
+        pick("effect", args.name, [effect["name"] for effect in effects])
+        effects = [effect for effect in effects if effect["name"] == args.name]
+    if args.json:
+        print(json.dumps(effects, indent=1))
+    elif args.brief:
+        _brief(effects)
+    else:
+        for effect in effects:
+            _show(effect)
+    return 0
+
+
+def describe(effect: Any) -> dict[str, Any]:
+    """An effect of the catalogue as plain data; bounds are for a torque scale of 1 N m."""
+    return {
+        "name": effect.name,
+        "place": effect.place,
+        "scope": effect.scope,
+        "physics": effect.physics,
+        "parameters": [_parameter(parameter) for parameter in effect.parameters],
+        "look_alikes": list(effect.look_alikes),
+        "contains": list(effect.contains),
+        "excitation": effect.excitation,
+        "smooth": effect.smooth,
+    }
+
+
+def _parameter(parameter: Any) -> dict[str, Any]:
+    sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
+    role = "shape" if parameter.off is None else "amplitude"
+    numbers = {
+        name: getattr(parameter, name) for name in ("unit", "low", "high", "default", "off", "plausible")
+    }
+    return {"name": parameter.name, "role": role, "sign": sign, **numbers}
+
+
+def _brief(effects: list[dict[str, Any]]) -> None:
+    width = max(len(effect["name"]) for effect in effects)
+    for effect in effects:
+        print(f"{effect['name']:{width}}  {effect['place']:11}  {effect['physics']}")
+
+
+def _show(effect: dict[str, Any]) -> None:
+    where = "at each joint" if effect["scope"] == "joint" else f"at the {effect['scope']}"
+    print(
+        f"{effect['name']}: acts on the {effect['place']} {where}"
+        if effect["place"] != "force"
+        else f"{effect['name']}: a force {where}"
+    )
+    print(f"  physics      {effect['physics']}")
+    for p in effect["parameters"]:
+        bounds = f"{p['low']:g} to {p['high']:g}{' times the torque scale' if 'N m' in p['unit'] else ''}"
+        print(f"  {p['name']:12} [{p['unit']}] {bounds}; {p['sign']} sign; {p['role']}")
+    print(f"  look-alikes  {', '.join(effect['look_alikes']) or 'none known'}")
+    print(f"  shown by     {effect['excitation']}")
