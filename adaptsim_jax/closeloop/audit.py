@@ -1,7 +1,7 @@
-"""What a recording is fit for, before anything is fitted: jitter, gaps, stuck sensors, velocity, commands, units.
+"""What a recording is fit for, before anything is fitted: gaps, stuck sensors, velocities, commands.
 
-A finding of severity `fault` means that no diagnosis should be made (verdict `data_fault`); trials that cannot be used
-while the others can are listed in `exclude`, single rows in `valid`.
+A finding of severity `fault` means that no diagnosis should be made (verdict `data_fault`); trials that
+cannot be used while the others can are listed in `exclude`, single rows in `valid`.
 """
 
 import hashlib
@@ -13,7 +13,7 @@ from adaptsim_jax.closeloop import checks
 from adaptsim_jax.closeloop.checks import Finding
 from adaptsim_jax.closeloop.consistency import lattice_step
 from adaptsim_jax.closeloop.plausible import check_angle_zero
-from adaptsim_jax.closeloop.recording import Recording, Trial
+from adaptsim_jax.closeloop.trial import Recording, Trial
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,12 @@ def _audit_trial(trial: Trial, steps: dict[str, float]) -> tuple[list[Finding], 
     spikes, smooth = checks.check_spikes(trial, steps)
     velocity, wrong = checks.check_velocity(trial)
     found = checks.check_sampling(trial) + wrapped + frozen + spikes + checks.check_saturation(trial)
-    found += checks.check_stale(trial, steps) + velocity + checks.check_command(trial) + checks.check_excitation(trial)
+    found += (
+        checks.check_stale(trial, steps)
+        + velocity
+        + checks.check_command(trial)
+        + checks.check_excitation(trial)
+    )
     return found, moving & smooth, stuck + wrong
 
 
@@ -88,7 +93,8 @@ def _faults(recording: Recording, broken: dict[str, list[str]]) -> list[Finding]
         count = sum(channel in wrong for wrong in broken.values())
         if 2 * count > len(recording.trials):
             what = "stands still" if channel.startswith("q") else "contradicts the angle's slope"
-            text = f"{channel} {what} in {count} of {len(recording.trials)} trials: check its sensor, sign and unit"
+            share = f"{count} of {len(recording.trials)} trials"
+            text = f"{channel} {what} in {share}: check its sensor, sign and unit"
             found.append(Finding("channel", "fault", "", channel, text, float(count)))
     return found
 
@@ -100,7 +106,9 @@ def _quantisation(recording: Recording) -> dict[str, float]:
         columns = {"q": trial.q, "tau": trial.torque} | ({} if trial.v is None else {"v": trial.v})
         for stem, x in columns.items():
             for j in range(2):
-                steps.setdefault(f"{stem}{j + 1}", []).append(lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan)
+                steps.setdefault(f"{stem}{j + 1}", []).append(
+                    lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan
+                )
     out = {}
     for channel, seen in sorted(steps.items()):
         known = [s for s in seen if np.isfinite(s)]
@@ -111,7 +119,9 @@ def _quantisation(recording: Recording) -> dict[str, float]:
 
 def _quantised(channel: str, step: float) -> Finding:
     unit = {"q": "rad", "v": "rad/s", "t": "N m"}[channel[0]]
-    return Finding("quantisation", "info", "", channel, f"{channel} is quantised in steps of {step:.4g} {unit}", step)
+    return Finding(
+        "quantisation", "info", "", channel, f"{channel} is quantised in steps of {step:.4g} {unit}", step
+    )
 
 
 def _fingerprint(trial: Trial) -> str:

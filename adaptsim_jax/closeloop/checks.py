@@ -1,4 +1,4 @@
-"""The single checks of the audit: each takes one trial and returns findings, and some mark rows as not to be used."""
+"""The single checks of the audit: each takes one trial and returns findings; some mark rows to leave out."""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.closeloop.consistency import command_agreement, velocity_agreement
-from adaptsim_jax.closeloop.recording import Trial
+from adaptsim_jax.closeloop.trial import Trial
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,25 @@ def check_sampling(trial: Trial) -> Found:
     """Sampling rate, jitter, gaps longer than five intervals."""
     dt = np.diff(trial.time)
     step = float(np.median(dt))
-    found = [Finding("sampling", "info", trial.name, "time", f"sampled at {1 / step:.4g} Hz (median)", 1 / step)]
+    found = [
+        Finding("sampling", "info", trial.name, "time", f"sampled at {1 / step:.4g} Hz (median)", 1 / step)
+    ]
     jitter = float(np.std(dt[dt <= 5 * step]) / step)
     if jitter > 0.05:
         found.append(
-            Finding("jitter", "info", trial.name, "time", f"sampling interval varies by {jitter:.0%} (std)", jitter)
+            Finding(
+                "jitter",
+                "info",
+                trial.name,
+                "time",
+                f"sampling interval varies by {jitter:.0%} (std)",
+                jitter,
+            )
         )
     gaps = np.flatnonzero(dt > 5 * step)
     if gaps.size:
         first = trial.time[gaps[0]]
-        text = f"{gaps.size} gap(s) longer than 5 intervals, the longest {dt.max():.3g} s, the first at {first:.3g} s"
+        text = f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, first at {first:.3g} s"
         found.append(Finding("gap", "warn", trial.name, f"time {first:.3g} s", text, float(dt.max())))
     if 1 / step < 45:
         text = f"sampled at {1 / step:.3g} Hz: below 50 Hz fast effects cannot be told apart"
@@ -57,7 +66,7 @@ def runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarray, list[str]]:
-    """Runs in which an angle stands still while the motion says it should not; rows to keep; stuck channels."""
+    """Runs in which an angle stands still though the arm moves; rows to keep; stuck channels."""
     keep = np.ones(len(trial.time), bool)
     found, stuck = [], []
     for j in range(2):
@@ -66,7 +75,7 @@ def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
         if np.ptp(q) == 0:
             if _others_move(trial, j):
                 stuck.append(channel)
-                text = f"{channel} is constant ({q[0]:.4g} rad) over the whole trial while the arm moves: sensor stuck"
+                text = f"{channel} is constant ({q[0]:.4g} rad) over the trial while the arm moves: stuck"
                 found.append(Finding("stuck", "warn", trial.name, channel, text, float(q[0])))
             continue
         bad = _frozen_runs(trial, j, steps.get(channel, 0.0))
@@ -75,7 +84,9 @@ def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
         if bad:
             lost = sum(length for _, length in bad)
             at = trial.time[bad[0][0]]
-            text = f"{channel} froze {len(bad)} time(s) while moving ({lost} samples, the first at {at:.3g} s)"
+            text = (
+                f"{channel} froze {len(bad)} time(s) while moving ({lost} samples, the first at {at:.3g} s)"
+            )
             found.append(Finding("frozen", "warn", trial.name, channel, text, float(lost)))
     return found, keep, stuck
 
@@ -86,7 +97,7 @@ def _others_move(trial: Trial, joint: int) -> bool:
 
 
 def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]:
-    """(start, length) of frozen runs: the angle should have moved by many of its own resolution steps, and jumps."""
+    """(start, length) of frozen runs: the angle should have moved by many resolution steps, and jumps."""
     q, time = trial.q[:, joint], trial.time
     starts, lengths = runs(q)
     noise = max(step, 1.4826 * float(np.median(np.abs(np.diff(q, 2)))) / math.sqrt(6.0))
@@ -119,15 +130,22 @@ def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
         if bad.size:
             keep[bad] = False
             at = trial.time[bad[0]]
-            text = f"q{j + 1} has {bad.size} lone outlier(s), the first at {at:.3g} s; those rows are not used"
+            text = (
+                f"q{j + 1} has {bad.size} lone outlier(s), the first at {at:.3g} s; those rows are not used"
+            )
             found.append(Finding("spike", "warn", trial.name, f"q{j + 1}", text, float(bad.size)))
     return found, keep
 
 
 def check_saturation(trial: Trial) -> Found:
-    """A torque or an angle that rests at its largest or smallest value for many rows, and is cut flat there."""
+    """A torque or an angle that rests at its largest or smallest value for many rows: cut flat there."""
     found = []
-    columns = {"tau1": trial.torque[:, 0], "tau2": trial.torque[:, 1], "q1": trial.q[:, 0], "q2": trial.q[:, 1]}
+    columns = {
+        "tau1": trial.torque[:, 0],
+        "tau2": trial.torque[:, 1],
+        "q1": trial.q[:, 0],
+        "q2": trial.q[:, 1],
+    }
     for channel, x in columns.items():
         span = np.ptp(x)
         if span == 0:
@@ -138,14 +156,16 @@ def check_saturation(trial: Trial) -> Found:
             share = float(lengths[at].sum()) / len(x)
             two_level = np.mean(np.isin(x, (x.max(), x.min()))) > 0.9
             if share > 0.01 and np.sum(at) >= 2 and not two_level:
-                text = f"{channel} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: clipped?"
+                text = (
+                    f"{channel} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: clipped?"
+                )
                 severity = "info" if channel.startswith("tau") else "warn"
                 found.append(Finding("saturation", severity, trial.name, channel, text, share))
     return found
 
 
 def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
-    """Velocity against d(angle)/dt: scale, sign, lag, offset. Also the channels that contradict the angles."""
+    """Velocity against d(angle)/dt: scale, sign, lag. Also the channels that contradict the angles."""
     found, wrong = [], []
     if trial.v is None:
         return found, wrong
@@ -166,13 +186,15 @@ def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
             text = f"{channel} is {a.gain:.3f} times d(q{j + 1})/dt"
             found.append(Finding("velocity_scale", "warn", name, channel, text, a.gain))
         if abs(a.lag) > 0.5 * trial.dt and abs(a.lag) > 1e-3:
-            text = f"{channel} lags d(q{j + 1})/dt by {a.lag * 1e3:.3g} ms (a filter, or a backward difference)"
+            text = (
+                f"{channel} lags d(q{j + 1})/dt by {a.lag * 1e3:.3g} ms (a filter, or a backward difference)"
+            )
             found.append(Finding("velocity_lag", "info", name, channel, text, a.lag))
     return found, wrong
 
 
 def check_stale(trial: Trial, steps: dict[str, float]) -> Found:
-    """Rows that repeat the angle of the row before although the joint turns: read faster than the sensor updates."""
+    """Rows that repeat the angle of the row before although the joint turns: they outrun the sensor."""
     found = []
     for j in range(2):
         q, step = trial.q[:, j], max(steps.get(f"q{j + 1}", 0.0), 1e-12)
@@ -182,7 +204,9 @@ def check_stale(trial: Trial, steps: dict[str, float]) -> Found:
             continue
         share = float(np.mean((q[1:-1] == q[:-2])[turning] | (q[1:-1] == q[2:])[turning]))
         if share > 0.05:
-            text = f"q{j + 1} repeats its last value in {share:.0%} of the rows while turning: rows outrun the sensor"
+            text = (
+                f"q{j + 1} repeats its value in {share:.0%} of the rows while turning: rows outrun the sensor"
+            )
             found.append(Finding("stale", "warn", trial.name, f"q{j + 1}", text, share))
     return found
 
@@ -195,7 +219,8 @@ def check_command(trial: Trial) -> Found:
     for j in range(2):
         a = command_agreement(trial.time, trial.commanded[:, j], trial.torque[:, j])
         if a.enough and a.lag > -4 * trial.dt:
-            text = f"tau{j + 1} follows its command with gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
+            how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
+            text = f"tau{j + 1} follows its command with {how}"
             severity = "warn" if not 0.7 < a.gain < 1.4 or a.lag > 0.02 else "info"
             found.append(Finding("command", severity, trial.name, f"tau{j + 1}", text, a.lag))
     return found

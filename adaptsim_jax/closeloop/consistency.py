@@ -20,10 +20,11 @@ NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, 0.0, False)
 
 
 def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray, span: int = 8) -> Agreement:
-    """How the measured velocity `v: [T]` relates to the slope of `q: [T]`: v = gain * dq/dt(t - lag) + offset.
+    """How a measured velocity `v: [T]` relates to the slope of `q: [T]`: v = gain dq/dt(t - lag) + offset.
 
-    Compares the mean velocity over `span` steps with the angle's change, so that noise averages out and uneven
-    sampling is exact (trapezoid). A lag shows as a term in the acceleration. Wrapped steps are left out by trimming.
+    Compares the mean velocity over `span` steps with the angle's change, so that noise averages out and
+    uneven sampling is exact (trapezoid). A lag shows as a term in the acceleration. Steps that stand out
+    (a wrap, a lost row) are trimmed.
     """
     dt = np.diff(time)
     area = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * dt)])
@@ -54,8 +55,10 @@ def _regress(slope: np.ndarray, bend: np.ndarray, target: np.ndarray) -> tuple[f
     return float(gain), float(lag), float(offset), 1.0 - float(np.var(rest)) / total if total > 0 else 0.0
 
 
-def command_agreement(time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40) -> Agreement:
-    """measured = gain * command(t - lag) + offset, the lag in s by the best of `most` samples and a parabola."""
+def command_agreement(
+    time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40
+) -> Agreement:
+    """measured = gain command(t - lag) + offset; the lag in s is the best of `most` samples and a parabola."""
     if np.std(command) < 1e-9 or np.std(measured) < 1e-9 or len(time) <= 3 * most:
         return NOT_ENOUGH
     n = len(time)
@@ -74,11 +77,13 @@ def command_agreement(time: np.ndarray, command: np.ndarray, measured: np.ndarra
         shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
     gain = float(shifted[:, best] @ y / power[best])
     lag = float((lags[best] + shift) * np.median(np.diff(time)))
-    return Agreement(gain, lag, float(measured.mean() - gain * command.mean()), float(r2[best]), bool(r2[best] > 0.3))
+    return Agreement(
+        gain, lag, float(measured.mean() - gain * command.mean()), float(r2[best]), bool(r2[best] > 0.3)
+    )
 
 
 def lattice_step(x: np.ndarray) -> float:
-    """Quantisation step of a channel `x: [T]`: the largest spacing of a lattice that holds its values, 0 if none."""
+    """Quantisation step of `x: [T]`: the largest spacing of a lattice that holds its values, 0 if none."""
     values = np.unique(x)
     gaps = np.diff(values)
     if len(values) < 4:

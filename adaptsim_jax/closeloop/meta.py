@@ -107,7 +107,7 @@ def read_meta(path: str | Path) -> Meta:
 
 
 def check_known(path: str, known: dict[str, float], names: tuple[str, ...]) -> None:
-    """Raise `BadInput` where `[known]` names a parameter that the model has not (only the model knows them)."""
+    """Raise `BadInput` where `[known]` names a parameter that the model has not ."""
     for key in known:
         if key not in names:
             raise BadInput(
@@ -180,9 +180,7 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
     for key, value in given.items():
         if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
             unit = "m/s^2" if key == "g" else "m"
-            raise BadInput(
-                f"{path}: geometry.{key} = {value:g} is outside its physical range; give it in {unit}, above 0"
-            )
+            raise BadInput(f"{path}: geometry.{key} = {value:g} is not physical; give it in {unit}, above 0")
     defaults = {"g": 9.81} if model == "rigid_body" else {"l1": 1.0, "l2": 1.0, "g": 9.81}
     assumed = {k: v for k, v in defaults.items() if k not in given}
     notes = (f"geometry not declared, assumed: {', '.join(f'{k} = {v:g}' for k, v in assumed.items())}",)

@@ -1,8 +1,8 @@
 """The noise floor of a recording's sensors, and a smoother that uses it.
 
-The estimate is the marginal likelihood of an integrated random walk on windows of each trial (`smoother.py`), which
-is a difference method with exact variance factors on uneven grids. The median over windows guards against signal that
-leaks into the noise (impacts, stiction), and quantisation sets a least value of one step over sqrt(12).
+The estimate is the marginal likelihood of an integrated random walk on windows of each trial (`smoother.py`),
+which is a difference method with exact variance factors on uneven grids. The median over windows guards
+against signal that leaks into the noise (impacts, stiction); quantisation sets a least value, step/sqrt(12).
 """
 
 from dataclasses import dataclass, field
@@ -12,14 +12,14 @@ from scipy.optimize import minimize_scalar
 
 from adaptsim_jax.closeloop import smoother
 from adaptsim_jax.closeloop.audit import Audit
-from adaptsim_jax.closeloop.recording import Recording, Trial
+from adaptsim_jax.closeloop.trial import Recording, Trial
 
 WINDOW = 300
 """Samples a window: long enough to tell noise from motion, short enough for the motion to be of one kind."""
 ROUGH = 2.5
-"""Log signal-to-noise ratio above which white jerk is too rough a prior for the sampling, and white snap is used."""
+"""Log signal-to-noise ratio above which white jerk is too rough a prior, and white snap is used."""
 UNRESOLVED = 5.0
-"""Log ratio above which the motion between two samples hides the noise: the estimate is an upper guess only."""
+"""Log ratio above which the motion between two samples hides the noise: the estimate is a guess only."""
 DISAGREE = 2.0
 """Declared and estimated noise further apart than this factor are reported, and the larger one is used."""
 
@@ -29,8 +29,8 @@ class NoiseFloor:
     """Sensor noise by channel (`q1`, `q2` rad; `v1`, `v2` rad/s where measured) and where it comes from.
 
     `source` is `declared`, `repeats` or `smoothing` (of the majority of channels; `sources` has each).
-    `estimated` is the estimate whatever was declared; `per_trial` its value in each trial; `unresolved` lists the
-    channels in which the sampling is too slow to tell noise from motion.
+    `estimated` is the estimate whatever was declared; `per_trial` its value in each trial; `unresolved`
+    lists the channels in which the sampling is too slow to tell noise from motion.
     """
 
     std: dict[str, float]
@@ -46,8 +46,8 @@ class NoiseFloor:
 def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
     """Noise std of every measured channel: declared, else from repeats, else from the smoothing residual.
 
-    A declared value is used as declared unless the estimate differs by more than a factor of two: then the larger of
-    the two is used, because too small a floor makes effects out of noise, and the message says so.
+    A declared value is used as declared unless the estimate differs by more than a factor of two: then the
+    larger is used, because too small a floor makes effects out of noise, and the message says so.
     """
     fits = {t.name: _trial_fits(t, audit.valid.get(t.name)) for t in recording.trials}
     per_trial = {name: {c: f[0] for c, f in by.items()} for name, by in fits.items()}
@@ -106,7 +106,7 @@ def _trial_fits(trial: Trial, valid: np.ndarray | None) -> dict[str, tuple[float
 
 
 def estimate(time: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Noise std of one signal `y: [T]` at `time: [T]` s, and the log ratio that says how well it is resolved."""
+    """Noise std of one signal `y: [T]` at `time: [T]` s, and the log ratio that says how well resolved."""
     windows = np.array_split(np.arange(len(y)), max(1, len(y) // WINDOW))
     fits = [fit_window(time[w], y[w]) for w in windows]
     # A window at rest in a quantised channel shows no noise at all: it says nothing about the moving sensor.
@@ -137,7 +137,7 @@ def _from_repeats(recording: Recording) -> dict[str, float]:
 
 
 def repeats(a: Trial, b: Trial) -> bool:
-    """Whether `b` repeats `a`: the same command at the same times from nearly the same state, but not a copy."""
+    """Whether `b` repeats `a`: one command at the same times from nearly one state, but not a copy."""
     n = min(len(a.time), len(b.time))
     if n < 0.9 * max(len(a.time), len(b.time)) or np.array_equal(a.q[:n], b.q[:n]):
         return False
@@ -170,8 +170,8 @@ def smooth(trial: Trial, noise: NoiseFloor) -> tuple[np.ndarray, np.ndarray]:
 def smooth_motion(trial: Trial, noise: NoiseFloor) -> Smoothed:
     """Posterior mean of the motion given angles, and velocities where they agree with the angles.
 
-    The walk's intensity follows the motion window by window. Measured velocities are dropped for a joint where using
-    them makes the angles fit worse than their noise allows (a lagging velocity filter, a wrong scale).
+    The walk's intensity follows the motion window by window. Measured velocities are dropped for a joint
+    where using them makes the angles fit worse than their noise allows (a lagging filter, a wrong scale).
     """
     joints = [_smooth_joint(trial, noise, j) for j in range(2)]
     q, v, a = (np.stack([states[:, k] for states, _ in joints], axis=1) for k in range(3))
@@ -187,12 +187,14 @@ def _smooth_joint(trial: Trial, noise: NoiseFloor, joint: int) -> tuple[np.ndarr
     if trial.v is None or sv <= 0:
         return alone, False
     both = _states(prior, q, sq, trial.v[:, joint], sv)
-    worse = np.mean((q - both[:, 0]) ** 2) > 1.1 * max(np.mean((q - alone[:, 0]) ** 2), 0.5 * sq**2) + 0.1 * sq**2
+    worse = (
+        np.mean((q - both[:, 0]) ** 2) > 1.1 * max(np.mean((q - alone[:, 0]) ** 2), 0.5 * sq**2) + 0.1 * sq**2
+    )
     return (alone, False) if worse else (both, True)
 
 
 def _intensity(time: np.ndarray, q: np.ndarray, std: float) -> tuple[int, np.ndarray]:
-    """Order of the walk and its intensity `[T - 1]` relative to the noise, by maximum likelihood per window."""
+    """Order of the walk and its intensity `[T - 1]` over the noise, by maximum likelihood per window."""
     windows = np.array_split(np.arange(len(q)), max(1, len(q) // WINDOW))
     logs = np.array([_level(time[w], q[w], std, 3) for w in windows])
     order = 4 if np.median(logs) > ROUGH else 3

@@ -1,7 +1,7 @@
 """Does the motion fit the declared convention: a linear regression of torque on rigid-body regressors.
 
-The double pendulum's inverse dynamics is linear in its base parameters (Khalil and Dombre 2002, ch. 9). With the angle
-zero or the unit declared wrongly, the gravity terms come out with the wrong sign, or a unit conversion fits better.
+The double pendulum's inverse dynamics is linear in its base parameters (Khalil and Dombre 2002, ch. 9). With
+the angle zero or the unit declared wrongly, gravity comes out with the wrong sign, or a conversion fits better.
 """
 
 import math
@@ -9,13 +9,13 @@ import math
 import numpy as np
 
 from adaptsim_jax.closeloop.checks import Finding
-from adaptsim_jax.closeloop.recording import Recording, Trial
+from adaptsim_jax.closeloop.trial import Recording, Trial
 
 MOST_ROWS = 4000
 
 
 def regressors(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """`[2 T, 10]`: inertia (2), coupling, gravity (2; restoring when positive), damping (2), Coulomb-like (2), bias."""
+    """`[2 T, 10]`: inertia (2), coupling, gravity (2; positive restores), damping (2), dry friction (2), bias."""
     n = len(q)
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     a1, a2, v1, v2 = a[:, 0], a[:, 1], v[:, 0], v[:, 1]
@@ -55,7 +55,7 @@ def _motion(trial: Trial) -> tuple[np.ndarray, ...]:
 
 
 def gravity_fit(recording: Recording, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
-    """Base parameters `[10]`, their t-values `[10]` and R2 with angles times `scale`; R2 is 0 where torque is none."""
+    """Base parameters `[10]`, t-values `[10]` and R2 with angles times `scale`; R2 is 0 without torque."""
     parts = [_motion(t) for t in recording.trials]
     q, v, a, u = (np.concatenate([p[k] for p in parts])[:MOST_ROWS] for k in range(4))
     target = np.concatenate([u[:, 0], u[:, 1]])
@@ -85,7 +85,9 @@ def check_angle_zero(recording: Recording) -> list[Finding]:
     if r2 < 0.5 or not any(t < -8 for _, t in joints) or any(t > 3 for _, t in joints):
         return _resting(recording)
     other = "upright" if recording.angle_zero == "hanging" else "hanging"
-    text = f"gravity acts as if angles were zero when {other}, meta.toml says {recording.angle_zero}: check angle_zero"
+    text = (
+        f"gravity acts as if angles were zero when {other}, meta.toml says {recording.angle_zero}: check it"
+    )
     return [Finding("angle_zero", "warn", "", "meta.toml", text, float(min(t for _, t in joints)))]
 
 
@@ -98,6 +100,7 @@ def _resting(recording: Recording) -> list[Finding]:
             continue
         tilt = [float(abs(math.remainder(x, math.pi))) for x in (trial.q[0, 0], trial.q[0].sum())]
         if max(tilt) > 0.6:
-            text = f"at rest without torque at q = {trial.q[0, 0]:.3g}, {trial.q[0, 1]:.3g} rad, which gravity forbids"
+            at = f"q = {trial.q[0, 0]:.3g}, {trial.q[0, 1]:.3g} rad"
+            text = f"at rest without torque at {at}, which gravity forbids: check angle_zero"
             return [Finding("angle_zero", "warn", trial.name, "meta.toml", text, max(tilt))]
     return []

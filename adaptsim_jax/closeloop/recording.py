@@ -5,68 +5,24 @@ Section 4 of the design fixes the names. Nothing here imports JAX, so that bad i
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.closeloop.meta import Meta, nearest, read_meta
 from adaptsim_jax.closeloop.table import Table, check_time, read_table
+from adaptsim_jax.closeloop.trial import Recording, Trial
+from adaptsim_jax.closeloop.units import check_units
 from adaptsim_jax.errors import BadInput
+
+__all__ = ["Recording", "Trial", "read_recording"]
 
 COMMANDED = ("tau1_commanded", "tau2_commanded")
 COLUMNS = ("time", "q1", "q2", "v1", "v2", "tau1", "tau2", *COMMANDED)
-LIMITS = {"time": 1e9, "q": 1e5, "v": 1e5, "tau": 1e5}
+EPOCH = 1e6
+"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
+LIMITS = {"time": 1e11, "q": 1e5, "v": 1e5, "tau": 1e5}
 """Magnitudes in SI units beyond which a value is damage, not data."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One trial: `time: [T]` s, `q: [T, 2]` rad, `v: [T, 2]` rad/s or None, `torque: [T, 2]` N m.
-
-    A torque holds from its row to the next. `commanded: [T, 2]` N m is there where the file has it beside measured
-    torques. `ignored` lists the file's other columns.
-    """
-
-    name: str
-    path: str
-    time: np.ndarray
-    q: np.ndarray
-    v: np.ndarray | None
-    torque: np.ndarray
-    commanded: np.ndarray | None = None
-    ignored: tuple[str, ...] = ()
-
-    @property
-    def dt(self) -> float:
-        """Median sampling interval in s."""
-        return float(np.median(np.diff(self.time)))
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A folder of trials and what its `meta.toml` declares. Lengths in m, `g` in m/s^2, noise in the channel's unit."""
-
-    path: str
-    task: str
-    model: str
-    angle_zero: str
-    geometry: dict[str, float]
-    known: dict[str, float]
-    noise: dict[str, float]
-    trials: tuple[Trial, ...]
-    torque_source: str
-    notes: tuple[str, ...] = ()
-    model_file: str | None = None
-
-    @property
-    def samples(self) -> int:
-        """Rows over all trials."""
-        return sum(len(trial.time) for trial in self.trials)
-
-    def replace(self, **changes) -> "Recording":
-        """A copy with these fields changed."""
-        return replace(self, **changes)
 
 
 def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -> Recording:
@@ -94,6 +50,7 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
         notes=meta.notes + _notes(read),
         model_file=meta.model_file,
     )
+    check_units(recording)
     return recording
 
 
@@ -132,10 +89,11 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
     check_time(path, table)
     _check_size(path, table, columns)
     torque, commanded, source = _torques(path, columns, meta)
+    time = columns["time"]
     trial = Trial(
         name=name,
         path=str(path),
-        time=columns["time"],
+        time=time - time[0] if abs(time[0]) > EPOCH else time,
         q=np.stack([columns["q1"], columns["q2"]], axis=1),
         v=_velocities(path, columns),
         torque=torque,
@@ -151,10 +109,8 @@ def _check_size(path: Path, table: Table, columns: dict[str, np.ndarray]) -> Non
         bad = np.flatnonzero(np.abs(values) > limit)
         if bad.size:
             where = f"{table.row_word} {table.lines[bad[0]]}"
-            raise BadInput(
-                f"{path}: {where}: column {name} is {values[bad[0]]:.4g} in SI units, beyond {limit:g}; "
-                "mend that row or declare the unit under [units] in meta.toml"
-            )
+            why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {limit:g}"
+            raise BadInput(f"{path}: {where}: {why}; mend that row, or declare [units] in meta.toml")
 
 
 def _velocities(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray | None:
@@ -176,19 +132,15 @@ def _torques(
         return measured, commanded, meta.torque or "measured"
     if commanded is not None and not {"tau1", "tau2"} & set(columns):
         return commanded, None, "commanded"
-    missing = [
-        c for i, c in enumerate(("tau1", "tau2"), start=1) if c not in columns and i not in meta.unactuated
-    ]
-    joint = missing[0][-1]
-    raise BadInput(
-        f"{path}: column {missing[0]!r} is missing; add it (N m), or write unactuated = [{joint}] in meta.toml "
-        "where that joint has no motor"
-    )
+    joint = next((i for i in (1, 2) if f"tau{i}" not in columns and i not in meta.unactuated), 1)
+    mend = f"add it (N m), or write unactuated = [{joint}] in meta.toml where that joint has no motor"
+    raise BadInput(f"{path}: column 'tau{joint}' is missing; {mend}")
 
 
 def _pair(
     columns: dict[str, np.ndarray], names: tuple[str, str], unactuated: tuple[int, ...]
 ) -> np.ndarray | None:
+    """`[T, 2]` of both columns, zero for a joint without a motor; None where one is missing."""
     zero = np.zeros_like(columns["time"])
     pair = [columns.get(c, zero if i in unactuated else None) for i, c in enumerate(names, start=1)]
     none_given = not any(c in columns for c in names)

@@ -1,9 +1,9 @@
-"""Smoothing of one signal by an integrated random walk: exact likelihood and posterior from one banded Cholesky.
+"""Smoothing of a signal by an integrated random walk: exact likelihood and mean from one banded Cholesky.
 
-The signal's m-th derivative is white noise of intensity `s^2` (m = 3: white jerk, the quintic smoothing spline;
-Wahba 1978, and Saerkkae 2013, ch. 8 for the same posterior by filtering). States are the signal and its first m - 1
-derivatives at the sampling times, scaled by powers of the median step, so uneven sampling is exact and the precision
-matrix is block tridiagonal: cost O(T), no loop over time.
+The signal's m-th derivative is white noise of intensity `s^2` (m = 3: white jerk, the quintic smoothing
+spline; Wahba 1978, and Sarkka 2013, ch. 8 for the same posterior by filtering). States are the signal and its
+first m - 1 derivatives at the sampling times, scaled by powers of the median step, so uneven sampling is exact
+and the precision matrix is block tridiagonal: cost O(T), no loop over time.
 """
 
 import math
@@ -19,7 +19,7 @@ LOG_RATIO = (-22.0, 10.0)
 
 @dataclass(frozen=True)
 class Prior:
-    """The random walk on one time grid. `bands: [2m, m T]` is its precision for unit intensity, lower banded form."""
+    """The random walk on one time grid; `bands: [2m, m T]`: its precision at unit intensity, lower banded."""
 
     order: int
     step: float
@@ -60,7 +60,7 @@ def make_prior(time: np.ndarray, order: int, intensity: np.ndarray | None = None
 
 
 def _banded(head: np.ndarray, tail: np.ndarray, cross: np.ndarray) -> np.ndarray:
-    """Lower banded storage `[2m, m T]` of the block tridiagonal matrix of the transitions' `[T - 1, m, m]` blocks."""
+    """Lower banded storage `[2m, m T]` of the block tridiagonal matrix of `[T - 1, m, m]` blocks."""
     n, m = head.shape[0] + 1, head.shape[1]
     diagonal = np.zeros((n, m, m))
     diagonal[:-1] += head

@@ -1,4 +1,4 @@
-"""Units that the data betray: degrees for radians, milliseconds for seconds, each suspected aloud and never mended."""
+"""Units that the data betray: degrees for radians, milliseconds for seconds; suspected aloud, never mended."""
 
 import math
 
@@ -6,21 +6,21 @@ import numpy as np
 
 from adaptsim_jax.closeloop.consistency import velocity_agreement
 from adaptsim_jax.closeloop.plausible import gravity_fit
-from adaptsim_jax.closeloop.recording import Recording, Trial
+from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.errors import BadInput
 
 SLOWEST = 0.25
 """Sampling interval in s beyond which a pendulum's motion is not sampled at all."""
 GAINS = {
-    math.pi / 180: "q1, q2 in degrees while v1, v2 are in rad/s; write angle = \"deg\" and velocity = \"rad/s\"",
-    180 / math.pi: "v1, v2 in deg/s while q1, q2 are in rad; write velocity = \"deg/s\"",
-    1e3: "time in milliseconds; write time = \"ms\"",
-    1e6: "time in microseconds; write time = \"us\"",
-    60 / (2 * math.pi): "v1, v2 in revolutions per minute; write velocity = \"rpm\"",
-    1e-3: "v1, v2 in rad/ms; write velocity = \"rad/ms\"",
+    math.pi / 180: 'q1, q2 in degrees while v1, v2 are in rad/s; write angle = "deg" and velocity = "rad/s"',
+    180 / math.pi: 'v1, v2 in deg/s while q1, q2 are in rad; write velocity = "deg/s"',
+    1e3: 'time in milliseconds; write time = "ms"',
+    1e6: 'time in microseconds; write time = "us"',
+    60 / (2 * math.pi): 'v1, v2 in revolutions per minute; write velocity = "rpm"',
+    1e-3: 'v1, v2 in rad/ms; write velocity = "rad/ms"',
 }
 FAST = 15.0
-"""Top speed over sqrt(g / l) that no pendulum on a bench reaches (a free fall from upright gives 2, a whip 6)."""
+"""Top speed over sqrt(g / l) that no pendulum on a bench reaches (a fall from upright gives 2, a whip 6)."""
 BETTER = 0.5
 """Share of the unexplained torque that must remain, at most, after a conversion for it to be believed."""
 
@@ -29,7 +29,12 @@ def check_units(recording: Recording) -> None:
     """Raise `BadInput` naming the first trial whose unit is suspect, with the line to add to meta.toml."""
     for trial in recording.trials:
         if trial.dt > SLOWEST:
-            raise BadInput(_say(trial, f"a row every {trial.dt:.3g} s: time is suspected in milliseconds; write time = \"ms\""))
+            raise BadInput(
+                _say(
+                    trial,
+                    f'a row every {trial.dt:.3g} s: time is suspected in milliseconds; write time = "ms"',
+                )
+            )
     for trial in recording.trials:
         suspect = _velocity_suspect(trial)
         if suspect:
@@ -37,8 +42,9 @@ def check_units(recording: Recording) -> None:
     fastest = max(recording.trials, key=_top_speed)
     if _degrees(recording, _top_speed(fastest)):
         reach = max(float(np.max(np.abs(t.q))) for t in recording.trials)
-        why = f"angles reach {reach:.3g} and speeds {_top_speed(fastest):.3g}: degrees are suspected instead of radians"
-        raise BadInput(_say(fastest, f"{why}; write angle = \"deg\""))
+        size = f"angles reach {reach:.3g} and speeds {_top_speed(fastest):.3g}"
+        why = f"{size}: degrees are suspected instead of radians"
+        raise BadInput(_say(fastest, f'{why}; write angle = "deg"'))
 
 
 def _say(trial: Trial, why: str) -> str:
@@ -66,7 +72,7 @@ def _top_speed(trial: Trial) -> float:
 def _degrees(recording: Recording, speed: float) -> bool:
     """Angles too large and speeds too high for radians, or a rigid-body fit that degrees suit far better.
 
-    The fit decides where there is torque to judge by: it holds that sin and cos of the true angle enter the dynamics.
+    The fit decides where there is torque to judge by: sin and cos of the true angle enter the dynamics.
     """
     reach = max(float(np.max(np.abs(t.q))) for t in recording.trials)
     length = min(recording.geometry.get("l1", 0.3), recording.geometry.get("l2", 0.3))
