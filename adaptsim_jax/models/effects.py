@@ -1,0 +1,240 @@
+"""What can be added to a model: `Effect`, one entry in one place, and the catalogue of them.
+
+An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its one
+pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.errors import BadInput
+
+PLACES = ("command", "force", "measurement")
+UNITS = {
+    "1": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1), "N m": (1, 0), "N m/rad": (1, 0),
+    "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
+}  # fmt: skip
+"""Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
+
+    low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
+    serves a finger and an excavator. `sign` is +1 where only positive values are that effect.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    default: float
+    off: float | None = 0.0
+    sign: int = 0
+    plausible: float | None = None
+
+    def bounds(self, torque: float) -> tuple[float, float]:
+        """Bounds for a rig whose torques are of size `torque` N m."""
+        scale = torque ** UNITS[self.unit][0]
+        return self.low * scale, self.high * scale
+
+
+class Motion(NamedTuple):
+    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [...]` s since the trial began, its own
+    `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and the width `sign_speed: [n, ...]` rad/s of sign(v)."""
+
+    q: jax.Array
+    v: jax.Array
+    u: jax.Array
+    t: jax.Array
+    memory: jax.Array
+    gravity: Callable
+    sign_speed: jax.Array
+
+    @property
+    def sign(self) -> jax.Array:
+        """Smooth sign of the velocity."""
+        return jnp.tanh(self.v / self.sign_speed)
+
+
+class Relaxation(NamedTuple):
+    """A force with memory: `force`, and `d memory / dt = rate (target - memory)`, integrated exactly over a step."""
+
+    force: jax.Array
+    target: jax.Array
+    rate: jax.Array
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What the data cover, per joint `[n]`: from it shape grids and bounds are made (`torque` N m is a peak)."""
+
+    torque: np.ndarray
+    speed: np.ndarray  # rad/s, 90 % quantile of |v|
+    q_low: np.ndarray
+    q_high: np.ndarray
+    duration: float  # s, of a trial
+    dt: float  # s, median row
+    inertia: np.ndarray  # kg m^2
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect. `apply` is its one function, by place:
+
+    - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to the next row;
+    - force: `apply(p, motion) -> force [n, ...]`, or a `Relaxation` where `memory` is true; where `inertia` is true,
+      `apply(p) -> kg m^2` added to the joint;
+    - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...]) -> (q', v')`: what the sensor of one joint says.
+
+    `p` maps parameter names to arrays that broadcast. `grid(reach, joint) -> [{shape: value}, ...]` lists the fixed
+    shapes at which the effect is scored; with `jump` the amplitude is on the grid too, as it does not act linearly.
+    `contains` names effects that this one includes as a special case.
+    """
+
+    name: str
+    place: str
+    parameters: tuple[Parameter, ...]
+    apply: Callable
+    physics: str
+    excitation: str
+    look_alikes: tuple[str, ...] = ()
+    scope: str = "joint"
+    smooth: bool = True
+    memory: bool = False
+    inertia: bool = False
+    jump: bool = False
+    contains: tuple[str, ...] = ()
+    grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
+
+    def __post_init__(self):
+        if self.place not in PLACES:
+            raise BadInput(f"effect {self.name}: place {self.place!r} is unknown; use one of {', '.join(PLACES)}")
+        if self.scope not in ("joint", "base"):
+            raise BadInput(f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'")
+        for p in self.parameters:
+            if p.unit not in UNITS:
+                raise BadInput(f"effect {self.name}: unit {p.unit!r} is unknown; use one of {', '.join(UNITS)}")
+        if not any(p.off is not None for p in self.parameters):
+            raise BadInput(f"effect {self.name}: no parameter turns it off; give one an off value")
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.off is not None)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.off is None)
+
+    def grid_points(self, reach: Reach, joint: int) -> list[dict[str, float]]:
+        """Fixed shapes to score at; one point of defaults where the effect has no shape."""
+        if self.grid is not None:
+            return self.grid(reach, joint)
+        return [{p.name: p.default for p in self.shapes}]
+
+
+class Instance(NamedTuple):
+    """An effect at a place of the mechanism: `where` is `joint1`, ... or `base`; `at` its parameters in the flat vector."""
+
+    effect: Effect
+    where: str
+    joint: int
+    at: slice
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All instances of some effects on `joints`, and their parameters as one flat vector `[E]`."""
+
+    effects: tuple[Effect, ...]
+    joints: tuple[str, ...]
+    instances: tuple[Instance, ...] = field(init=False, compare=False)
+    _starts: dict[str, int] = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self):
+        found, starts, at = [], {}, 0
+        for effect in self.effects:
+            starts[effect.name] = at
+            for i, where in enumerate(self.joints if effect.scope == "joint" else ("base",)):
+                size = len(effect.parameters)
+                found.append(Instance(effect, where, i, slice(at, at + size)))
+                at += size
+        object.__setattr__(self, "instances", tuple(found))
+        object.__setattr__(self, "_starts", starts)
+
+    @property
+    def size(self) -> int:
+        return self.instances[-1].at.stop if self.instances else 0
+
+    def index(self, name: str, where: str) -> int:
+        """Number of an instance; raises BadInput if there is none."""
+        for i, instance in enumerate(self.instances):
+            if (instance.effect.name, instance.where) == (name, where):
+                return i
+        raise BadInput(f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what is")
+
+    def mask(self, active: list[tuple[str, str]]) -> np.ndarray:
+        """`[I]` bool, True for the named instances."""
+        mask = np.zeros(len(self.instances), bool)
+        mask[[self.index(*pair) for pair in active]] = True
+        return mask
+
+    def vector(self, pick: Callable[[Parameter, Instance], float]) -> np.ndarray:
+        """`[E]` of one number a parameter."""
+        return np.array([pick(p, i) for i in self.instances for p in i.effect.parameters], float)
+
+    def off(self) -> np.ndarray:
+        """`[E]`: every amplitude at its off value, every shape at its default."""
+        return self.vector(lambda p, i: p.default if p.off is None else p.off)
+
+    def bounds(self, reach: Reach) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds `[E]` for a rig of that reach."""
+        torque = [float(t) for t in reach.torque]
+        low = self.vector(lambda p, i: p.bounds(torque[i.joint])[0])
+        return low, self.vector(lambda p, i: p.bounds(torque[i.joint])[1])
+
+    def names(self) -> list[tuple[str, str, str]]:
+        """(effect, where, parameter) of each entry of the vector."""
+        return [(i.effect.name, i.where, p.name) for i in self.instances for p in i.effect.parameters]
+
+    def masked(self, eff: jax.Array, mask: jax.Array) -> jax.Array:
+        """`eff: [E]` with the amplitudes of instances that `mask: [I]` leaves out at their off values."""
+        owner = np.array([k for k, i in enumerate(self.instances) for _ in i.effect.parameters], int)
+        amplitude = np.array([p.off is not None for i in self.instances for p in i.effect.parameters], bool)
+        on = jnp.asarray(mask, bool)[owner] | ~amplitude
+        return jnp.where(on, eff, jnp.asarray(self.off(), eff.dtype))
+
+    def params(self, effect: Effect, eff: jax.Array, trailing: int) -> dict[str, jax.Array]:
+        """`{name: [n, 1, ...]}` of one effect for all joints, with `trailing` axes to broadcast over."""
+        rows = len(self.joints) if effect.scope == "joint" else 1
+        at, width = self._starts[effect.name], len(effect.parameters)
+        block = eff[at : at + rows * width].reshape((rows, width) + (1,) * trailing)
+        return {p.name: block[:, k] for k, p in enumerate(effect.parameters)}
+
+    def placed(self, place: str) -> Iterator[Effect]:
+        return (e for e in self.effects if e.place == place)
+
+
+def catalogue(task: str = "pendulum") -> tuple[Effect, ...]:
+    """Every effect known for a task. Add your own: `catalogue("pendulum") + (my_effect,)`."""
+    from adaptsim_jax.models.effects_command import COMMAND
+    from adaptsim_jax.models.effects_force import FORCE
+    from adaptsim_jax.models.effects_measurement import MEASUREMENT
+
+    if task not in ("pendulum", "pushing", "scooping"):
+        raise BadInput(f"task {task!r} is unknown; use pendulum, pushing or scooping")
+    return FORCE + COMMAND + MEASUREMENT
+
+
+def effect_named(name: str, effects: tuple[Effect, ...]) -> Effect:
+    """The effect of that name; raises BadInput that lists those there are."""
+    found: Mapping[str, Effect] = {e.name: e for e in effects}
+    if name not in found:
+        raise BadInput(f"effect {name!r} is unknown; use one of {', '.join(found)}")
+    return found[name]

@@ -1,0 +1,109 @@
+"""Effects between the command that was recorded and the torque that reached the joint.
+
+Commands are held from their row to the next; what an effect returns is each row's mean, so impulses are exact.
+`t: [T, ...]` s and `u: [T, ...]` N m have time first; the last row lasts no time.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.models.effects import Effect, Parameter
+
+
+def _durations(t):
+    return jnp.concatenate([jnp.diff(t, axis=0), jnp.zeros_like(t[:1])])
+
+
+def torque_gain(p, t, u):
+    return (1.0 + p["gain"]) * u
+
+
+def saturation(p, t, u):
+    """Limit as a share of the peak: level = 1 - cut; written by the peak of |u| so that no cut changes nothing."""
+    level = (1.0 - p["cut"]) * jnp.max(jnp.abs(u), axis=0, keepdims=True)
+    return jnp.clip(u, -level, level)
+
+
+def dead_zone(p, t, u):
+    return u - jnp.clip(u, -p["width"], p["width"])
+
+
+def delay(p, t, u):
+    """Exact mean of the shifted command over each row, through its running integral (differentiable in the delay)."""
+    duration = _durations(t)
+    integral = jnp.concatenate([jnp.zeros_like(u[:1]), jnp.cumsum(u * duration, 0)[:-1]])
+    t, late = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
+    arrived = _integral_at(t, u, integral, late)
+    mean = jnp.diff(arrived, axis=0) / jnp.where(duration > 0, duration, 1.0)[:-1]
+    return jnp.concatenate([jnp.where(duration[:-1] > 0, mean, u[:-1]), u[-1:]])
+
+
+def _integral_at(t, u, integral, at):
+    """Running integral of the held command at times `at`; before the first row its value is held."""
+
+    def one(t, u, integral, at):
+        row = jnp.clip(jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 1)  # left: a knot belongs to the row before
+        return integral[row] + u[row] * (at - t[row])
+
+    flat = [z.reshape(z.shape[0], -1) for z in (t, u, integral, at)]
+    return jax.vmap(one, 1, 1)(*flat).reshape(u.shape)
+
+
+def actuator_lag(p, t, u):
+    """First-order lag from the first command on: exact state at each row, exact mean over it."""
+    duration = _durations(t) * jnp.ones_like(u)
+    lag = jnp.maximum(p["lag"], 1e-9)
+    keep = jnp.exp(-duration / lag)
+
+    def row(state, now):
+        u, keep = now
+        return u + (state - u) * keep, state
+
+    _, state = jax.lax.scan(row, u[0], (u, keep))
+    share = p["lag"] * (1.0 - keep) / jnp.where(duration > 0, duration, 1.0)
+    return u + (state - u) * share
+
+
+def _delays(reach, joint):
+    return [{"delay": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
+
+
+def _lags(reach, joint):
+    return [{"lag": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
+
+
+def _cuts(reach, joint):
+    return [{"cut": s} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
+
+
+def _widths(reach, joint):
+    return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
+
+
+COMMAND = (
+    Effect(
+        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1),), delay,
+        "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
+        jump=True, grid=_delays,
+    ),
+    Effect(
+        "saturation", "command", (Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1),), saturation,
+        "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
+        ("torque_gain",), smooth=False, jump=True, grid=_cuts,
+    ),
+    Effect(
+        "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
+        "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
+        ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
+    ),
+    Effect(
+        "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
+        "the torque constant is off by a share", "driven motion beside free swings",
+        ("load_friction", "rotor_inertia"),
+    ),
+    Effect(
+        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15),), actuator_lag,
+        "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
+        jump=True, grid=_lags,
+    ),
+)  # fmt: skip

@@ -1,0 +1,205 @@
+"""Effects that act as a generalized force at a joint (or, for a tilt, through the plant's gravity)."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.models.effects import Effect, Motion, Parameter, Relaxation
+
+
+def coulomb(p, m: Motion):
+    return -p["level"] * m.sign
+
+
+def stribeck(p, m: Motion):
+    """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
+    return -(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"]))) * m.sign
+
+
+def quadratic_drag(p, m: Motion):
+    return -p["drag"] * m.v * jnp.abs(m.v)
+
+
+def spring(p, m: Motion):
+    return p["preload"] - p["stiffness"] * m.q
+
+
+def bias(p, m: Motion):
+    return p["torque"] + 0.0 * m.q
+
+
+def tilt(p, m: Motion):
+    """The base turned by an angle: gravity acts as if the first joint stood further by it."""
+    first = jnp.zeros((m.q.shape[0],) + (1,) * (m.q.ndim - 1), m.q.dtype).at[0].set(1.0)
+    return m.gravity(m.q + p["angle"] * first) - m.gravity(m.q)
+
+
+def cogging(p, m: Motion):
+    return p["sine"] * jnp.sin(p["order"] * m.q) + p["cosine"] * jnp.cos(p["order"] * m.q)
+
+
+def friction_drift(p, m: Motion):
+    """Friction that is there when the trial begins and fades as the joint warms."""
+    return -(p["viscous"] * m.v + p["dry"] * m.sign) * jnp.exp(-m.t / p["decay"])
+
+
+def periodic_disturbance(p, m: Motion):
+    phase = 2.0 * jnp.pi * p["frequency"] * m.t
+    return p["sine"] * jnp.sin(phase) + p["cosine"] * jnp.cos(phase) + 0.0 * m.q
+
+
+def hard_stop(p, m: Motion):
+    """A lossy spring beyond an angle: an upper stop where the angle is above the middle of travel, else a lower one."""
+    depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
+    return -p["side"] * p["stiffness"] * depth * jnp.maximum(1.0 + p["side"] * p["loss"] * m.v, 0.0)
+
+
+def load_friction(p, m: Motion):
+    return -p["share"] * jnp.abs(m.u) * m.sign
+
+
+def presliding(p, m: Motion):
+    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the break-away deflection."""
+    speed = jnp.abs(m.v)
+    rate = speed / p["deflection"]
+    return Relaxation(-p["level"] * m.memory, m.v / jnp.sqrt(speed**2 + 1e-12), rate)
+
+
+def rotor_inertia(p):
+    return p["inertia"]
+
+
+def _speeds(reach, joint):
+    top = float(reach.speed[joint])
+    return [{"speed": top * s} for s in (0.05, 0.1, 0.2, 0.4)]
+
+
+def _orders(reach, joint):
+    return [{"order": float(k)} for k in range(1, 31)]
+
+
+def _frequencies(reach, joint):
+    """Half a cycle a trial apart, so that no frequency between two grid points goes unseen; at most half of Nyquist."""
+    top = min(15.0, 0.25 / reach.dt)
+    step = 0.5 / reach.duration
+    return [{"frequency": float(f)} for f in np.arange(step, top, step)][:160]
+
+
+def _stops(reach, joint):
+    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
+    span = high - low
+    upper = [{"angle": high - span * s, "side": 1.0, "loss": 0.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
+    return upper + [{"angle": low + span * s, "side": -1.0, "loss": 0.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
+
+
+def _deflections(reach, joint):
+    span = float(reach.q_high[joint] - reach.q_low[joint])
+    return [{"deflection": d} for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [{"deflection": 0.1 * span + 1e-4}]
+
+
+def _decays(reach, joint):
+    return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
+
+
+FORCE = (
+    Effect(
+        "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),), coulomb,
+        "dry friction: a constant torque against the motion", "reversals, and both slow and fast motion",
+        ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
+    ),
+    Effect(
+        "stribeck", "force",
+        (
+            Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
+            Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, plausible=1.0),
+            Parameter("speed", "rad/s", 0.02, 20.0, 0.5, None),
+        ),
+        stribeck, "dry friction that is higher at creeping speed", "long stretches of slow motion beside fast ones",
+        ("coulomb", "presliding"), contains=("coulomb",), grid=_speeds,
+    ),
+    Effect(
+        "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1, plausible=0.1),),
+        quadratic_drag, "air drag or turbulent oil: torque with the square of speed", "a wide range of speeds",
+        ("coulomb", "friction_drift"),
+    ),
+    Effect(
+        "spring", "force",
+        (
+            Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, plausible=2.0),
+            Parameter("preload", "N m", -5.0, 5.0, 0.0),
+        ),
+        spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness", "a wide range of angles",
+        ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",),
+    ),
+    Effect(
+        "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0, plausible=0.5),), bias,
+        "a constant torque: torque-sensor zero, cable pull, imbalance", "a wide range of angles",
+        ("tilt", "encoder_offset", "spring"),
+    ),
+    Effect(
+        "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0, plausible=0.4),), tilt,
+        "the base is not level: gravity pulls along another direction", "wide angles of joint 1, of both signs",
+        ("bias", "encoder_offset"), scope="base",
+    ),
+    Effect(
+        "cogging", "force",
+        (
+            Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("order", "1", 0.5, 200.0, 7.0, None),
+        ),
+        cogging, "torque ripple periodic in the joint's angle (magnets, gear teeth)", "slow sweeps over many periods",
+        ("spring",), grid=_orders,
+    ),
+    Effect(
+        "friction_drift", "force",
+        (
+            Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("dry", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("decay", "s", 0.05, 100.0, 2.0, None),
+        ),
+        friction_drift, "friction that changes as the joint warms up within a trial",
+        "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=_decays,
+    ),
+    Effect(
+        "periodic_disturbance", "force",
+        (
+            Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
+        ),
+        periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
+        "long trials whose commands leave that frequency free", ("cogging",), grid=_frequencies,
+    ),
+    Effect(
+        "hard_stop", "force",
+        (
+            Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
+            Parameter("angle", "rad", -20.0, 20.0, 1.5, None),
+            Parameter("side", "1", -1.0, 1.0, 1.0, None),
+            Parameter("loss", "s", 0.0, 1.0, 0.0, None),
+        ),
+        hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
+        ("spring", "cogging"), smooth=False, grid=_stops,
+    ),
+    Effect(
+        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6),), load_friction,
+        "gear friction in proportion to the torque that the joint carries", "high and low torque at like speeds",
+        ("coulomb", "torque_gain"),
+    ),
+    Effect(
+        "presliding", "force",
+        (
+            Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
+            Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None),
+        ),
+        presliding, "friction that acts as a spring before the joint slides (Dahl, LuGre)",
+        "many small reversals of less than the break-away deflection", ("coulomb", "stribeck", "backlash"),
+        memory=True, smooth=False, contains=("coulomb",), grid=_deflections,
+    ),
+    Effect(
+        "rotor_inertia", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, plausible=0.3),), rotor_inertia,
+        "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the coupling through the "
+        "moving stator is smaller by the ratio and left out); at joint 1 a rigid body's own inertia absorbs it",
+        "fast motion of both joints with the elbow straight and bent", ("torque_gain",), inertia=True,
+    ),
+)  # fmt: skip
