@@ -1,0 +1,218 @@
+"""The report of a diagnosis: `report.json`, one self-contained `report.html`, and a few lines for the terminal.
+
+    write_diagnosis(out, report, evidence)
+    print_summary(report, console, out)
+
+`report` keeps `closeloop.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
+
+    held_out         [{trial, time [T] s, measured {channel: [T]}, before {channel: [T]}, after {...} or None}], NaN at joins
+    residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model
+    regressor        {where, x [n], y [n] N m, x_label, y_label, curve_x, curve_y} or None
+    leftover         [{joint, variable, share (0..1), p_value}]
+    spectrum         {joint: {frequency [n] Hz, before [n], after [n]}}
+    next_experiment  {time [n] s, torque [n, 2] N m, separates: [a, b], csv: file name}
+    audit            [{severity, where, message}]
+    run              {command, version, seed, seconds}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from adaptsim_jax.closeloop import schema
+from adaptsim_jax.files import output_folder, write_bytes, write_json
+from adaptsim_jax.report import diagnosis_figures as figures
+from adaptsim_jax.report import diagnosis_format as fmt
+from adaptsim_jax.report import diagnosis_svg as svg
+from adaptsim_jax.report import diagnosis_words as words
+from adaptsim_jax.report.diagnosis_rows import candidate_rows, declared_rows, effect_rows
+
+MOST_TRIALS = 6
+"""Held-out trials that the page draws; each costs some 150 kB."""
+
+
+def write_diagnosis(out: Path, report: dict, evidence: dict, png: bool = False) -> None:
+    """Write `report.json` and `report.html` into `out`, each whole or not at all; `figures/*.png` too with `png`.
+
+    Write `model.toml` and the next experiment's CSV first: the page links the files that it finds in `out`.
+    Raises schema.ReportError where the report does not keep the schema, BadInput where `out` cannot be written.
+    """
+    out = output_folder(out)
+    clean = schema.check(report)
+    write_json(out / "report.json", clean)
+    write_bytes(out / "report.html", render(clean, evidence, out).encode())
+    if png:
+        folder = output_folder(out / "figures")
+        for name, (paint, height, _) in figures.paints(clean, evidence).items():
+            write_bytes(folder / f"{name}.png", svg.draw_png(paint, height))
+
+
+def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None = None) -> str:
+    """The page as text, from a checked report. `out` is looked at for the files to link."""
+    error = report["error"]
+    page = {
+        "report": report,
+        "tone": words.TONES[report["verdict"]],
+        "label": words.LABELS[report["verdict"]],
+        "headline": words.headline(report),
+        "meaning": words.MEANINGS[report["verdict"]],
+        "todo": words.NEXT[report["verdict"]],
+        "data": _data_words(report["data"]),
+        "effects": effect_rows(report),
+        "improvement": words.improvement(error),
+        "errors": _error_rows(error),
+        "error_figures": _error_figures(error),
+        "trials": _held_out_figures(evidence.get("held_out") or []),
+        "trials_left_out": max(0, len(evidence.get("held_out") or []) - MOST_TRIALS),
+        "residual": _residual_figures(evidence),
+        "leftover": sorted(evidence.get("leftover") or [], key=lambda row: -row["share"]),
+        "candidates": candidate_rows(report),
+        "declared": declared_rows(report),
+        "not_established": words.not_established(report),
+        "next": _next_experiment(report, evidence.get("next_experiment"), out),
+        "audit": evidence.get("audit") or [],
+        "audit_first": report["verdict"] == "data_fault",
+        "run": evidence.get("run") or {},
+        "files": _links(out),
+        "levels": {"parameter": schema.PARAMETER_LEVEL, "error": schema.ERROR_LEVEL},
+        "reward": report.get("task_reward"),
+    }
+    return _template().render(**page)
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("adaptsim_jax.report", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    for name in ("quantity", "number", "percent", "p_value", "between", "listing"):
+        environment.filters[name] = getattr(fmt, name)
+    environment.filters["plain"] = words.plain
+    return environment.get_template("diagnosis.html.j2")
+
+
+def _data_words(data: Mapping) -> str:
+    held = data["held_out_trials"]
+    held = len(held) if isinstance(held, list) else held
+    parts = [fmt.count(data["trials"], "trial"), fmt.count(data["samples"], "sample")]
+    if held:
+        parts.insert(1, f"{int(held)} held out")
+    return ", ".join(parts)
+
+
+def _error_rows(error: Mapping) -> list[dict[str, Any]]:
+    rows = [{"name": f"overall ({error['metric']})", "unit": error["unit"], "pair": error}]
+    for channel, pair in error["per_channel"].items():
+        rows.append(
+            {"name": channel, "unit": pair.get("unit") or figures.channel_unit(channel), "pair": pair}
+        )
+    for row in rows:
+        pair, unit = row["pair"], row["unit"]
+        like = max(pair.get("before") or 0.0, pair.get("after") or 0.0)
+        for stage in ("before", "after"):
+            ends = (pair.get("intervals") or {}).get(stage) or (None, None)
+            row[stage] = fmt.between(pair.get(stage), *ends, unit, like)
+        row["floor"] = fmt.quantity(pair.get("noise_floor"), unit, like=like)
+        row["ceiling"] = fmt.quantity(pair.get("ceiling"), unit, like=like)
+        row["change"] = words.improvement(pair)["change"] or fmt.DASH
+    return [row for row in rows if row["pair"].get("before") is not None]
+
+
+def _error_figures(error: Mapping) -> list[str]:
+    pictures = []
+    for index, row in enumerate(_error_rows(error)):
+        dots = figures.trial_dots(error, None if index == 0 else row["name"])
+        one = row["pair"].get("after") is None
+        paint = figures.error_pair(row["name"], row["unit"], row["pair"], dots)
+        label = f"error of {row['name']}: declared {row['before']}, mended {row['after']}"
+        pictures.append(svg.draw(paint, 1.4 if one else 1.75, label))
+    return pictures
+
+
+def _held_out_figures(trials: list[Mapping]) -> list[dict[str, Any]]:
+    shown = []
+    for trial in trials[:MOST_TRIALS]:
+        pictures = []
+        for channel in trial["measured"]:
+            label = f"{channel} of held-out trial {trial['trial']}: measured, and simulated with each model"
+            pictures.append(svg.draw(figures.held_out(trial, channel), 3.1, label))
+        shown.append({"name": trial["trial"], "pictures": pictures, "mended": trial.get("after") is not None})
+    return shown
+
+
+def _residual_figures(evidence: Mapping) -> list[dict[str, str]]:
+    pictures = []
+    found = evidence.get("regressor")
+    if found:
+        label = f"unmodelled torque at {found['where']} against {found.get('x_label', 'the regressor')}"
+        pictures.append({"kind": "regressor", "svg": svg.draw(figures.regressor(found), 3.1, label)})
+    for row in evidence.get("residual_torque") or []:
+        label = f"unmodelled torque at {row['joint']} over time"
+        pictures.append({"kind": "torque", "svg": svg.draw(figures.residual_torque(row), 3.1, label)})
+    for joint, row in (evidence.get("spectrum") or {}).items():
+        label = f"spectrum of the residual at {joint}"
+        pictures.append({"kind": "spectrum", "svg": svg.draw(figures.spectrum(joint, row), 3.1, label)})
+    return pictures
+
+
+def _next_experiment(report: Mapping, plan: Mapping | None, out: Path | None) -> dict[str, Any]:
+    given = report.get("next_experiment")
+    name = (plan or {}).get("csv") or (given.get("csv") if isinstance(given, Mapping) else None)
+    picture = None
+    if plan and plan.get("torque") is not None:
+        picture = svg.draw(figures.next_experiment(plan), 3.4, "commanded torques of the next experiment")
+    there = bool(name) and (out is None or (out / str(name)).exists())
+    return {"words": words.next_words(report, plan), "csv": name, "linked": there, "picture": picture}
+
+
+def _links(out: Path | None) -> list[str]:
+    names = ("model.toml", "report.json")
+    return [name for name in names if name == "report.json" or (out is not None and (out / name).exists())]
+
+
+def print_summary(report: dict, console: Console, out: Path | None = None) -> None:
+    """The verdict, what was found, the error before and after, what to do next, and where the files are."""
+    report = schema.check(report)
+    colour = {"good": "green", "calm": "cyan", "open": "yellow", "bad": "red"}[words.TONES[report["verdict"]]]
+    console.print(Text(report["verdict"], style=f"bold {colour}"), Text(words.headline(report), style="bold"))
+    console.print(Padding(Text(report["message"]), (0, 0, 1, 2)))
+    table = Table.grid(padding=(0, 2))
+    for name, value in _summary_rows(report):
+        table.add_row(Text(name, style="dim"), Text(value))
+    for name in ("report.html", "report.json", "model.toml", _csv_name(report)):
+        if out is not None and name and (Path(out) / name).exists():
+            table.add_row(
+                Text("page" if name == "report.html" else "file", style="dim"), Text(str(Path(out) / name))
+            )
+    console.print(Padding(table, (0, 0, 0, 2)))
+
+
+def _summary_rows(report: Mapping) -> list[tuple[str, str]]:
+    rows = [("data", _data_words(report["data"]))]
+    for effect in effect_rows(report):
+        values = [f"{row['name']} = {row['value']}" for row in effect["parameters"]]
+        rows.append(("effect", f"{effect['title']}: {', '.join(values)}" if values else effect["title"]))
+    for row in _error_rows(report["error"]):
+        after = f" -> {row['after']} ({row['change']})" if row["pair"].get("after") is not None else ""
+        floor = f", noise floor {row['floor']}" if row["floor"] != fmt.DASH else ""
+        rows.append(("held-out error", f"{row['name']}: {row['before']}{after}{floor}"))
+    rows.append(("next", words.next_words(report, None) or words.NEXT[report["verdict"]]))
+    return rows
+
+
+def _csv_name(report: Mapping) -> str | None:
+    given = report.get("next_experiment")
+    return given.get("csv") if isinstance(given, Mapping) else None

@@ -1,0 +1,123 @@
+"""Matplotlib figures as small inline SVG that follows the page's colours, light or dark, and its font."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+INK, MUTED, GRID = "#20262e", "#5d6875", "#dde2e8"
+MEASURED, BEFORE, AFTER = "#7b8794", "#c4540a", "#1767b0"
+FLOOR, CEILING = "#2f855a", "#8a4bbf"
+THEMED = {
+    INK: "ink",
+    MUTED: "muted",
+    GRID: "grid",
+    MEASURED: "measured",
+    BEFORE: "before",
+    AFTER: "after",
+    FLOOR: "floor",
+    CEILING: "ceiling",
+}
+"""Colour in the figure -> CSS variable of the page. The hex values are the light theme, so a PNG reads well too."""
+
+STYLE = {
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "font.size": 10.0,
+    "font.family": ["DejaVu Sans"],
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.4,
+    "figure.constrained_layout.use": True,
+    "path.simplify_threshold": 0.3,
+}
+WIDTH = 5.0
+"""Inches (72 to an inch in SVG): about the width of half a desktop page and of a phone, so that text keeps its size."""
+
+
+def draw(paint: Callable[[Figure], None], height: float, label: str, width: float = WIDTH) -> str:
+    """The SVG of what `paint` draws on a transparent figure; `label` is its text for those who do not see it."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        FigureCanvasSVG(figure)
+        paint(figure)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    return themed(buffer.getvalue(), label)
+
+
+def draw_png(paint: Callable[[Figure], None], height: float, width: float = WIDTH) -> bytes:
+    """The same as a PNG on white, for a README or a slide."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(width, height))
+        paint(figure)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=150, facecolor="white")
+    return buffer.getvalue()
+
+
+def themed(svg: str, label: str) -> str:
+    """Inline form: no prolog, colours as CSS variables, two decimals, ids that cannot clash on one page."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.S)
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
+    for colour, name in THEMED.items():
+        svg = svg.replace(colour, f"var(--{name})")
+    svg = re.sub(r"-?\d+\.\d{3,}", lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."), svg)
+    svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    head = re.search(r'viewBox="[^"]*"', svg)
+    box = head.group() if head else ""
+    opening = (
+        f'<svg {box} role="img" aria-label="{_attribute(label)}" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    )
+    return re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1)
+
+
+def _attribute(text: str) -> str:
+    for plain, escaped in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
+        text = text.replace(plain, escaped)
+    return text
+
+
+def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:
+    """Every column at no more than `most` rows, evenly taken; a gap (NaN) within a stride stays a gap."""
+    columns = [np.asarray(column, dtype=float) for column in columns]
+    stride = max(1, -(-len(columns[0]) // most))
+    if stride == 1:
+        return columns
+    taken = []
+    for column in columns:
+        whole = column[: len(column) // stride * stride].reshape(-1, stride)
+        taken.append(np.where(np.isnan(whole).any(axis=1), np.nan, whole[:, 0]))
+    return taken
+
+
+def quiet(axes: Axes) -> None:
+    """Few ticks: a phone's width must do."""
+    axes.locator_params(axis="x", nbins=6)
+    axes.locator_params(axis="y", nbins=5)
+    axes.tick_params(length=3)

@@ -1,0 +1,177 @@
+"""The sentences of a diagnosis: what each verdict means, what it leaves open, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from adaptsim_jax.report import diagnosis_format as fmt
+
+TONES = {
+    "explained": "good",
+    "explained_class": "good",
+    "confounded_with_declared": "open",
+    "structured_unattributed": "open",
+    "within_noise": "calm",
+    "underpowered": "open",
+    "data_fault": "bad",
+}
+LABELS = {
+    "explained": "explained",
+    "explained_class": "explained up to a class",
+    "confounded_with_declared": "confounded with declared parameters",
+    "structured_unattributed": "structure without a name",
+    "within_noise": "within noise",
+    "underpowered": "underpowered",
+    "data_fault": "fault in the data",
+}
+MEANINGS = {
+    "explained": "The mended model is ready to use: the effect passed on trials that took no part in finding it.",
+    "explained_class": "The mended model predicts better, whichever of the names is right: "
+    "with these trials they cannot be told apart.",
+    "confounded_with_declared": "Changing the declared parameters does the same as adding the effect "
+    "along these motions, so neither can be held responsible.",
+    "structured_unattributed": "What is left repeats from trial to trial, yet no effect in the catalogue "
+    "accounts for it. No name is forced on it.",
+    "within_noise": "What is left looks like the noise. Nothing needs to be added for motions like these.",
+    "underpowered": "An effect of a size that matters could hide in these data. "
+    "This is not evidence that the model is right.",
+    "data_fault": "No model was judged: the findings below come first.",
+}
+NEXT = {
+    "explained": "Use the mended model; run the next experiment to test it on motions that it has not seen.",
+    "explained_class": "Run the next experiment: it was chosen to separate the names.",
+    "confounded_with_declared": "Run the next experiment, or measure the declared parameter by itself and put it under [known].",
+    "structured_unattributed": "Look where the structure sits (below), add a candidate effect for it, "
+    "or run the next experiment.",
+    "within_noise": "Keep the declared model.",
+    "underpowered": "Record more trials, longer ones, or with more excitation; then run this again.",
+    "data_fault": "Mend the recording as the audit says, then run this again.",
+}
+STATUS_WORDS = {
+    "accepted": "accepted",
+    "rejected": "rejected",
+    "confounded": "confounded",
+    "look-alike": "look-alike",
+}
+
+
+PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl": "Dahl"}
+
+
+def plain(name: str) -> str:
+    """`command_delay` -> `command delay`; `coulomb` -> `Coulomb`; `joint1` -> `joint 1`."""
+    text = " ".join(PROPER.get(word, word) for word in name.replace("_", " ").split())
+    if text.startswith(("joint", "link", "body")) and text[-1:].isdigit() and " " not in text:
+        stem = text.rstrip("0123456789")
+        return f"{stem} {text[len(stem) :]}"
+    return text
+
+
+def effect_name(effect: Mapping) -> str:
+    """`Coulomb friction at joint 1`; a class as `bias or base tilt at joint 1`."""
+    names = [plain(effect["name"]), *[plain(name) for name in effect.get("alternatives") or []]]
+    place = plain(effect["where"])
+    return fmt.listing(names, "or") + (f" at {place}" if place not in ("", "all", "whole") else "")
+
+
+def effect_names(report: Mapping) -> str:
+    """All that were found, in one phrase."""
+    return fmt.listing([effect_name(effect) for effect in report["effects"]])
+
+
+def headline(report: Mapping) -> str:
+    """The verdict in a sentence."""
+    verdict, names = report["verdict"], effect_names(report)
+    if verdict == "explained":
+        return f"The declared model lacks {names}."
+    if verdict == "explained_class":
+        return f"The declared model lacks {names}; these trials cannot tell which." if names else ""
+    if verdict == "confounded_with_declared":
+        suspects = [effect_name(row) for row in report["candidates"] if status(row, report) == "confounded"][
+            :3
+        ]
+        what = names or fmt.listing(suspects, "or") or "an effect"
+        return f"{what[:1].upper()}{what[1:]} cannot be told from the declared parameters."
+    if verdict == "structured_unattributed":
+        found = (
+            f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
+        )
+        return (
+            f"{found} something more that no candidate explains."
+            if names
+            else f"{found} no candidate explains it."
+        )
+    return {
+        "within_noise": "The declared model explains these data to within the noise.",
+        "underpowered": "These data cannot decide whether the declared model is complete.",
+        "data_fault": "The data must be mended before a model can be judged.",
+    }[verdict]
+
+
+def status(candidate: Mapping, report: Mapping) -> str:
+    """The given status of a candidate, else what its flags say: accepted, look-alike of an accepted one, rejected."""
+    if candidate.get("status"):
+        return candidate["status"]
+    if candidate["accepted"]:
+        return "accepted"
+    if any(candidate["name"] in (effect.get("alternatives") or []) for effect in report["effects"]):
+        return "look-alike"
+    return "confounded" if "confounded" in candidate["why"].lower() else "rejected"
+
+
+def improvement(error: Mapping) -> dict[str, str | None]:
+    """How much of the error went, and how much of what could go (down to the noise floor)."""
+    before, after, floor = error.get("before"), error.get("after"), error.get("noise_floor")
+    if before is None or after is None or before <= 0 or after == before:
+        return {"change": None, "closed": None}
+    change = (before - after) / before
+    words = f"{fmt.percent(abs(change))} {'less' if change > 0 else 'more'}"
+    closed = None
+    if floor is not None and before > floor and change > 0:
+        closed = fmt.percent(min(1.0, (before - after) / (before - floor)))
+    return {"change": words, "closed": closed}
+
+
+def not_established(report: Mapping) -> list[str]:
+    """What a reader might take for granted and must not: the report's own sentences, then what its numbers imply."""
+    lines = list(report.get("not_established") or [])
+    for effect in report["effects"]:
+        if effect.get("alternatives"):
+            names = [plain(name) for name in (effect["name"], *effect["alternatives"])]
+            lines.append(f"Which of {fmt.listing(names, 'or')} acts at {plain(effect['where'])}.")
+    loose = unidentified(report)
+    if loose:
+        one = len(loose) == 1
+        lines.append(
+            f"The value{'' if one else 's'} of {fmt.listing(loose)}: "
+            f"only {'a combination of it with others' if one else 'combinations of them'} can be seen in these motions."
+        )
+    if report["verdict"] in ("explained", "explained_class", "within_noise", "structured_unattributed"):
+        lines.append(
+            "Anything outside the speeds, angles, loads and frequencies of these trials, or on another rig."
+        )
+    if report["verdict"] == "within_noise":
+        lines.append("That no effect exists: only that none shows above the noise here.")
+    return list(dict.fromkeys(lines))
+
+
+def unidentified(report: Mapping) -> list[str]:
+    """Declared parameters that the data do not fix, in the fit that counts (after, else before)."""
+    table = report["declared"]["after"] or report["declared"]["before"]
+    return [name for name, row in table.items() if not row["identifiable"]]
+
+
+def next_words(report: Mapping, plan: Mapping | None) -> str:
+    """What the next experiment is for, in the report's own words where it has them."""
+    given: Any = report.get("next_experiment")
+    if isinstance(given, str) and given.strip():
+        return given
+    if isinstance(given, Mapping):
+        for key in ("message", "why", "what", "description"):
+            if isinstance(given.get(key), str) and given[key].strip():
+                return given[key]
+    names = (plan or {}).get("separates") or (given.get("separates") if isinstance(given, Mapping) else None)
+    return (
+        f"Commanded torques chosen to tell {fmt.listing([plain(n) for n in names])} apart." if names else ""
+    )
