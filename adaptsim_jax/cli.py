@@ -72,23 +72,23 @@ def main(argv: list[str] | None = None) -> int:
 
 def parse(argv: list[str]) -> argparse.Namespace:
     """The arguments of one command, with `run` set to it; only that command's module is loaded."""
-    parser = _top()
-    name = next((word for word in argv if not word.startswith("-")), None)
-    if name is None:
-        options = parser.parse_args(argv)  # --help, --version, or an error
+    if not argv or argv[0].startswith("-"):
+        parser = _top()
+        options, unknown = parser.parse_known_args(argv)  # --help, --version, or an error
+        if unknown:
+            raise BadInput(f"'{unknown[0]}' stands before the command; write 'adaptsim COMMAND {unknown[0]}'")
         options.run = lambda _: parser.print_help()
         return options
+    name, *after = argv
     if name not in SUMMARIES:
         raise BadInput(f"unknown command '{name}'; {suggest(name, SUMMARIES)}")
-    before, after = argv[: argv.index(name)], argv[argv.index(name) + 1 :]
-    if before:
-        parser.parse_args(before)
     module = importlib.import_module(f"adaptsim_jax.commands.{name}")
     command = _command(name, module)
     args, unknown = command.parse_known_args(after)
     if unknown:
         raise BadInput(_unknown_argument(command, unknown[0]))
     args.run = module.run
+    args.seed_given, args.seed = args.seed is not None, args.seed or 0
     return args
 
 
@@ -113,7 +113,7 @@ def _command(name: str, module) -> Parser:
     )
     module.arguments(parser)
     shared = parser.add_argument_group("shared by all commands")
-    shared.add_argument("--seed", type=common.seed, default=0, metavar="N", help="random seed (default 0)")
+    shared.add_argument("--seed", type=common.seed, metavar="N", help="random seed (default 0)")
     shared.add_argument("--no-cache", action="store_true", help="keep no compiled programs on disk")
     return parser
 

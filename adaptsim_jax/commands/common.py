@@ -27,6 +27,16 @@ def check_task(task: str) -> str:
     return task
 
 
+def require(module: str, what: str) -> None:
+    """BadInput that says `what` is not in this version, where the module that does it is not."""
+    try:
+        found = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        found = None
+    if found is None:
+        raise BadInput(f"{what} is not in this version yet; 'adaptsim --help' lists the other commands")
+
+
 def read_target(text: str, task: Any) -> tuple[str, Any]:
     """`(name, params [D])` of a target: a setting of `task`, or a TOML file that names every parameter.
 

@@ -25,9 +25,11 @@ def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
     from adaptsim_jax.commands.common import check_task
     from adaptsim_jax.config import pick
+
+    check_task(args.task)
     from adaptsim_jax.models.effects import catalogue
 
-    effects = [describe(effect) for effect in catalogue(check_task(args.task))]
+    effects = [describe(effect) for effect in catalogue(args.task)]
     if args.name:
         pick("effect", args.name, [effect["name"] for effect in effects])
         effects = [effect for effect in effects if effect["name"] == args.name]

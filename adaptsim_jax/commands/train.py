@@ -1,0 +1,86 @@
+"""`adaptsim train`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import Any
+
+EXAMPLES = """
+  adaptsim train pendulum --run runs/a
+  adaptsim train pendulum --run runs/a --resume        go on after a kill, to the same bits
+  adaptsim train pendulum --run runs/b --seed 3 --set phase1.trajectories=20000 --set hyper.delta=0.15
+  adaptsim train pendulum --run runs/c --config runs/a/config.toml
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
+    parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
+    parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
+    parser.add_argument("--config", metavar="FILE", help="a config.toml to start from")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one key of the config; repeatable",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Phase 1 into a run folder."""
+    from adaptsim_jax.commands.common import check_task, require
+
+    check_task(args.task)
+    require("adaptsim_jax.adapt.training", "'adaptsim train'")
+    from adaptsim_jax.adapt.training import train_run
+    from adaptsim_jax.progress import progress
+
+    args.resume_hint = f"continue with: adaptsim train {args.task} --run {shlex.quote(args.folder)} --resume"
+    folder = _folder(args)
+    with progress(f"train {args.task}") as report:
+        train_run(config_of(folder.config, args), folder, report)
+    print(f"trained: {folder.path}; next: adaptsim adapt {shlex.quote(args.folder)} --target ood-1")
+    return 0
+
+
+def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
+    """The config in `table`, with what the command line changes."""
+    from adaptsim_jax import config
+    from adaptsim_jax.adapt.training import TrainConfig
+
+    start = config.from_table(TrainConfig, table, args.config or f"{args.folder}/config.toml")
+    settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]
+    return config.with_settings(start, settings)
+
+
+def _folder(args: argparse.Namespace) -> Any:
+    from adaptsim_jax import config
+    from adaptsim_jax.store import RunFolder
+
+    if args.resume:
+        table = _start_table(args) if args.config else RunFolder.open(args.folder, task=args.task).config
+    else:
+        table = _start_table(args)
+    wanted = config.to_table(config_of(table, args))
+    start = RunFolder.resume if args.resume else RunFolder.create
+    return start(Path(args.folder), wanted, task=args.task)
+
+
+def _start_table(args: argparse.Namespace) -> dict[str, Any]:
+    """The config of a file (a run's, or a bare table), or the defaults."""
+    from adaptsim_jax import config
+    from adaptsim_jax.errors import BadInput
+
+    if not args.config:
+        return {}
+    table = config.read(args.config)
+    if isinstance(table.get("config"), dict):
+        if table.get("task", args.task) != args.task:
+            raise BadInput(
+                f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file"
+            )
+        return table["config"]
+    return table
