@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import importlib.metadata
 import io
 import os
@@ -105,8 +106,7 @@ def _try_jax() -> str:
 
 
 def _swing_native(steps: int = 50) -> float:
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     model = mujoco.MjModel.from_xml_string(_SCENE)
     data = mujoco.MjData(model)
     data.qpos[0] = 1.0
@@ -124,8 +124,9 @@ def _try_native() -> str:
 
 def _try_mjx() -> str:
     import jax
-    import mujoco
     from mujoco import mjx
+
+    mujoco: Any = importlib.import_module("mujoco")
 
     model = mujoco.MjModel.from_xml_string(_SCENE)
     device = mjx.put_model(model)
@@ -139,7 +140,7 @@ def _try_mjx() -> str:
 
 def _try_drake() -> str:
     try:
-        import pydrake.all as drake
+        drake: Any = importlib.import_module("pydrake.all")
     except ImportError:
         raise RuntimeError("not installed; pip install adaptsim_jax[drake]") from None
     plant = drake.MultibodyPlant(0.001)

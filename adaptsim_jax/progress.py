@@ -9,7 +9,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
-from typing import TextIO
+from typing import Any, TextIO
 
 Report = Callable[..., None]
 """`report(done, total, note="")`: `done` of `total` are done; `note` is a few words such as 'reward 0.93'."""
@@ -23,9 +23,9 @@ def silent(done: float, total: float, note: str = "") -> None:
 
 
 @contextlib.contextmanager
-def progress(label: str, stream: TextIO | None = None) -> Iterator[Report]:
+def progress(label: str, stream: Any = None) -> Iterator[Report]:
     """A `Report` that shows `label` with the time left, once the work has taken more than two seconds."""
-    stream = sys.stderr if stream is None else stream
+    stream = stream or sys.stderr
     show = _Bar(label) if stream.isatty() else _Lines(label, stream)
     try:
         yield show.report
