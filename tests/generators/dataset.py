@@ -132,7 +132,7 @@ def stack(drafts: list[Draft]) -> Drive:
     pad = lambda x: np.concatenate([x, np.repeat(x[-1:], rows - len(x), 0)])  # noqa: E731
     lane = lambda name: np.stack([pad(getattr(t, name)) for t in trials], -1)  # noqa: E731
     limit = np.concatenate(
-        [np.repeat(2.5 * d.rig.gravity_torque()[:, None], len(d.trials), 1) for d in drafts], 1
+        [np.repeat(4.0 * d.rig.gravity_torque()[:, None], len(d.trials), 1) for d in drafts], 1
     )
     phase = np.concatenate([stream(d.spec, 3).uniform(0, 2 * np.pi, len(d.trials)) for d in drafts])
     return Drive(

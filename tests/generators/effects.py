@@ -17,7 +17,7 @@ EFFECTS = (
 # Inner step [s]: friction and contact need short steps, smooth forces do not.
 STEP = {
     "coulomb": 2.5e-4, "stribeck": 2.5e-4, "load_friction": 2.5e-4, "presliding": 2.5e-4, "hard_stop": 2.5e-4,
-    "backlash": 2.5e-4, "delay": 5e-4, "cogging": 5e-4, "actuator_lag": 5e-4, "sensor_lag": 5e-4,
+    "backlash": 2.5e-4, "delay": 5e-4, "cogging": 5e-4, "actuator_lag": 2.5e-4, "sensor_lag": 2.5e-4,
 }  # fmt: skip
 SMOOTH_STEP = 1.25e-3
 
@@ -80,7 +80,7 @@ LARGEST = {
 }  # fmt: skip
 
 # Filters faster than this are beyond the inner step.
-SMALLEST = {"actuator_lag": 1.5e-3, "sensor_lag": 1.5e-3}
+SMALLEST = {"actuator_lag": 5e-4, "sensor_lag": 5e-4}
 
 UNITS = {
     "coulomb": "N m", "stribeck": "N m", "quadratic_drag": "N m s2/rad2", "spring": "N m/rad", "bias": "N m",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_continuous_are
+from scipy.linalg import expm, solve_discrete_are
 
 from tests.generators.worlds import G, Rig, lanes_of, mass_matrix
 
@@ -50,21 +50,39 @@ def torques(rng: np.random.Generator, kind: str, t: np.ndarray, scale: np.ndarra
     return out * scale * np.minimum(1.0, t / 0.3)[:, None]
 
 
-def balance_gain(rng: np.random.Generator, rig: Rig) -> np.ndarray:
-    """LQR gain about upright for a rig known only to 10 %, `[2, 4]`."""
+def mass_at_rest(rig: Rig) -> np.ndarray:
+    """Mass matrix `[2, 2]` at q2 = 0."""
+    m11, m12, m22 = (float(np.squeeze(x)) for x in mass_matrix(lanes_of([rig], [1]), np.zeros((2, 1))))
+    return np.array([[m11, m12], [m12, m22]])
+
+
+def balance_gain(rng: np.random.Generator, rig: Rig, dt: float) -> np.ndarray:
+    """Discrete LQR gain about upright at the trial's rate, for a rig known only to 10 %, `[2, 4]`."""
     p = lanes_of([rig], [1])
-    m11, m12, m22 = (float(np.squeeze(x)) for x in mass_matrix(p, np.zeros((2, 1))))
-    mass = np.array([[m11, m12], [m12, m22]])
     lower = float(p.a3[0])
     first = rig.m[0] + 2 * rig.m[1] if p.linear else float(p.a4[0]) + lower
     second = rig.m[1] if p.linear else lower
     stiffness = G * np.array([[first, second], [second, second]])
-    inverse = np.linalg.inv(mass * rng.uniform(0.92, 1.08))
-    a = np.block([[np.zeros((2, 2)), np.eye(2)], [inverse @ stiffness, -inverse @ np.diag(rig.b)]])
-    b = np.vstack([np.zeros((2, 2)), inverse])
-    cost = np.diag(1.0 / rig.gravity_torque() ** 2) if not p.linear else np.eye(2)
-    q = np.diag([20.0, 20.0, 0.5, 0.5]) if not p.linear else np.eye(4)
-    return np.linalg.solve(cost, b.T @ solve_continuous_are(a, b, q, cost))
+    inverse = np.linalg.inv(mass_at_rest(rig) * rng.uniform(0.92, 1.08))
+    system = np.zeros((6, 6))
+    system[:2, 2:4] = np.eye(2)
+    system[2:4, :] = np.hstack([inverse @ stiffness, -inverse @ np.diag(rig.b), inverse])
+    held = expm(system * dt)
+    a, b = held[:4, :4], held[:4, 4:]
+    cost = np.eye(2) if p.linear else np.diag(1.0 / rig.gravity_torque() ** 2)
+    q = np.eye(4) if p.linear else np.diag([20.0, 20.0, 0.5, 0.5])
+    s = solve_discrete_are(a, b, q, cost)
+    return np.linalg.solve(cost + b.T @ s @ b, b.T @ s @ a)
+
+
+def tracking_gain(rng: np.random.Generator, rig: Rig, dt: float) -> np.ndarray:
+    """A PD gain `[2, 4]` of a few times the gravity torque, soft enough for the trial's rate."""
+    scale = rig.gravity_torque()
+    mass = mass_at_rest(rig)
+    least = np.linalg.det(mass) / np.diag(mass)[::-1]
+    kp = np.minimum(scale * rng.uniform(2.0, 5.0, 2), least * (0.4 / dt) ** 2)
+    kd = np.sqrt(kp * (rig.inertia + rig.m * rig.c**2)) * rng.uniform(0.6, 1.2, 2)
+    return np.hstack([np.diag(kp), np.diag(np.minimum(kd, 0.4 * least / dt))])
 
 
 def make_trial(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> Trial:
@@ -80,13 +98,10 @@ def make_trial(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> 
         start[:2] = rng.uniform(0.5, [1.9, 1.3]) * rng.choice([-1, 1], 2)
         return Trial(kind, t, zero, gain, rest, start + home)
     if kind == "tracking":
-        inertia = np.abs(np.array(rig.inertia + rig.m * rig.c**2))
-        kp = scale * rng.uniform(2.0, 5.0, 2)
-        kd = 2 * 0.5 * np.sqrt(kp * inertia) * rng.uniform(0.6, 1.2, 2)
-        gain = np.hstack([np.diag(kp), np.diag(kd)])
+        gain = tracking_gain(rng, rig, float(np.median(np.diff(t))))
         for j in range(2):
-            value, slope = sines(rng, t, 0.2, 1.8, 5)
-            size = rng.uniform(0.4, 0.9)
+            value, slope = sines(rng, t, 0.2, 1.3, 5)
+            size = rng.uniform(0.3, 0.65)
             rest[:, j], rest[:, 2 + j] = size * value, size * slope
         return Trial(kind, t, zero, gain, rest + home, rest[0] + home)
     push = torques(rng, kind, t, scale * rng.uniform(0.25, 0.5, 2))
@@ -95,11 +110,16 @@ def make_trial(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> 
 
 def _upright(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> Trial:
     """About upright: balanced by LQR with extra torques, or let go for as long as the trial lasts."""
-    gain = balance_gain(rng, rig) if kind == "balance" else np.zeros((2, 4))
+    gain = balance_gain(rng, rig, float(np.median(np.diff(t)))) if kind == "balance" else np.zeros((2, 4))
     size = (0.3 if rig.world == "linearized" else 0.15) * rng.uniform(0.7, 1.3)
     push = torques(
         rng, str(rng.choice(["multisine", "random_phase", "chirp"])), t, rig.gravity_torque() * size
     )
     wide = 1.0 if rig.world == "linearized" and kind == "balance" else 0.15
     start = rng.uniform(-wide, wide, 4) * [1.0, 0.6, 0.5, 0.5]
-    return Trial(kind, t, push, gain, np.zeros((len(t), 4)), start)
+    reference = np.zeros((len(t), 4))
+    for j in range(2):
+        value, slope = sines(rng, t, 0.15, 1.0, 4)
+        size = rng.uniform(0.1, 0.3)
+        reference[:, j], reference[:, 2 + j] = size * value, size * slope
+    return Trial(kind, t, push, gain, reference, start)

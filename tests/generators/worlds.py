@@ -38,6 +38,7 @@ def draw_rig(rng: np.random.Generator, world: str, angle_zero: str) -> Rig:
         one, zero = np.ones(2), np.zeros(2)
         return Rig(world, rng.uniform(1, 2, 2), one, one, zero, rng.uniform(1, 2, 2), -1.0)
     length = rng.uniform(0.2, 0.5, 2) if rng.random() < 0.85 else np.array([1.0, rng.uniform(0.6, 1.0)])
+    length = np.round(length, 3)  # as somebody would have measured it
     m = rng.uniform(0.3, 1.5, 2)
     m[1] = min(m[1], 1.3 * m[0])
     c = length * rng.uniform(0.45, 0.9, 2)
