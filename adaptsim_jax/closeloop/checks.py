@@ -121,12 +121,7 @@ def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
     keep = np.ones(len(trial.time), bool)
     found = []
     for j in range(2):
-        q = trial.q[:, j]
-        middle = np.median(np.stack([q[:-4], q[1:-3], q[2:-2], q[3:-1], q[4:]]), axis=0)
-        off = np.abs(q[2:-2] - middle)
-        usual = max(float(np.quantile(off, 0.9)), steps.get(f"q{j + 1}", 0.0), 1e-9)
-        around = np.maximum(np.abs(q[1:-3] - q[3:-1]), usual)
-        bad = np.flatnonzero((off > 30 * usual) & (off > 5 * around)) + 2
+        bad = _lone_outliers(trial.time, trial.q[:, j], steps.get(f"q{j + 1}", 0.0))
         if bad.size:
             keep[bad] = False
             at = trial.time[bad[0]]
@@ -135,6 +130,18 @@ def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
             )
             found.append(Finding("spike", "warn", trial.name, f"q{j + 1}", text, float(bad.size)))
     return found, keep
+
+
+def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
+    """Rows that the cubic through their four neighbours misses by far, and that stick out from both sides."""
+    dt = np.diff(time)
+    even = np.stack([dt[:-3], dt[1:-2], dt[2:-1], dt[3:]]).max(axis=0) < 2 * np.median(dt)
+    miss = q[2:-2] - (4 * (q[1:-3] + q[3:-1]) - q[:-4] - q[4:]) / 6
+    usual = max(1.4826 * float(np.median(np.abs(miss))), step, 1e-9)
+    left, right = q[2:-2] - q[1:-3], q[2:-2] - q[3:-1]
+    out = (np.abs(miss) > 30 * usual) & (left * right > 0)
+    out &= np.minimum(np.abs(left), np.abs(right)) > 0.5 * np.abs(miss)
+    return np.flatnonzero(out & even) + 2
 
 
 def check_saturation(trial: Trial) -> Found:

@@ -58,7 +58,7 @@ def _regress(slope: np.ndarray, bend: np.ndarray, target: np.ndarray) -> tuple[f
 def command_agreement(
     time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40
 ) -> Agreement:
-    """measured = gain command(t - lag) + offset; the lag in s is the best of `most` samples and a parabola."""
+    """measured = gain command(t - lag) + offset; lag in s: the best of `most` samples and a parabola."""
     if np.std(command) < 1e-9 or np.std(measured) < 1e-9 or len(time) <= 3 * most:
         return NOT_ENOUGH
     n = len(time)
@@ -104,6 +104,8 @@ def _refine(values: np.ndarray, guess: float) -> float:
     """Least-squares step of the lattice near `guess`, or 0 where the values are not on one."""
     gaps = np.diff(values)
     near = gaps[np.abs(gaps / guess - 1) < 0.25]
+    if not len(near):
+        return 0.0
     step = float(np.mean(near))
     for _ in range(3):
         index = np.concatenate([[0.0], np.cumsum(np.round(gaps / step))])

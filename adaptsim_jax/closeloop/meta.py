@@ -53,9 +53,10 @@ class Meta:
 
 
 def nearest(name: str, valid: tuple[str, ...]) -> str:
-    """`'; did you mean X?'` where one is near, else the list of all valid names."""
-    close = difflib.get_close_matches(name, valid, n=1, cutoff=0.6)
-    return f"did you mean {close[0]!r}?" if close else f"valid are {', '.join(valid)}"
+    """`did you mean 'X'?` where one is near, else the list of all valid names."""
+    by_case = {v.lower(): v for v in valid}
+    close = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
+    return f"did you mean {by_case[close[0]]!r}?" if close else f"valid are {', '.join(valid)}"
 
 
 def load_toml(path: Path) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
         remarks.append(f"sampling is too slow to tell noise from motion in {', '.join(unresolved)}")
     return NoiseFloor(
         std=std,
-        source=max(set(sources.values()), key=list(sources.values()).count),
+        source=max(sorted(set(sources.values())), key=list(sources.values()).count, default="smoothing"),
         quantisation=dict(audit.quantisation),
         per_trial=per_trial,
         message="; ".join([_summary(std, sources), *remarks]),
@@ -90,6 +90,8 @@ def _choose(channel: str, declared: float | None, estimate: float, source: str) 
 
 def _summary(std: dict[str, float], sources: dict[str, str]) -> str:
     units = {"q": "rad", "v": "rad/s"}
+    if not std:
+        return "no usable trial to take the noise from"
     return "noise " + ", ".join(f"{c} {s:.3g} {units[c[0]]} ({sources[c]})" for c, s in std.items())
 
 
@@ -187,9 +189,8 @@ def _smooth_joint(trial: Trial, noise: NoiseFloor, joint: int) -> tuple[np.ndarr
     if trial.v is None or sv <= 0:
         return alone, False
     both = _states(prior, q, sq, trial.v[:, joint], sv)
-    worse = (
-        np.mean((q - both[:, 0]) ** 2) > 1.1 * max(np.mean((q - alone[:, 0]) ** 2), 0.5 * sq**2) + 0.1 * sq**2
-    )
+    least = max(sq**2, float(np.mean((q - alone[:, 0]) ** 2)))
+    worse = bool(np.mean((q - both[:, 0]) ** 2) > 1.3 * least)
     return (alone, False) if worse else (both, True)
 
 
@@ -212,7 +213,7 @@ def _level(time: np.ndarray, q: np.ndarray, std: float, order: int) -> float:
     """Log intensity of the walk of one window, the noise std being known."""
     prior = smoother.make_prior(time, order)
     weights = [np.ones(len(q))] + [None] * (order - 1)
-    data = [(q - q.mean()) / std] + [None] * (order - 1)
+    data = [smoother.detrend(time, q, order) / std] + [None] * (order - 1)
 
     def objective(log_ratio: float) -> float:
         _, factor, quad = smoother.posterior(prior, float(np.exp(log_ratio)), weights, data)

@@ -1,7 +1,7 @@
 """Does the motion fit the declared convention: a linear regression of torque on rigid-body regressors.
 
 The double pendulum's inverse dynamics is linear in its base parameters (Khalil and Dombre 2002, ch. 9). With
-the angle zero or the unit declared wrongly, gravity comes out with the wrong sign, or a conversion fits better.
+the angle zero or the unit declared wrongly, gravity has the wrong sign, or a converted angle fits better.
 """
 
 import math
@@ -15,7 +15,7 @@ MOST_ROWS = 4000
 
 
 def regressors(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """`[2 T, 10]`: inertia (2), coupling, gravity (2; positive restores), damping (2), dry friction (2), bias."""
+    """`[2 T, 10]`: inertia (2), coupling, gravity (2; above 0 restores), damping, dry friction, bias."""
     n = len(q)
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     a1, a2, v1, v2 = a[:, 0], a[:, 1], v[:, 0], v[:, 1]

@@ -83,8 +83,9 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
     table = read_table(path, COLUMNS)
     for need in ("time", "q1", "q2"):
         if need not in table.columns:
-            hint = nearest(need, table.ignored) if table.ignored else "rename or add it"
-            raise BadInput(f"{path}: column {need!r} is missing; {hint} Needed are time, q1, q2, tau1, tau2")
+            near = nearest(need, table.ignored)
+            hint = f"{near} " if near.startswith("did") else ""
+            raise BadInput(f"{path}: column {need!r} is missing; {hint}needed are time, q1, q2, tau1, tau2")
     columns = {key: values * meta.scale[key] for key, values in table.columns.items()}
     check_time(path, table)
     _check_size(path, table, columns)
@@ -116,9 +117,7 @@ def _check_size(path: Path, table: Table, columns: dict[str, np.ndarray]) -> Non
 def _velocities(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray | None:
     have = [c for c in ("v1", "v2") if c in columns]
     if len(have) == 1:
-        raise BadInput(
-            f"{path}: has {have[0]} but not the other joint's velocity; give both v1 and v2, or neither"
-        )
+        raise BadInput(f"{path}: has {have[0]} but not the other velocity; give both v1 and v2, or neither")
     return np.stack([columns["v1"], columns["v2"]], axis=1) if have else None
 
 

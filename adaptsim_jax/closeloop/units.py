@@ -1,4 +1,4 @@
-"""Units that the data betray: degrees for radians, milliseconds for seconds; suspected aloud, never mended."""
+"""Units that the data betray: degrees for radians, milliseconds for seconds; suspected, never mended."""
 
 import math
 
