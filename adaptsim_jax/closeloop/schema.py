@@ -1,7 +1,7 @@
 """The schema of `report.json` (design, section 4): made, checked and read here. Imports no JAX.
 
-Every key of the design must be there; further keys are free. Where an extension below is there it is checked too,
-since the page shows it:
+Every key of the design must be there; further keys are free. The page shows these extensions where it finds
+them; all but the last two are checked:
 
     error.intervals       {before: [low, high], after: [low, high]}        over held-out trials
     error.per_channel.c   + unit, noise_floor, ceiling, intervals           for channel c
@@ -9,9 +9,13 @@ since the page shows it:
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
     task_reward           {before, after, oracle}                           in [0, 1]
+    error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
+    power                 [{name, where, size, unit, power}]                share found of what was injected
 
-`error.ceiling` is in `error.unit`, as its neighbours are: the error that a flexible smoother of the residual would
-leave on the held-out trials, so what no explanation can beat by much. A number that does not exist is null.
+`error.ceiling` is in `error.unit`, as its neighbours are: the error that a flexible smoother of the residual
+would leave on the held-out trials, so what no explanation can beat by much. `candidates[i].held_out_gain` is
+the share of the held-out residual that the candidate removes. A number that does not exist is null. In
+`declared`, a parameter that the data do not fix has `identifiable` false; the page shows no number for it.
 """
 
 from __future__ import annotations
@@ -53,7 +57,7 @@ class ReportError(ValueError):
 def new_report(
     task: str, model: str, verdict: str, message: str, data: Mapping[str, int], **found: Any
 ) -> dict[str, Any]:
-    """A report with every key present and nothing found, then `found` laid over it; `error` may be given in part."""
+    """A report with every key and nothing found, then `found` laid over it; `error` may be given in part."""
     error = {
         "metric": "rmse",
         "unit": "1",

@@ -1,11 +1,12 @@
-"""The report of a diagnosis: `report.json`, one self-contained `report.html`, and a few lines for the terminal.
+"""The report of a diagnosis: `report.json`, one self-contained `report.html`, a few lines for the terminal.
 
     write_diagnosis(out, report, evidence)
     print_summary(report, console, out)
 
 `report` keeps `closeloop.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
 
-    held_out         [{trial, time [T] s, measured {channel: [T]}, before {channel: [T]}, after {...} or None}], NaN at joins
+    held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None}],
+                     NaN where windows join; the first trial is shown, the others fold out
     residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model
     regressor        {where, x [n], y [n] N m, x_label, y_label, curve_x, curve_y} or None
     leftover         [{joint, variable, share (0..1), p_value}]
@@ -32,19 +33,20 @@ from adaptsim_jax.closeloop import schema
 from adaptsim_jax.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
+from adaptsim_jax.report import diagnosis_rows as rows_of
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
-from adaptsim_jax.report.diagnosis_rows import candidate_rows, declared_rows, effect_rows
 
 MOST_TRIALS = 6
 """Held-out trials that the page draws; each costs some 150 kB."""
 
 
 def write_diagnosis(out: Path, report: dict, evidence: dict, png: bool = False) -> None:
-    """Write `report.json` and `report.html` into `out`, each whole or not at all; `figures/*.png` too with `png`.
+    """Write `report.json` and `report.html` into `out`, whole or not at all; `figures/*.png` too with `png`.
 
     Write `model.toml` and the next experiment's CSV first: the page links the files that it finds in `out`.
-    Raises schema.ReportError where the report does not keep the schema, BadInput where `out` cannot be written.
+    Raises schema.ReportError where the report does not keep the schema (and writes nothing then), BadInput
+    where `out` cannot be written.
     """
     out = output_folder(out)
     clean = schema.check(report)
@@ -58,28 +60,33 @@ def write_diagnosis(out: Path, report: dict, evidence: dict, png: bool = False) 
 
 def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None = None) -> str:
     """The page as text, from a checked report. `out` is looked at for the files to link."""
-    error = report["error"]
+    mended = bool(report["effects"])
+    error = report["error"] if mended else _declared_only(report["error"])
+    plan = evidence.get("next_experiment")
     page = {
         "report": report,
         "tone": words.TONES[report["verdict"]],
         "label": words.LABELS[report["verdict"]],
         "headline": words.headline(report),
         "meaning": words.MEANINGS[report["verdict"]],
-        "todo": words.NEXT[report["verdict"]],
+        "todo": words.todo(report, plan),
+        "mended": mended,
+        "error": error,
         "data": _data_words(report["data"]),
-        "effects": effect_rows(report),
+        "effects": rows_of.effect_rows(report),
         "improvement": words.improvement(error),
         "errors": _error_rows(error),
         "error_figures": _error_figures(error),
         "trials": _held_out_figures(evidence.get("held_out") or []),
         "trials_left_out": max(0, len(evidence.get("held_out") or []) - MOST_TRIALS),
         "residual": _residual_figures(evidence),
-        "leftover": sorted(evidence.get("leftover") or [], key=lambda row: -row["share"]),
-        "candidates": candidate_rows(report),
-        "declared": declared_rows(report),
+        "leftover": rows_of.leftover_rows(evidence),
+        "power": rows_of.power_rows(report),
+        "candidates": rows_of.candidate_rows(report),
+        "declared": rows_of.declared_rows(report),
         "not_established": words.not_established(report),
-        "next": _next_experiment(report, evidence.get("next_experiment"), out),
-        "audit": evidence.get("audit") or [],
+        "next": _next_experiment(report, plan, out),
+        "audit": rows_of.audit_rows(evidence),
         "audit_first": report["verdict"] == "data_fault",
         "run": evidence.get("run") or {},
         "files": _links(out),
@@ -113,6 +120,15 @@ def _data_words(data: Mapping) -> str:
     return ", ".join(parts)
 
 
+def _declared_only(error: Mapping) -> dict[str, Any]:
+    """Without an effect nothing was mended: whatever stands under `after` is the declared model once more."""
+    channels = {name: {**pair, "after": None} for name, pair in error["per_channel"].items()}
+    trials = [{**trial, "after": None} for trial in error["per_trial"]]
+    for trial in trials:
+        trial["per_channel"] = {c: {**p, "after": None} for c, p in (trial.get("per_channel") or {}).items()}
+    return {**error, "after": None, "per_channel": channels, "per_trial": trials}
+
+
 def _error_rows(error: Mapping) -> list[dict[str, Any]]:
     rows = [{"name": f"overall ({error['metric']})", "unit": error["unit"], "pair": error}]
     for channel, pair in error["per_channel"].items():
@@ -123,8 +139,8 @@ def _error_rows(error: Mapping) -> list[dict[str, Any]]:
         pair, unit = row["pair"], row["unit"]
         like = max(pair.get("before") or 0.0, pair.get("after") or 0.0)
         for stage in ("before", "after"):
-            ends = (pair.get("intervals") or {}).get(stage) or (None, None)
-            row[stage] = fmt.between(pair.get(stage), *ends, unit, like)
+            low, high = (pair.get("intervals") or {}).get(stage) or (None, None)
+            row[stage] = fmt.between(pair.get(stage), low, high, unit, like)
         row["floor"] = fmt.quantity(pair.get("noise_floor"), unit, like=like)
         row["ceiling"] = fmt.quantity(pair.get("ceiling"), unit, like=like)
         row["change"] = words.improvement(pair)["change"] or fmt.DASH
@@ -146,7 +162,7 @@ def _held_out_figures(trials: list[Mapping]) -> list[dict[str, Any]]:
     shown = []
     for trial in trials[:MOST_TRIALS]:
         pictures = []
-        for channel in trial["measured"]:
+        for channel in trial["measured"] if len(trial["time"]) else ():
             label = f"{channel} of held-out trial {trial['trial']}: measured, and simulated with each model"
             pictures.append(svg.draw(figures.held_out(trial, channel), 3.1, label))
         shown.append({"name": trial["trial"], "pictures": pictures, "mended": trial.get("after") is not None})
@@ -192,24 +208,23 @@ def print_summary(report: dict, console: Console, out: Path | None = None) -> No
     table = Table.grid(padding=(0, 2))
     for name, value in _summary_rows(report):
         table.add_row(Text(name, style="dim"), Text(value))
+    console.print(Padding(table, (0, 0, 0, 2)))
     for name in ("report.html", "report.json", "model.toml", _csv_name(report)):
         if out is not None and name and (Path(out) / name).exists():
-            table.add_row(
-                Text("page" if name == "report.html" else "file", style="dim"), Text(str(Path(out) / name))
-            )
-    console.print(Padding(table, (0, 0, 0, 2)))
+            console.print(Text(f"  {Path(out) / name}", style="dim"), soft_wrap=True)
 
 
 def _summary_rows(report: Mapping) -> list[tuple[str, str]]:
     rows = [("data", _data_words(report["data"]))]
-    for effect in effect_rows(report):
+    for effect in rows_of.effect_rows(report):
         values = [f"{row['name']} = {row['value']}" for row in effect["parameters"]]
         rows.append(("effect", f"{effect['title']}: {', '.join(values)}" if values else effect["title"]))
-    for row in _error_rows(report["error"]):
+    error = report["error"] if report["effects"] else _declared_only(report["error"])
+    for row in _error_rows(error):
         after = f" -> {row['after']} ({row['change']})" if row["pair"].get("after") is not None else ""
         floor = f", noise floor {row['floor']}" if row["floor"] != fmt.DASH else ""
         rows.append(("held-out error", f"{row['name']}: {row['before']}{after}{floor}"))
-    rows.append(("next", words.next_words(report, None) or words.NEXT[report["verdict"]]))
+    rows.append(("next", words.next_words(report, None) or words.todo(report, None)))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""What the page of a diagnosis draws: each function paints one figure on what it is given and computes nothing new."""
+"""What the page of a diagnosis draws: each function paints one figure of what it is given."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def bar_range(ax: Axes, y: float, value: float, interval: Any, dots: list[float]
 
 
 def error_pair(title: str, unit: str, pair: Mapping, dots: Mapping[str, list[float]]) -> Paint:
-    """Declared against mended model in one channel, with the noise floor and the ceiling where they are known."""
+    """Declared against mended model in one channel, with noise floor and ceiling where they are known."""
     shown = [(stage, pair[stage]) for stage in ("before", "after") if pair.get(stage) is not None]
     lines = {"noise_floor": pair.get("noise_floor"), "ceiling": pair.get("ceiling")}
     largest = max([value for _, value in shown] + [max(d, default=0.0) for d in dots.values()], default=0.0)
@@ -48,8 +48,8 @@ def error_pair(title: str, unit: str, pair: Mapping, dots: Mapping[str, list[flo
             colour = BEFORE if stage == "before" else AFTER
             bar_range(ax, -row, factor * value, ends, [factor * d for d in dots.get(stage, [])], colour)
         for key, colour, dashes in (("noise_floor", FLOOR, (4, 2)), ("ceiling", CEILING, (1.5, 1.5))):
-            if lines[key] is not None:
-                ax.axvline(factor * lines[key], color=colour, linewidth=1.7, dashes=dashes)
+            if (mark := lines[key]) is not None:
+                ax.axvline(factor * mark, color=colour, linewidth=1.7, dashes=dashes)
         names = {"before": "declared", "after": "mended"}
         ax.set_yticks([-row for row in range(len(shown))], [names[stage] for stage, _ in shown])
         ax.tick_params(axis="y", length=0, labelcolor=INK)
@@ -88,7 +88,7 @@ def held_out(trial: Mapping, channel: str) -> Paint:
 
 
 def regressor(found: Mapping, unit: str = "N m") -> Paint:
-    """The estimated unmodelled torque against the variable that the named effect acts through, and the fitted effect."""
+    """The unmodelled torque against the variable that the effect acts through, and the fitted effect."""
     x, y = thin(found["x"], found["y"], most=1200)
     factor, name = fmt.scaled(unit, _percentile(y))
 
@@ -141,8 +141,12 @@ def spectrum(joint: str, row: Mapping) -> Paint:
         for key, colour in (("before", BEFORE), ("after", AFTER)):
             if row.get(key) is not None:
                 frequency, power = thin(row["frequency"], row[key])
+                if not np.any(power > 0):
+                    continue
+                ax.set_yscale("log")
+                ax.yaxis.set_major_formatter(lambda value, _: fmt.power_of_ten(value))
                 ax.plot(frequency[power > 0], power[power > 0], color=colour, linewidth=1.2)
-        ax.set(title=f"residual spectrum at {joint}", xlabel="frequency, Hz", ylabel="power", yscale="log")
+        ax.set(title=f"residual spectrum at {joint}", xlabel="frequency, Hz", ylabel="power")
         ax.locator_params(axis="x", nbins=6)
         ax.tick_params(length=3)
         ax.minorticks_off()
@@ -169,7 +173,7 @@ def next_experiment(plan: Mapping) -> Paint:
 
 
 def paints(report: Mapping, evidence: Mapping) -> dict[str, tuple[Paint, float, str]]:
-    """Figures by name for `figures/`: what to paint, height in inches, label. Only what there is evidence for."""
+    """Figures by name for `figures/`: what to paint, height in inches, label; those with evidence only."""
     found: dict[str, tuple[Paint, float, str]] = {}
     for trial in (evidence.get("held_out") or [])[:1]:
         for channel in trial["measured"]:
@@ -226,5 +230,5 @@ def _percentile(values: np.ndarray, q: float = 99.0) -> float:
 def _robust_limits(ax: Axes, values: np.ndarray) -> None:
     """One wild estimate at a trial's edge must not flatten the rest."""
     bound = 1.6 * _percentile(values)
-    if bound > 0 and np.nanmax(np.abs(values)) > bound:
+    if 0 < bound < _largest(values):
         ax.set_ylim(-bound, bound)

@@ -1,4 +1,4 @@
-"""Numbers as a person reads them: three significant digits, a unit prefix that fits, intervals in one unit."""
+"""Numbers as a person reads them: three significant digits, a prefix that fits, intervals in one unit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scaled(unit: str | None, size: float | None) -> tuple[float, str]:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """`value` with `digits` significant digits; a dash where there is none; powers of ten beyond 1e-3 .. 1e5."""
+    """`value` with `digits` significant digits; a dash for none; powers of ten beyond 1e-3 .. 1e5."""
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0:
@@ -43,6 +43,11 @@ def number(value: float | None, digits: int = 3) -> str:
     if not -3 <= exponent < 5:
         return f"{fixed(value / 10.0**exponent, digits - 1)}×10{str(exponent).translate(_SUPERSCRIPT)}"
     return fixed(value, max(0, digits - 1 - exponent))
+
+
+def power_of_ten(value: float) -> str:
+    """`10⁻⁶`: a tick of a logarithmic axis."""
+    return f"10{str(round(math.log10(value))).translate(_SUPERSCRIPT)}" if value > 0 else "0"
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -81,7 +86,7 @@ def between(
 
 
 def interval_decimals(value: float, low: float, high: float) -> int:
-    """Decimals that show the half width to one digit, to two where it begins below 3.55; the value to five at most."""
+    """Decimals that show the half width to one digit, two where it begins below 3.55; the value to five."""
     half = (high - low) / 2
     size = max(abs(value), abs(low), abs(high))
     if size <= 0:

@@ -1,4 +1,4 @@
-"""Rows of the page's tables: effects found, the ladder of candidates, declared parameters before and after."""
+"""Rows of the page's tables: effects, the ladder of candidates, declared parameters before and after."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from adaptsim_jax.report import diagnosis_words as words
 
 
 def effect_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Each effect: `title`, `alternatives`, `physics` where the report has it, and its parameters with intervals."""
+    """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with intervals."""
     rows = []
     for effect in report["effects"]:
         parameters = [
@@ -33,8 +33,9 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
 
 
 def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
-    """The ladder, in the report's order (best first)."""
-    largest = max([row["held_out_gain"] or 0.0 for row in report["candidates"]], default=0.0)
+    """The ladder: what was accepted, then the rest in the report's order (best first)."""
+    ladder = sorted(report["candidates"], key=lambda row: not row["accepted"])
+    largest = max([row["held_out_gain"] or 0.0 for row in ladder], default=0.0)
     return [
         {
             "name": words.plain(row["name"]),
@@ -45,12 +46,12 @@ def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
             "p": fmt.p_value(row["p_value"]),
             "why": row["why"],
         }
-        for row in report["candidates"]
+        for row in ladder
     ]
 
 
 def declared_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Declared parameters: text before and after (no number where the data do not fix one), and where to draw them."""
+    """Declared parameters: text before and after (no number where the data fix none), and where to draw."""
     before, after = report["declared"]["before"], report["declared"]["after"]
     rows = []
     for name in dict.fromkeys([*before, *after]):
@@ -99,3 +100,44 @@ def _marks(stages: Mapping[str, Mapping | None]) -> list[dict[str, Any]]:
         }
         for stage, row in shown.items()
     ]
+
+
+def leftover_rows(evidence: Mapping) -> list[dict[str, Any]]:
+    """Where structure remains, the largest share first."""
+    rows = [row for row in evidence.get("leftover") or [] if row.get("share") is not None]
+    return [
+        {
+            "joint": words.plain(str(row.get("joint", ""))),
+            "variable": row.get("variable", ""),
+            "share": fmt.percent(row["share"]),
+            "bar": min(100.0, max(0.0, 100 * row["share"])),
+            "p": fmt.p_value(row.get("p_value")),
+        }
+        for row in sorted(rows, key=lambda row: -row["share"])
+    ]
+
+
+def power_rows(report: Mapping) -> list[dict[str, str]]:
+    """What would have been found: `power: [{name, where, size, unit, power}]`, where it has this form."""
+    rows = report.get("power")
+    rows = [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
+    return [
+        {
+            "name": words.plain(str(row["name"])),
+            "where": words.plain(str(row.get("where", ""))),
+            "size": fmt.quantity(row["size"], row.get("unit")),
+            "power": fmt.percent(row["power"]),
+        }
+        for row in rows
+        if {"name", "size", "power"} <= set(row)
+    ]
+
+
+def audit_rows(evidence: Mapping) -> list[dict[str, str]]:
+    """Findings, faults first."""
+    order = {"fault": 0, "error": 0, "warning": 1}
+    rows = [
+        {key: str(row.get(key, "")) for key in ("severity", "where", "message")}
+        for row in evidence.get("audit") or []
+    ]
+    return sorted(rows, key=lambda row: order.get(row["severity"], 2))

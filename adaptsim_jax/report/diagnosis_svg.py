@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -25,9 +26,9 @@ THEMED = {
     FLOOR: "floor",
     CEILING: "ceiling",
 }
-"""Colour in the figure -> CSS variable of the page. The hex values are the light theme, so a PNG reads well too."""
+"""Colour in the figure -> CSS variable of the page. The hex values are the light theme, for PNG too."""
 
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
     "text.parse_math": False,
     "font.size": 10.0,
@@ -56,11 +57,11 @@ STYLE = {
     "path.simplify_threshold": 0.3,
 }
 WIDTH = 5.0
-"""Inches (72 to an inch in SVG): about the width of half a desktop page and of a phone, so that text keeps its size."""
+"""Inches (72 to an inch in SVG): a phone's width and not far from half a page, so text keeps its size."""
 
 
 def draw(paint: Callable[[Figure], None], height: float, label: str, width: float = WIDTH) -> str:
-    """The SVG of what `paint` draws on a transparent figure; `label` is its text for those who do not see it."""
+    """The SVG of what `paint` draws on a transparent figure; `label` is for those who do not see it."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
         FigureCanvasSVG(figure)
@@ -105,12 +106,12 @@ def _attribute(text: str) -> str:
 
 def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:
     """Every column at no more than `most` rows, evenly taken; a gap (NaN) within a stride stays a gap."""
-    columns = [np.asarray(column, dtype=float) for column in columns]
-    stride = max(1, -(-len(columns[0]) // most))
+    arrays = [np.asarray(column, dtype=float) for column in columns]
+    stride = max(1, -(-len(arrays[0]) // most))  # rounded up
     if stride == 1:
-        return columns
+        return arrays
     taken = []
-    for column in columns:
+    for column in arrays:
         whole = column[: len(column) // stride * stride].reshape(-1, stride)
         taken.append(np.where(np.isnan(whole).any(axis=1), np.nan, whole[:, 0]))
     return taken

@@ -26,7 +26,7 @@ LABELS = {
     "data_fault": "fault in the data",
 }
 MEANINGS = {
-    "explained": "The mended model is ready to use: the effect passed on trials that took no part in finding it.",
+    "explained": "The mended model is ready to use: the effect held on trials without a part in finding it.",
     "explained_class": "The mended model predicts better, whichever of the names is right: "
     "with these trials they cannot be told apart.",
     "confounded_with_declared": "Changing the declared parameters does the same as adding the effect "
@@ -39,20 +39,14 @@ MEANINGS = {
     "data_fault": "No model was judged: the findings below come first.",
 }
 NEXT = {
-    "explained": "Use the mended model; run the next experiment to test it on motions that it has not seen.",
-    "explained_class": "Run the next experiment: it was chosen to separate the names.",
-    "confounded_with_declared": "Run the next experiment, or measure the declared parameter by itself and put it under [known].",
-    "structured_unattributed": "Look where the structure sits (below), add a candidate effect for it, "
-    "or run the next experiment.",
+    "explained": "Use the mended model, and test it on motions that it has not seen.",
+    "explained_class": "Use the mended model for motions like these; other motions can tell the names apart.",
+    "confounded_with_declared": "Measure the declared parameter by itself and put it under [known] "
+    "in meta.toml, or record motions that part the two.",
+    "structured_unattributed": "Look where the structure sits, and add a candidate effect for it.",
     "within_noise": "Keep the declared model.",
     "underpowered": "Record more trials, longer ones, or with more excitation; then run this again.",
     "data_fault": "Mend the recording as the audit says, then run this again.",
-}
-STATUS_WORDS = {
-    "accepted": "accepted",
-    "rejected": "rejected",
-    "confounded": "confounded",
-    "look-alike": "look-alike",
 }
 
 
@@ -110,7 +104,7 @@ def headline(report: Mapping) -> str:
 
 
 def status(candidate: Mapping, report: Mapping) -> str:
-    """The given status of a candidate, else what its flags say: accepted, look-alike of an accepted one, rejected."""
+    """The given status of a candidate, else what its flags say."""
     if candidate.get("status"):
         return candidate["status"]
     if candidate["accepted"]:
@@ -134,7 +128,7 @@ def improvement(error: Mapping) -> dict[str, str | None]:
 
 
 def not_established(report: Mapping) -> list[str]:
-    """What a reader might take for granted and must not: the report's own sentences, then what its numbers imply."""
+    """What must not be taken for granted: the report's own sentences, then what its numbers imply."""
     lines = list(report.get("not_established") or [])
     for effect in report["effects"]:
         if effect.get("alternatives"):
@@ -145,7 +139,7 @@ def not_established(report: Mapping) -> list[str]:
         one = len(loose) == 1
         lines.append(
             f"The value{'' if one else 's'} of {fmt.listing(loose)}: "
-            f"only {'a combination of it with others' if one else 'combinations of them'} can be seen in these motions."
+            f"these motions show only {'a combination of it with others' if one else 'combinations of them'}."
         )
     if report["verdict"] in ("explained", "explained_class", "within_noise", "structured_unattributed"):
         lines.append(
@@ -160,6 +154,15 @@ def unidentified(report: Mapping) -> list[str]:
     """Declared parameters that the data do not fix, in the fit that counts (after, else before)."""
     table = report["declared"]["after"] or report["declared"]["before"]
     return [name for name, row in table.items() if not row["identifiable"]]
+
+
+def todo(report: Mapping, plan: Mapping | None) -> str:
+    """What to do now; it points to the next experiment where there is one."""
+    there = report.get("next_experiment") or plan
+    nameless = report["verdict"] in ("within_noise", "data_fault")
+    return NEXT[report["verdict"]] + (
+        " The next experiment below is made for it." if there and not nameless else ""
+    )
 
 
 def next_words(report: Mapping, plan: Mapping | None) -> str:
