@@ -76,7 +76,7 @@ def _audit_trial(trial: Trial, steps: dict[str, float]) -> tuple[list[Finding], 
     frozen, moving, stuck = checks.check_frozen(trial, steps)
     spikes, smooth = checks.check_spikes(trial, steps)
     velocity, wrong = checks.check_velocity(trial)
-    found = checks.check_sampling(trial) + wrapped + frozen + spikes + checks.check_saturation(trial)
+    found = checks.check_sampling(trial) + wrapped + frozen + spikes + checks.check_saturation(trial, steps)
     found += (
         checks.check_stale(trial, steps)
         + velocity

@@ -144,7 +144,7 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     return np.flatnonzero(out & even) + 2
 
 
-def check_saturation(trial: Trial) -> Found:
+def check_saturation(trial: Trial, steps: dict[str, float]) -> Found:
     """A torque or an angle that rests at its largest or smallest value for many rows: cut flat there."""
     found = []
     columns = {
@@ -157,7 +157,7 @@ def check_saturation(trial: Trial) -> Found:
         span = np.ptp(x)
         if span == 0:
             continue
-        starts, lengths = runs(x)
+        starts, lengths = _cut_runs(trial.time, x, steps.get(channel, 0.0))
         for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
             at = (x[starts] == extreme) & (lengths >= 5)
             share = float(lengths[at].sum()) / len(x)
@@ -171,6 +171,16 @@ def check_saturation(trial: Trial) -> Found:
     return found
 
 
+def _cut_runs(time: np.ndarray, x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Runs of equal values that are entered at a speed which would have carried on for many steps."""
+    starts, lengths = runs(x)
+    ends = np.minimum(starts + lengths, len(x) - 1)
+    before = np.maximum(starts - 3, 0)
+    speed = np.abs(x[starts] - x[before]) / np.maximum(time[starts] - time[before], 1e-12)
+    cut = speed * (time[ends] - time[starts]) > 20 * step
+    return starts[cut], lengths[cut]
+
+
 def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
     """Velocity against d(angle)/dt: scale, sign, lag. Also the channels that contradict the angles."""
     found, wrong = [], []
@@ -180,7 +190,7 @@ def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
         channel, name = f"v{j + 1}", trial.name
         a = velocity_agreement(trial.time, trial.q[:, j], trial.v[:, j])
         if not a.enough:
-            if np.ptp(trial.q[:, j]) > 0.2:
+            if a.loud and np.ptp(trial.q[:, j]) > 0.2:
                 wrong.append(channel)
                 text = f"{channel} is unrelated to d(q{j + 1})/dt (explains {a.r2:.0%} of it)"
                 found.append(Finding("velocity", "warn", name, channel, text, a.r2))
@@ -189,7 +199,7 @@ def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
             wrong.append(channel)
             text = f"{channel} is {a.gain:.3g} times d(q{j + 1})/dt: wrong sign, unit or gear ratio"
             found.append(Finding("velocity", "warn", name, channel, text, a.gain))
-        elif abs(a.gain - 1) > 0.03:
+        elif abs(a.gain - 1) > max(0.03, 5 * a.spread):
             text = f"{channel} is {a.gain:.3f} times d(q{j + 1})/dt"
             found.append(Finding("velocity_scale", "warn", name, channel, text, a.gain))
         if abs(a.lag) > 0.5 * trial.dt and abs(a.lag) > 1e-3:

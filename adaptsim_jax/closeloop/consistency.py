@@ -7,41 +7,63 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Agreement:
-    """`second = gain * first(t - lag) + offset`, and `r2`, the share of the variance that this explains."""
+    """`second = gain first(t - lag) + offset`; `r2`: the share of the variance that this explains.
+
+    `enough`: there is signal enough to judge by, and they are related; `loud`: there is signal enough.
+    `spread`: standard error of the gain.
+    """
 
     gain: float
     lag: float
     offset: float
     r2: float
     enough: bool
+    loud: bool = True
+    spread: float = 0.0
 
 
-NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, 0.0, False)
+NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, 0.0, False, False)
+SPAN = 0.1
+"""Stretch in s over which slopes are taken: long enough for the noise of the angle to average out."""
 
 
-def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray, span: int = 8) -> Agreement:
+def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement:
     """How a measured velocity `v: [T]` relates to the slope of `q: [T]`: v = gain dq/dt(t - lag) + offset.
 
-    Compares the mean velocity over `span` steps with the angle's change, so that noise averages out and
-    uneven sampling is exact (trapezoid). A lag shows as a term in the acceleration. Steps that stand out
-    (a wrap, a lost row) are trimmed.
+    Compares the mean velocity over a stretch with the angle's change, so that noise averages out and uneven
+    sampling is exact (trapezoid). A lag shows as a term in the acceleration. Steps that stand out (a wrap, a
+    lost row) are trimmed. The slope is the noisier of the two, so it is what is regressed on the other.
     """
     dt = np.diff(time)
     area = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * dt)])
-    span = min(span, len(time) // 4)
+    span = min(max(8, round(SPAN / float(np.median(dt)))), len(time) // 4)
     width = time[span:] - time[:-span]
-    mean_v = (area[span:] - area[:-span]) / width
-    slope = (q[span:] - q[:-span]) / width
-    bend = np.gradient(slope, 0.5 * (time[span:] + time[:-span]))
+    mean_v, slope = (area[span:] - area[:-span]) / width, (q[span:] - q[:-span]) / width
+    bend = (v[span:] - v[:-span]) / width
     if np.std(slope) == 0 or np.std(mean_v) == 0:
         return NOT_ENOUGH
-    gain, lag, offset, r2 = _regress(slope, bend, mean_v)
-    return Agreement(gain, -lag / gain if gain else 0.0, offset, r2, r2 > 0.5)
+    (inverse, lead, offset), spread, r2 = _regress(mean_v, bend, slope, span)
+    loud = bool(np.std(slope) > 6.0 * _angle_noise(q) / float(np.median(width)))
+    if inverse == 0 or r2 < 0.5:
+        return Agreement(0.0, 0.0, 0.0, r2, False, loud)
+    return Agreement(1 / inverse, lead / inverse, -offset / inverse, r2, True, loud, spread / inverse**2)
 
 
-def _regress(slope: np.ndarray, bend: np.ndarray, target: np.ndarray) -> tuple[float, float, float, float]:
-    keep = np.ones(len(slope), bool)
-    design = np.stack([slope, bend, np.ones_like(slope)], axis=1)
+def _angle_noise(q: np.ndarray) -> float:
+    """Rough noise of an angle `q: [T]`, from its fourth difference and its resolution."""
+    change = np.abs(np.diff(q))
+    moved = change[change > 0]
+    return max(
+        float(np.median(np.abs(np.diff(q, 4)))) / 5.6, float(np.min(moved)) / 3.5 if len(moved) else 0.0
+    )
+
+
+def _regress(
+    first: np.ndarray, second: np.ndarray, target: np.ndarray, span: int
+) -> tuple[np.ndarray, float, float]:
+    """Trimmed least squares on both and a constant: coefficients `[3]`, std error of the first, R2."""
+    keep = np.ones(len(target), bool)
+    design = np.stack([first, second, np.ones_like(first)], axis=1)
     scale = np.maximum(np.std(design, axis=0), 1e-300)
     scale[2] = 1.0
     coef = np.zeros(3)
@@ -49,10 +71,11 @@ def _regress(slope: np.ndarray, bend: np.ndarray, target: np.ndarray) -> tuple[f
         coef = np.linalg.lstsq(design[keep] / scale, target[keep], rcond=None)[0]
         residual = np.abs(target - design / scale @ coef)
         keep = residual <= max(6.0 * 1.4826 * float(np.median(residual[keep])), 1e-12)
-    rest = target[keep] - design[keep] / scale @ coef
+    rest = float(np.var(target[keep] - design[keep] / scale @ coef))
     total = float(np.var(target[keep]))
-    gain, lag, offset = coef / scale
-    return float(gain), float(lag), float(offset), 1.0 - float(np.var(rest)) / total if total > 0 else 0.0
+    # Overlapping stretches repeat each other: one in `span` is independent.
+    spread = np.sqrt(rest * span / max(keep.sum(), 1)) / scale[0]
+    return coef / scale, float(spread), 1.0 - rest / total if total > 0 else 0.0
 
 
 def command_agreement(

@@ -8,7 +8,6 @@ against signal that leaks into the noise (impacts, stiction); quantisation sets 
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from adaptsim_jax.closeloop import smoother
 from adaptsim_jax.closeloop.audit import Audit
@@ -16,10 +15,12 @@ from adaptsim_jax.closeloop.trial import Recording, Trial
 
 WINDOW = 300
 """Samples a window: long enough to tell noise from motion, short enough for the motion to be of one kind."""
+COARSE = 0.0
+"""Log signal-to-noise ratio of one step above which a smoother prior (white snap) is tried as well."""
 ROUGH = 2.5
-"""Log signal-to-noise ratio above which white jerk is too rough a prior, and white snap is used."""
-UNRESOLVED = 5.0
-"""Log ratio above which the motion between two samples hides the noise: the estimate is a guess only."""
+"""Log ratio above which white jerk is too rough a prior for the sampling, and white snap is used."""
+APART = 1.4
+"""The two priors' estimates further apart than this: the motion between two samples hides the noise."""
 DISAGREE = 2.0
 """Declared and estimated noise further apart than this factor are reported, and the larger one is used."""
 
@@ -53,16 +54,16 @@ def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
     per_trial = {name: {c: f[0] for c, f in by.items()} for name, by in fits.items()}
     channels = sorted({c for by in per_trial.values() for c in by})
     smoothed = {c: float(np.median([by[c] for by in per_trial.values() if c in by])) for c in channels}
-    rough = {c: float(np.median([by[c][1] for by in fits.values() if c in by])) for c in channels}
+    hidden = {c: float(np.mean([by[c][1] for by in fits.values() if c in by])) > 0.5 for c in channels}
     repeats = _from_repeats(recording)
     std, sources, estimated, remarks = {}, {}, {}, []
     for c in channels:
         floor = audit.quantisation.get(c, 0.0) / np.sqrt(12.0)
         estimated[c] = max(repeats.get(c, smoothed[c]), floor, 1e-12)
         source = "repeats" if c in repeats else "smoothing"
-        std[c], sources[c], remark = _choose(c, recording.noise.get(c), estimated[c], source)
+        std[c], sources[c], remark = _choose(c, recording.noise.get(c), estimated[c], source, hidden[c])
         remarks += [remark] if remark else []
-    unresolved = tuple(c for c in channels if rough[c] > UNRESOLVED and sources[c] == "smoothing")
+    unresolved = tuple(c for c in channels if hidden[c] and sources[c] == "smoothing")
     if unresolved:
         remarks.append(f"sampling is too slow to tell noise from motion in {', '.join(unresolved)}")
     return NoiseFloor(
@@ -77,11 +78,13 @@ def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
     )
 
 
-def _choose(channel: str, declared: float | None, estimate: float, source: str) -> tuple[float, str, str]:
+def _choose(
+    channel: str, declared: float | None, estimate: float, source: str, hidden: bool
+) -> tuple[float, str, str]:
     """The noise to use, its source, and a remark where declared and estimated disagree."""
     if not declared:
         return estimate, source, ""
-    if 1 / DISAGREE <= estimate / declared <= DISAGREE:
+    if hidden or 1 / DISAGREE <= estimate / declared <= DISAGREE:
         return declared, "declared", ""
     used = max(estimate, declared)
     remark = f"{channel}: declared {declared:.3g}, the data show {estimate:.3g}; the larger is used"
@@ -101,25 +104,30 @@ def _channels(trial: Trial) -> dict[str, np.ndarray]:
 
 
 def _trial_fits(trial: Trial, valid: np.ndarray | None) -> dict[str, tuple[float, float]]:
-    """Channel -> (noise std, log ratio), medians over the trial's windows of valid rows."""
+    """Channel -> (noise std, share of windows that hide it) over the valid rows of the trial."""
     keep = np.ones(len(trial.time), bool) if valid is None or valid.sum() < 20 else valid
     time = trial.time[keep]
     return {c: estimate(time, y[keep]) for c, y in _channels(trial).items()}
 
 
 def estimate(time: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Noise std of one signal `y: [T]` at `time: [T]` s, and the log ratio that says how well resolved."""
+    """Noise std of one signal `y: [T]` at `time: [T]` s, and the share of its windows that hide the noise."""
     windows = np.array_split(np.arange(len(y)), max(1, len(y) // WINDOW))
     fits = [fit_window(time[w], y[w]) for w in windows]
     # A window at rest in a quantised channel shows no noise at all: it says nothing about the moving sensor.
-    seen = [f for f in fits if f.std > 0] or fits
-    return float(np.median([f.std for f in seen])), float(np.median([f.log_ratio for f in seen]))
+    seen = [f for f in fits if f[0] > 0] or fits
+    return float(np.median([std for std, _ in seen])), float(np.mean([hidden for _, hidden in seen]))
 
 
-def fit_window(time: np.ndarray, y: np.ndarray) -> smoother.Fit:
-    """White jerk, or white snap where the sampling is coarse for the motion."""
-    fit = smoother.fit_noise(time, y, 3)
-    return smoother.fit_noise(time, y, 4) if fit.log_ratio > ROUGH else fit
+def fit_window(time: np.ndarray, y: np.ndarray) -> tuple[float, bool]:
+    """Noise std of a short signal, and whether the motion hides it (then a guess between two priors)."""
+    jerk = smoother.fit_noise(time, y, 3)
+    if jerk.log_ratio < COARSE or jerk.std == 0:
+        return jerk.std, False
+    snap = smoother.fit_noise(time, y, 4)
+    if snap.std > APART * jerk.std:
+        return float(np.sqrt(snap.std * jerk.std)), True
+    return (snap.std if jerk.log_ratio > ROUGH else jerk.std), False
 
 
 def _from_repeats(recording: Recording) -> dict[str, float]:
@@ -219,7 +227,7 @@ def _level(time: np.ndarray, q: np.ndarray, std: float, order: int) -> float:
         _, factor, quad = smoother.posterior(prior, float(np.exp(log_ratio)), weights, data)
         return quad + order * (prior.size - 1) * log_ratio + 2.0 * float(np.sum(np.log(factor[0])))
 
-    return float(minimize_scalar(objective, bounds=(-18.0, 14.0), method="bounded", options={"xatol": 0.2}).x)
+    return smoother.minimise(objective, (-18.0, 14.0), 0.2)
 
 
 def _states(prior: smoother.Prior, q: np.ndarray, sq: float, v: np.ndarray | None, sv: float) -> np.ndarray:

@@ -7,7 +7,9 @@ and the precision matrix is block tridiagonal: cost O(T), no loop over time.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -105,6 +107,12 @@ def cost(prior: Prior, log_ratio: float, weights: list, data: list, count: int) 
     return dof * math.log(variance) + prior.order * (prior.size - 1) * log_ratio + logdet, variance
 
 
+def minimise(function: Callable[[float], float], bounds: tuple[float, float], tolerance: float) -> float:
+    """Where a function of one number is least within `bounds` (Brent)."""
+    found: Any = minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance})
+    return float(found.x)
+
+
 def detrend(time: np.ndarray, y: np.ndarray, order: int) -> np.ndarray:
     """`y` less its polynomial of degree `order - 1`, which the walk gives free: only rounding changes."""
     s = (time - time[0]) / (time[-1] - time[0]) * 2.0 - 1.0
@@ -125,6 +133,6 @@ def fit_noise(time: np.ndarray, y: np.ndarray, order: int) -> Fit:
     def objective(log_ratio: float) -> float:
         return cost(prior, log_ratio, weights, data, len(y))[0]
 
-    best = float(minimize_scalar(objective, bounds=LOG_RATIO, method="bounded", options={"xatol": 0.1}).x)
+    best = minimise(objective, LOG_RATIO, 0.1)
     variance = cost(prior, best, weights, data, len(y))[1]
     return Fit(scale * math.sqrt(variance), best, order)

@@ -44,7 +44,7 @@ CSV = csv_text(columns()).encode()
 
 
 def read_or_refuse(folder):
-    """All that comes before the fit works, or `BadInput` says so in one line that names a file of the folder."""
+    """What precedes the fit works, or `BadInput` is raised: one line that names a file of the folder."""
     try:
         recording = read_recording(folder)
     except BadInput as refused:
