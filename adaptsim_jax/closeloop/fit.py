@@ -7,7 +7,6 @@ mask of effects and every weighting of trials.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -51,12 +50,14 @@ class Problem(NamedTuple):
 
 
 class Point(NamedTuple):
-    """Where a fit stands, and the linearisation there. Gram `[W, C, C]` is of `[J_theta | J_active | J_x0 | r]`."""
+    """Where a fit stands, and the linearisation there: `jac [C-1, L+1, Y, W]` and the Gram matrices `[W, C, C]` of
+    `[J_theta | J_active | J_x0 | r]`, all in standard deviations."""
 
     theta: jax.Array
     eff: jax.Array
     x0: jax.Array  # [S, W]
     residual: jax.Array  # [L+1, Y, W]
+    jac: jax.Array
     gram: jax.Array
     window_cost: jax.Array  # [W]
     cost: jax.Array
@@ -65,7 +66,7 @@ class Point(NamedTuple):
 @dataclass(frozen=True)
 class FitResult:
     """theta `[P]`, eff `[E]`, x0 `[W, S]`; residual `[W, L+1, Y]` measured minus simulated in standard deviations;
-    cost `[W]` (half the robust sum of squares; half the sum where not robust).
+    cost `[W]` half the (robust) sum of squares; jac_shared `[W, (L+1) Y, G]`, jac_state `[W, (L+1) Y, S]` of the outputs.
 
     names: of the fitted parameters `[G]`; covariance `[G, G]` if the weights are right, sandwich `[G, G]` from the scatter
     of clusters (trials if there are at least 6, else windows); condition: of the scaled information; singular: directions
@@ -78,6 +79,8 @@ class FitResult:
     mask: np.ndarray
     residual: np.ndarray
     cost: np.ndarray
+    jac_shared: np.ndarray
+    jac_state: np.ndarray
     names: tuple[str, ...]
     covariance: np.ndarray
     sandwich: np.ndarray
@@ -133,7 +136,7 @@ def _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial
     active = np.concatenate([free_eff, np.full(MAX_ACTIVE - len(free_eff), -1)]).astype(int)
     free = np.array([n not in fixed for n in plant.theta_names]) & (np.asarray(plant.low) < np.asarray(plant.high))
     prior = prior or Prior(np.zeros(len(free) + layout.size), np.zeros(len(free) + layout.size))
-    pick = lambda a, b, spare: np.concatenate([a, np.where(active >= 0, np.append(b, spare)[active], spare)])  # noqa: E731
+    pick = lambda a, b, spare: np.concatenate([a, np.where(active >= 0, np.append(b, spare)[active], spare)])
     trials = windows.trials
     problem = Problem(
         windows, np.asarray(mask, bool), free, active,
@@ -144,7 +147,9 @@ def _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial
     )  # fmt: skip
     inside = np.clip(eff0, low, high)
     x0 = windows.start if x0 is None else np.asarray(x0)
-    return jax.tree.map(jnp.asarray, (problem, (np.clip(np.asarray(theta0, float), plant.low, plant.high), inside, x0.T)))
+    return jax.tree.map(
+        jnp.asarray, (problem, (np.clip(np.asarray(theta0, float), plant.low, plant.high), inside, x0.T))
+    )
 
 
 def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
@@ -157,7 +162,7 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
         on = model.layout.masked(eff, problem.mask)
         drive = driven(model, theta, on, problem.mask, windows)
         x, _ = trajectory(model, theta, on, drive, x0, windows.substeps)
-        return weight * measure(model, on, drive.time, x, measured.shape[1])
+        return weight * measure(model, on, problem.mask, drive.time, x, measured.shape[1])
 
     tangents = _tangents(problem, theta, eff, x0)
     y, push = jax.linearize(simulated, theta, eff, x0)
@@ -172,7 +177,7 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
     window_cost = jnp.where(size <= huber, 0.5 * jnp.square(residual), rho).sum((0, 1))
     z = jnp.concatenate([theta, eff[problem.active]])
     prior = 0.5 * jnp.sum(problem.prior_precision * jnp.square(z - problem.prior_mean))
-    return Point(theta, eff, x0, residual, gram, window_cost, _total(problem, window_cost) + prior)
+    return Point(theta, eff, x0, residual, jac, gram, window_cost, _total(problem, window_cost) + prior)
 
 
 def _total(problem: Problem, window_cost):
@@ -247,11 +252,20 @@ class _Loop(NamedTuple):
     code: jax.Array  # -1 while running
 
 
-@partial(jax.jit)
+def _nowhere(problem: Problem, theta, eff, x0) -> Point:
+    """A point of infinite cost from which the first step is zero: so the loop linearises in one place only, which halves
+    the compile time."""
+    length, channels = problem.windows.measured.shape[1:]
+    count, windows = len(problem.low) + x0.shape[0], x0.shape[1]
+    empty = lambda *shape: jnp.zeros(shape, x0.dtype)
+    jac, gram = empty(count, length, channels, windows), empty(windows, count + 1, count + 1)
+    cost = jnp.asarray(jnp.inf, x0.dtype)
+    return Point(theta, eff, x0, empty(length, channels, windows), jac, gram, empty(windows), cost)
+
+
+@jax.jit
 def _solve(model: Model, problem: Problem, start, settings: Settings):
     """Levenberg-Marquardt. A trial point is linearised at once, as most steps are taken."""
-    point = _linearise(model, problem, *start, settings.huber)
-    code = jnp.where(jnp.isfinite(point.cost), -1, 3)
 
     def body(loop: _Loop) -> _Loop:
         old = loop.point
@@ -259,8 +273,8 @@ def _solve(model: Model, problem: Problem, start, settings: Settings):
         new = _linearise(model, problem, old.theta + dtheta, old.eff + deff, old.x0 + dx0, settings.huber)
         good = jnp.isfinite(new.cost) & jnp.isfinite(new.gram).all() & (new.cost <= old.cost)
         fall = old.cost - new.cost
-        done = good & (fall <= settings.tolerance * old.cost)
-        stuck = ~good & (loop.damping > 1e6)
+        done = good & jnp.isfinite(old.cost) & (fall <= settings.tolerance * old.cost)
+        stuck = ~good & ((loop.damping > 1e6) | ~jnp.isfinite(old.cost))
         point = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
         damping = jnp.where(good, jnp.maximum(loop.damping * 0.1, 1e-9), jnp.maximum(loop.damping * 8.0, 1e-4))
         code = jnp.where(done, 0, jnp.where(stuck, 2, -1))
@@ -269,10 +283,12 @@ def _solve(model: Model, problem: Problem, start, settings: Settings):
     def running(loop: _Loop):
         return (loop.code < 0) & (loop.iteration < settings.iterations)
 
-    first = _Loop(point, jnp.asarray(1e-3, point.cost.dtype), jnp.asarray(0), code)
+    nowhere = _nowhere(problem, *start)
+    first = _Loop(nowhere, jnp.asarray(1e-3, nowhere.cost.dtype), jnp.asarray(-1), jnp.asarray(-1))
     last = jax.lax.while_loop(running, body, first)
     schur, _ = _reduced(problem, last.point, 0.0)
-    return last.point, (schur, last.iteration, jnp.where(last.code < 0, 1, last.code))
+    code = jnp.where(last.code < 0, 1, jnp.where(jnp.isfinite(last.point.cost), last.code, 3))
+    return last.point, (schur, last.iteration, code)
 
 
 def _result(model: Model, problem: Problem, point: Point, info) -> FitResult:
@@ -287,9 +303,11 @@ def _result(model: Model, problem: Problem, point: Point, info) -> FitResult:
     hess = schur.sum(0)[:g, :g] + np.diag(np.asarray(problem.prior_precision))
     hess, scores = hess[np.ix_(live, live)], schur[:, :g, g][:, live]
     covariance, sandwich, condition, singular = _uncertainty(hess, scores, trial, names)
+    jac = np.moveaxis(point.jac, (3, 0), (0, 3))  # [W, L+1, Y, C-1]
+    jac = jac.reshape(len(jac), -1, jac.shape[-1])
     return FitResult(
         point.theta, point.eff, point.x0.T, np.asarray(problem.mask), np.moveaxis(point.residual, -1, 0), point.window_cost,
-        names, covariance, sandwich, condition, singular, int(iterations), int(code),
+        jac[:, :, :g][:, :, live], jac[:, :, g:], names, covariance, sandwich, condition, singular, int(iterations), int(code),
     )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ def simulate(model: Model, theta, eff, mask, windows: Windows, x0) -> tuple[jax.
     eff = model.layout.masked(eff, mask)
     drive = driven(model, theta, eff, mask, windows)
     x, _ = trajectory(model, theta, eff, drive, x0.T, windows.substeps)
-    y = measure(model, eff, drive.time, x, windows.measured.shape[-1])
+    y = measure(model, eff, mask, drive.time, x, windows.measured.shape[-1])
     return jnp.moveaxis(y, -1, 0), jnp.moveaxis(x, -1, 0)
 
 
@@ -74,11 +74,14 @@ def trial_command(model: Model, eff, mask, windows: Windows) -> jax.Array:
     """The trials' torque with the command effects applied, `[T, U, N]` N m."""
     u = jnp.asarray(windows.torque).transpose(1, 2, 0)
     t = jnp.asarray(windows.time).T[:, None, :]
-    for effect in model.layout.placed("command"):
-        p = model.layout.params(effect, eff, 1)
-        on = _any(model, effect, mask)
-        u = jax.lax.cond(on, lambda u, p=p, e=effect: e.apply(p, t, u), lambda u: u, u)
-    return u
+    effects = list(model.layout.placed("command"))
+
+    def act(u):
+        for effect in effects:
+            u = effect.apply(model.layout.params(effect, eff, 1), t, u)
+        return u
+
+    return jax.lax.cond(_any(model, effects, mask), act, lambda u: u, u) if effects else u
 
 
 def gather_command(applied, windows: Windows, dt) -> jax.Array:
@@ -91,9 +94,9 @@ def gather_command(applied, windows: Windows, dt) -> jax.Array:
     return jnp.swapaxes(mean, 1, 2)
 
 
-def _any(model: Model, effect, mask):
-    """Whether any instance of the effect is on."""
-    picked = [i for i, instance in enumerate(model.layout.instances) if instance.effect is effect]
+def _any(model: Model, effects: list, mask):
+    """Whether any instance of the effects is on: a branch that is not taken costs nothing."""
+    picked = [i for i, instance in enumerate(model.layout.instances) if instance.effect in effects]
     return jnp.asarray(mask, bool)[jnp.array(picked)].any()
 
 
@@ -119,7 +122,7 @@ def _warm_memory(model: Model, theta, eff, mask, windows: Windows) -> tuple[jax.
         if effect.memory:
             p = model.layout.params(effect, eff, 1)
             zero = jnp.zeros((q.shape[1], len(first)), q.dtype)
-            on = _any(model, effect, mask)
+            on = _any(model, [effect], mask)
             out.append(jax.lax.cond(on, lambda p, e=effect: run(p, e), lambda p, z=zero: z, p))
     return tuple(out)
 
@@ -203,11 +206,17 @@ def trajectory(model: Model, theta, eff, drive: Drive, x0, substeps: int):
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), seen, last)
 
 
-def measure(model: Model, eff, time, x, channels: int) -> jax.Array:
+def measure(model: Model, eff, mask, time, x, channels: int) -> jax.Array:
     """What the sensors say `[L+1, Y, W]` of states `[L+1, S, W]`; only the first `channels` outputs are kept."""
     n = model.plant.joint_dim
+    effects = list(model.layout.placed("measurement"))
     y = jax.vmap(model.plant.output)(x)
-    q, v = y[:, :n], y[:, n:]
-    for effect in model.layout.placed("measurement"):
-        q, v = effect.apply(model.layout.params(effect, eff, 1), time[:, None, :], q, v)
-    return jnp.concatenate([q, v], 1)[:, :channels]
+
+    def act(y):
+        q, v = y[:, :n], y[:, n:]
+        for effect in effects:
+            q, v = effect.apply(model.layout.params(effect, eff, 1), time[:, None, :], q, v)
+        return jnp.concatenate([q, v], 1)
+
+    y = jax.lax.cond(_any(model, effects, mask), act, lambda y: y, y) if effects else y
+    return y[:, :channels]

@@ -107,7 +107,7 @@ def cut_windows(
     )
     rest = (-len(rows)) % pad_windows
     widest = max(float(np.diff(t.time[p], axis=1).max()) for t, p in zip(trials, places, strict=True))
-    pad = lambda z: np.concatenate([z, np.zeros((rest, *z.shape[1:]), z.dtype)])  # noqa: E731
+    pad = lambda z: np.concatenate([z, np.zeros((rest, *z.shape[1:]), z.dtype)])
     return Windows(
         *_stacked(trials, motions),
         trial=pad(trial),

@@ -42,7 +42,9 @@ def _integral_at(t, u, integral, at):
     """Running integral of the held command at times `at`; before the first row its value is held."""
 
     def one(t, u, integral, at):
-        row = jnp.clip(jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 1)  # left: a knot belongs to the row before
+        row = jnp.clip(
+            jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 1
+        )  # left: a knot belongs to the row before
         return integral[row] + u[row] * (at - t[row])
 
     flat = [z.reshape(z.shape[0], -1) for z in (t, u, integral, at)]

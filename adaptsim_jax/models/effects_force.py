@@ -93,7 +93,9 @@ def _stops(reach, joint):
 
 def _deflections(reach, joint):
     span = float(reach.q_high[joint] - reach.q_low[joint])
-    return [{"deflection": d} for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [{"deflection": 0.1 * span + 1e-4}]
+    return [{"deflection": d} for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [
+        {"deflection": 0.1 * span + 1e-4}
+    ]
 
 
 def _decays(reach, joint):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from adaptsim_jax.errors import BadInput
 
@@ -92,7 +93,9 @@ class Plant:
         columns = [solve_mass(mass, zero, eye[i] + zero)[i] for i in range(n)]
         return 1.0 / jnp.stack(columns)
 
-    def initial_theta(self, motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], interval: float = 0.1):
+    def initial_theta(
+        self, motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], interval: float = 0.1
+    ):
         """Start value `[P]` by linear regression on momentum balances over `interval` s.
 
         motions: per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances over intervals need no
@@ -141,16 +144,9 @@ def solve_mass(mass: jax.Array, inertia: jax.Array, total: jax.Array) -> jax.Arr
 def _balances(plant: Plant, time, q, v, torque, interval: float):
     """Momentum balances over consecutive intervals: `[R * n, P]` and `[R * n]` (impulse, N m s)."""
     with jax.enable_x64(True):
-        theta0 = jnp.zeros(len(plant.theta_names))
-        qT, vT = jnp.asarray(q.T), jnp.asarray(v.T)
-
-        def sides(theta):
-            mass = plant.mass(plant.constants, theta, qT)
-            momentum = jnp.einsum("ij...,j...->i...", mass, vT)
-            return momentum, plant.momentum_push(plant.constants, theta, qT, vT)
-
-        momentum, push = jax.jacfwd(sides)(theta0)  # linear in theta: [n, T, P]
-    momentum, push = np.asarray(momentum), np.asarray(push)
+        short = -len(time) % 256  # padded, so that trials of like length share a program
+        padded = (np.pad(z.T, ((0, 0), (0, short))) for z in (q, v))
+        momentum, push = (np.asarray(z)[:, : len(time)] for z in _momentum_columns(plant, *padded))
     dt = np.diff(time)
     pushed = np.concatenate(
         [np.zeros_like(push[:, :1]), np.cumsum(0.5 * (push[:, 1:] + push[:, :-1]) * dt[None, :, None], 1)], 1
@@ -162,9 +158,18 @@ def _balances(plant: Plant, time, q, v, torque, interval: float):
     return design.reshape(-1, design.shape[-1]), np.diff(impulse[:, cut], axis=1).reshape(-1)
 
 
-def _bounded_regression(design: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    from scipy.optimize import lsq_linear
+@jax.jit
+def _momentum_columns(plant: Plant, q, v):
+    """Momentum and push per unit of each theta, `[n, T, P]` each: both are linear in theta."""
 
+    def sides(theta):
+        momentum = jnp.einsum("ij...,j...->i...", plant.mass(plant.constants, theta, q), v)
+        return momentum, plant.momentum_push(plant.constants, theta, q, v)
+
+    return jax.jacfwd(sides)(jnp.zeros(len(plant.theta_names), q.dtype))
+
+
+def _bounded_regression(design: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     fixed = low == high
     rest = target - design[:, fixed] @ low[fixed]
     scale = np.linalg.norm(design[:, ~fixed], axis=0) + 1e-30

@@ -1,0 +1,223 @@
+"""Atoms: every candidate effect at fixed shapes, for which it acts in proportion to an amplitude.
+
+A jump effect (a dead zone, a delay) is not proportional to its size: its atom is the change that one size makes, per
+unit of size. Several atoms of one effect at one place are its shape grid; the best of them starts the full fit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.closeloop.score import Atom
+from adaptsim_jax.closeloop.simulate import Model, gather_command, measure, trial_command
+from adaptsim_jax.closeloop.windows import Windows
+from adaptsim_jax.models.effects import Effect, Layout, Motion, Reach
+from adaptsim_jax.models.plant import Plant
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of all atoms, grouped by effect. joint `[K_e]` and params `[K_e, n_params]` per effect are traced;
+    counts are padded to a multiple of 8, so that programs repeat. Measurement effects come last."""
+
+    joint: tuple[jax.Array, ...]
+    params: tuple[jax.Array, ...]
+    effects: tuple[Effect, ...]
+    counts: tuple[int, ...] = ()
+    atoms: tuple[Atom, ...] = ()
+
+    def trim(self, groups: Sequence[np.ndarray], measured: bool) -> list[np.ndarray]:
+        """Groups of one kind (force and command, or measurement) without their padding."""
+        counts = [c for c, e in zip(self.counts, self.effects, strict=True) if (e.place == "measurement") == measured]
+        return [np.asarray(g)[:c] for g, c in zip(groups, counts, strict=True)]
+
+
+def _flatten(c: Columns):
+    return (c.joint, c.params), (c.effects, tuple(len(j) for j in c.joint))
+
+
+jax.tree_util.register_pytree_node(Columns, _flatten, lambda aux, kids: Columns(kids[0], kids[1], aux[0]))
+
+
+def columns_of(layout: Layout, reach: Reach, names: Sequence[str] | None = None) -> Columns:
+    """Columns and atoms of all instances (or those of the named effects) at the shapes of their grids."""
+    groups: dict[str, list] = {}
+    wanted = [i for i in layout.instances if names is None or i.effect.name in names]
+    wanted.sort(key=lambda i: i.effect.place == "measurement")
+    atoms, at = [], 0
+    order = list(dict.fromkeys(i.effect for i in wanted))
+    for instance in wanted:
+        effect = instance.effect
+        for shape in effect.grid_points(reach, instance.joint):
+            rows = _unit_params(effect, shape)
+            groups.setdefault(effect.name, []).extend((instance.joint, row) for row in rows)
+    for effect in order:
+        for instance in (i for i in wanted if i.effect is effect):
+            for shape in effect.grid_points(reach, instance.joint):
+                size = len(_unit_params(effect, shape))
+                sign = 1 if effect.jump and effect.amplitudes[0].low >= 0 else effect.amplitudes[0].sign
+                atoms.append(Atom(effect.name, instance.where, dict(shape), tuple(range(at, at + size)), sign))
+                at += size
+    joint, params, counts = [], [], []
+    for effect in order:
+        rows = groups[effect.name]
+        padded = rows + [rows[-1]] * (-len(rows) % 8)
+        joint.append(np.array([j for j, _ in padded], np.int32))
+        params.append(np.array([p for _, p in padded], float))
+        counts.append(len(rows))
+    return Columns(tuple(joint), tuple(params), tuple(order), tuple(counts), tuple(atoms))
+
+
+def _unit_params(effect: Effect, shape: dict[str, float]) -> list[list[float]]:
+    """Parameter rows, one a column: each amplitude at one in turn; a jump at its size."""
+    value = {p.name: shape.get(p.name, p.default if p.off is None else p.off) for p in effect.parameters}
+    if effect.jump:
+        return [[value[p.name] for p in effect.parameters]]
+    rows = [value | {a.name: 1.0 if a is b else a.off for a in effect.amplitudes} for b in effect.amplitudes]
+    return [[row[p.name] for p in effect.parameters] for row in rows]
+
+
+def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
+    """What the data cover: peaks and quantiles over all trials, and inertias at the middle of travel."""
+    last = windows.time.argmax(1)
+    live = np.arange(windows.time.shape[1])[None] <= last[:, None]
+    q, v, u = (z[live] for z in (windows.motion_q, windows.motion_v, np.abs(windows.torque)))
+    with jax.enable_x64(True):
+        inertia = np.asarray(plant.inertia_at(jnp.asarray(theta), jnp.asarray(np.median(q, 0))[:, None]))[:, 0]
+    torque = np.quantile(u, 0.998, axis=0)
+    torque = np.maximum(torque, 0.05 * torque.max() + 1e-6)
+    return Reach(
+        torque, np.maximum(np.quantile(np.abs(v), 0.9, axis=0), 0.05), *np.quantile(q, [0.005, 0.995], axis=0), float(windows.time.max()),
+        float(np.median(windows.dt[windows.dt > 0])), inertia,
+    )  # fmt: skip
+
+
+def _named(effect: Effect, row) -> dict:
+    return {p.name: row[k] for k, p in enumerate(effect.parameters)}
+
+
+def force_rows(model: Model, theta, eff, mask, windows: Windows, drive, x, columns: Columns):
+    """Mean force of every force and command column over each row, N m per unit amplitude: a `[K_e, W, n, L]` (float32) for
+    each effect, padding included (`Columns.trim`)."""
+    out = []
+    for joint, params, effect in zip(columns.joint, columns.params, columns.effects, strict=True):
+        if effect.place == "measurement":
+            continue
+        if effect.place == "command":
+            one = _command_rows(model, eff, mask, windows, drive, effect)
+        elif effect.inertia:
+            one = _inertia_rows(model, drive, x)
+        elif effect.memory:
+            one = _memory_rows(model, theta, windows, effect)
+        else:
+            one = _force_rows(model, theta, drive, x, effect)
+        out.append(jax.lax.map(lambda jp, f=one: f(*jp).astype(jnp.float32), (joint, params), batch_size=8))
+    return tuple(out)
+
+
+def _spread(force, joint, joints: int):
+    """`[..., 1 or n, L, W]` to `[W, n, L]`, on its own joint."""
+    if force.shape[0] == 1:
+        force = force * (jnp.arange(joints) == joint)[:, None, None]
+    return force.transpose(2, 0, 1)
+
+
+def _force_rows(model: Model, theta, drive, x, effect: Effect):
+    """Trapezoid of the force at a row's two ends, under that row's command."""
+    n = model.plant.joint_dim
+    q, v = x[:, :n].transpose(1, 0, 2), x[:, n:].transpose(1, 0, 2)  # [n, L+1, W]
+    u = drive.u.transpose(1, 0, 2)
+    sign_speed = jnp.asarray(model.sign_speed)
+    gravity = lambda q: model.plant.gravity_force(theta, q)
+
+    def at(p, pick, rows, time):
+        args = [pick(z) for z in (q[:, rows], v[:, rows], u)]
+        return effect.apply(p, Motion(*args, time, jnp.zeros_like(args[0]), gravity, pick(sign_speed)[:, None, None]))
+
+    def one(joint, row):
+        pick = (lambda z: z) if effect.scope == "base" else (lambda z: z[joint][None])
+        p = _named(effect, row)
+        mean = 0.5 * (at(p, pick, slice(None, -1), drive.time[:-1]) + at(p, pick, slice(1, None), drive.time[1:]))
+        return _spread(mean, joint, n)
+
+    return one
+
+
+def _inertia_rows(model: Model, drive, x):
+    n = model.plant.joint_dim
+    accel = jnp.diff(x[:, n:], axis=0) / jnp.where(drive.dt > 0, drive.dt, 1.0)[:, None]
+
+    def one(joint, row):
+        return _spread(-row[0] * accel[:, joint][None], joint, n)
+
+    return one
+
+
+def _memory_rows(model: Model, theta, windows: Windows, effect: Effect):
+    """A force with memory, run along the measured motion of whole trials."""
+    n = model.plant.joint_dim
+    trial = lambda z: jnp.asarray(z).transpose(2, 1, 0)
+    q, v, u = trial(windows.motion_q), trial(windows.motion_v), trial(windows.torque)
+    time = jnp.asarray(windows.time).T
+    h = jnp.concatenate([jnp.diff(time, axis=0), jnp.zeros_like(time[:1])])
+    sign_speed = jnp.asarray(model.sign_speed)
+    gravity = lambda q: model.plant.gravity_force(theta, q)
+
+    def one(joint, row):
+        p = _named(effect, row)
+        width = sign_speed[joint]
+
+        def step(w, now):
+            q, v, u, t, h = now
+            answer = effect.apply(p, Motion(q, v, u, t, w, gravity, width))
+            return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h), answer.force
+
+        _, force = jax.lax.scan(step, jnp.zeros_like(q[0, 0]), (q[joint], v[joint], u[joint], time, h))
+        ends = force[windows.rows.T, windows.trial[None]]  # [L+1, W]
+        return _spread(0.5 * (ends[:-1] + ends[1:])[None], joint, n)
+
+    return one
+
+
+def _command_rows(model: Model, eff, mask, windows: Windows, drive, effect: Effect):
+    """Change of the command, per unit of size, on top of the command effects that already act."""
+    now = trial_command(model, eff, mask, windows)
+    t = jnp.asarray(windows.time).T
+    size = [k for k, p in enumerate(effect.parameters) if p.off is not None][0]
+    off = effect.parameters[size].off or 0.0
+
+    def one(joint, row):
+        u = now[:, joint]
+        change = (effect.apply(_named(effect, row), t, u) - u) / (row[size] - off)
+        rows = gather_command(change[:, None], windows, drive.dt)  # [L, 1, W]
+        return _spread(rows.transpose(1, 0, 2), joint, model.plant.joint_dim)
+
+    return one
+
+
+def measured_change(model: Model, eff, mask, drive, x, columns: Columns, weight):
+    """Weighted change of the outputs of every measurement column `[K, W, (L+1) Y]` (float32) per unit of size."""
+    n, channels = model.plant.joint_dim, weight.shape[1]
+    now = measure(model, eff, mask, drive.time, x, 2 * n)
+    out = []
+    for joint, params, effect in zip(columns.joint, columns.params, columns.effects, strict=True):
+        if effect.place != "measurement":
+            continue
+        size = [k for k, p in enumerate(effect.parameters) if p.off is not None][0]
+        off = effect.parameters[size].off or 0.0
+
+        def one(jp, effect=effect, size=size, off=off):
+            joint, row = jp
+            q, v = now[:, joint], now[:, n + joint]
+            new_q, new_v = effect.apply(_named(effect, row), drive.time, q, v)
+            scale = 1.0 / (row[size] - off)
+            own = jnp.arange(n) == joint
+            dq, dv = ((z * scale)[:, None] * own[None, :, None] for z in (new_q - q, new_v - v))
+            dy = jnp.concatenate([dq, dv], 1)[:, :channels] * weight
+            return dy.transpose(2, 0, 1).reshape(dy.shape[2], -1).astype(jnp.float32)
+
+        out.append(jax.lax.map(one, (joint, params), batch_size=8))
+    return tuple(out)

@@ -1,0 +1,168 @@
+"""What every candidate would do to the measured outputs along a fitted trajectory: its signature.
+
+The response to a small force held over one row follows from the linearised row map alone, so it is computed once; the
+signature of any force is then a matrix product, and hundreds of candidates cost little. Commands enter as forces, an
+extra inertia as minus itself times the acceleration, and measurement effects act on the outputs directly.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.closeloop.atoms import Columns, columns_of, force_rows, measured_change
+from adaptsim_jax.closeloop.disturbance import Linearised
+from adaptsim_jax.closeloop.fit import FitResult
+from adaptsim_jax.closeloop.score import Atom
+from adaptsim_jax.closeloop.simulate import Model, Push, driven, measure, row_step, trajectory
+from adaptsim_jax.closeloop.windows import Windows
+from adaptsim_jax.models.effects import Reach
+
+
+@dataclass(frozen=True)
+class Path:
+    """A fitted trajectory, windows first: time, dt as `[W, L+1]`, `[W, L]` s; x `[W, L+1, S]`; u `[W, L, U]` N m; residual
+    force response `impulse [W, (L+1) Y, n, L]` in standard deviations per N m held over a row."""
+
+    time: np.ndarray
+    dt: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
+    impulse: np.ndarray
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Candidates and their columns in `lin.atoms`; `path` is where they were computed."""
+
+    atoms: tuple[Atom, ...]
+    lin: Linearised
+    path: Path
+
+
+def signatures(
+    model: Model,
+    result: FitResult,
+    windows: Windows,
+    reach: Reach,
+    *,
+    effects: Sequence[str] | None = None,
+    basis: Callable[[Path], np.ndarray] | None = None,
+) -> Signatures:
+    """Linearise about `result` and give the signature of every instance at every shape on its grid.
+
+    effects: names to include (all where None). basis: `path -> [K', W, n, L]` more force columns (`generic_forces`), named
+    `generic` and placed after the catalogue's. Effects already in the fit stay in it and are linearised about.
+    """
+    columns = columns_of(model.layout, reach, effects)
+    with jax.enable_x64(True):
+        args = jax.tree.map(jnp.asarray, (windows, result.theta, result.eff, result.mask, result.x0))
+        path, rows, change = _signatures(model, *args, columns)
+    path = Path(*(np.asarray(z) for z in path))
+    parts = [_respond(path.impulse, group) for group in columns.trim(rows, False)]
+    parts += [np.moveaxis(group, 0, -1) for group in columns.trim(change, True)]
+    atoms = columns.atoms
+    if basis is not None:
+        extra = basis(path)
+        first = sum(p.shape[2] for p in parts)
+        atoms += tuple(Atom("generic", "", {"term": float(i)}, (first + i,)) for i in range(len(extra)))
+        parts.append(_respond(path.impulse, extra))
+    return Signatures(atoms, _linearised(result, windows, path, np.concatenate(parts, 2)), path)
+
+
+def _respond(impulse: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Output change `[W, M, K]` of force rows `[K, W, n, L]`."""
+    count, windows = rows.shape[:2]
+    flat = np.ascontiguousarray(rows.reshape(count, windows, -1).transpose(1, 2, 0), np.float32)
+    return impulse.reshape(windows, impulse.shape[1], -1) @ flat
+
+
+def _linearised(result: FitResult, windows: Windows, path: Path, atoms: np.ndarray) -> Linearised:
+    count, length, channels = windows.measured.shape
+    flat = lambda z: np.asarray(z).reshape(count, length * channels, *z.shape[3:])
+    return Linearised(
+        residual=flat(result.residual),
+        jac_state=result.jac_state,
+        jac_theta=result.jac_shared,
+        atoms=atoms,
+        impulse=path.impulse,
+        dt=path.dt,
+        channel=np.tile(np.arange(channels), length),
+        trial=np.asarray(windows.trial),
+        used=flat(windows.weight) > 0,
+    )
+
+
+@jax.jit
+def _signatures(model: Model, windows: Windows, theta, eff, mask, x0, columns: Columns):
+    eff = model.layout.masked(eff, mask)
+    drive = driven(model, theta, eff, mask, windows)
+    x, memory = trajectory(model, theta, eff, drive, x0.T, windows.substeps)
+    weight = jnp.asarray(windows.weight).transpose(1, 2, 0)
+    phi, gamma = _row_maps(model, theta, eff, drive, x, memory, windows.substeps)
+    impulse = _impulse(model, eff, mask, drive, x, phi, gamma, weight)
+    rows = force_rows(model, theta, eff, mask, windows, drive, x, columns)
+    change = measured_change(model, eff, mask, drive, x, columns, weight)
+    first = lambda z: jnp.moveaxis(z, -1, 0)
+    path = (drive.time.T, drive.dt.T, first(x), first(drive.u), impulse)
+    return path, rows, change
+
+
+def _row_maps(model: Model, theta, eff, drive, x, memory, substeps: int):
+    """Derivatives of each row's end state by its start `[L, S, S, W]` and by a held force `[L, S, n, W]`.
+
+    All rows are independent given the trajectory, so they are one batch. Memories are held: their own change with the
+    motion is second order in what is added.
+    """
+    length, states, windows = drive.dt.shape[0], x.shape[1], x.shape[2]
+    joints = model.plant.joint_dim
+    batch = lambda z: jnp.moveaxis(z, 0, -2).reshape(*z.shape[1:-1], length * windows)
+    start, u, t, dt = batch(x[:-1]), batch(drive.u), batch(drive.time[:-1]), batch(drive.dt)
+    memory = tuple(batch(w[:-1]) for w in memory)
+    zero = jnp.zeros((joints, length * windows), x.dtype)
+
+    def end(x, force):
+        return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps)[0]
+
+    _, push = jax.linearize(end, start, zero)
+    eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((length * windows,), x.dtype)
+    maps = jax.vmap(push)(eye[:, :states], eye[:, states:])  # [S + n, S, L W]
+    maps = maps.reshape(states + joints, states, length, windows).transpose(2, 1, 0, 3)
+    return maps[:, :, :states], maps[:, :, states:]
+
+
+def _impulse(model: Model, eff, mask, drive, x, phi, gamma, weight):
+    """Weighted response `[W, (L+1) Y, n, L]` (float32) to a unit force at each joint held over each row."""
+    length, states, joints, windows = gamma.shape
+    channels = weight.shape[1]
+
+    def row(dx, now):
+        phi, gamma, i = now
+        new = sum(phi[:, s, :, None, None] * dx[s] for s in range(states))
+        new = new + jnp.moveaxis(gamma, 2, 1)[..., None] * (jnp.arange(length) == i)
+        return new, new
+
+    zero = jnp.zeros((states, windows, joints, length), x.dtype)
+    _, dx = jax.lax.scan(row, zero, (phi, gamma, jnp.arange(length)))
+    dx = jnp.concatenate([zero[None], dx])  # [L+1, S, W, n, L]
+    dy = _sensed(model, eff, mask, drive, x, dx, channels)
+    dy = dy * weight[:, :, :, None, None]
+    return dy.transpose(2, 0, 1, 3, 4).reshape(windows, -1, joints, length).astype(jnp.float32)
+
+
+def _sensed(model: Model, eff, mask, drive, x, dx, channels: int):
+    """What the sensors make of a change of state `[L+1, S, W, ...]`; linear, and the identity where none acts."""
+    if not list(model.layout.placed("measurement")):
+        return jax.vmap(model.plant.output)(dx)[:, :channels]
+    shape = dx.shape[3:]
+    flat = jnp.moveaxis(dx.reshape(*dx.shape[:3], -1), -1, 0)
+    on = jnp.asarray(mask, bool)[
+        jnp.array([i for i, k in enumerate(model.layout.instances) if k.effect.place == "measurement"])
+    ].any()
+    see = lambda x: measure(model, eff, mask, drive.time, x, channels)
+    through = lambda d: jax.lax.map(lambda z: jax.jvp(see, (x,), (z,))[1], d, batch_size=32)
+    plain = lambda d: jax.vmap(jax.vmap(model.plant.output))(d)[:, :, :channels]
+    dy = jax.lax.cond(on, through, plain, flat)
+    return jnp.moveaxis(dy, 0, -1).reshape(*dy.shape[1:], *shape)
