@@ -132,9 +132,7 @@ def _declared_only(error: Mapping) -> dict[str, Any]:
 def _error_rows(error: Mapping) -> list[dict[str, Any]]:
     rows = [{"name": f"overall ({error['metric']})", "unit": error["unit"], "pair": error}]
     for channel, pair in error["per_channel"].items():
-        rows.append(
-            {"name": channel, "unit": pair.get("unit") or figures.channel_unit(channel), "pair": pair}
-        )
+        rows.append({"name": channel, "unit": pair.get("unit") or figures.channel_unit(channel), "pair": pair})
     for row in rows:
         pair, unit = row["pair"], row["unit"]
         like = max(pair.get("before") or 0.0, pair.get("after") or 0.0)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report.diagnosis_svg import AFTER, BEFORE, CEILING, FLOOR, INK, MEASURED, MUTED, quiet, thin
+from adaptsim_jax.report.diagnosis_words import plain
 
 Paint = Callable[[Figure], None]
 UNITS = {"q": "rad", "v": "rad/s", "tau": "N·m"}
@@ -101,7 +102,7 @@ def regressor(found: Mapping, unit: str = "N m") -> Paint:
             ax.plot(found["curve_x"], factor * np.asarray(found["curve_y"]), color=AFTER, linewidth=2.2)
         ax.axhline(0, color=MUTED, linewidth=0.7)
         ax.set(
-            xlabel=found.get("x_label", ""), ylabel=f"unmodelled torque, {name}", title=f"at {found['where']}"
+            xlabel=found.get("x_label", ""), ylabel=f"unmodelled torque, {name}", title=f"at {plain(found['where'])}"
         )
         _robust_limits(ax, factor * y)
         quiet(ax)
@@ -126,7 +127,7 @@ def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
         )
         ax.plot(time, factor * value, color=BEFORE, linewidth=1.2)
         ax.axhline(0, color=MUTED, linewidth=0.7)
-        ax.set(title=f"unmodelled torque at {row['joint']}", xlabel="time, s", ylabel=name)
+        ax.set(title=f"unmodelled torque at {plain(row['joint'])}", xlabel="time, s", ylabel=name)
         _robust_limits(ax, factor * value)
         quiet(ax)
 
@@ -146,7 +147,7 @@ def spectrum(joint: str, row: Mapping) -> Paint:
                 ax.set_yscale("log")
                 ax.yaxis.set_major_formatter(lambda value, _: fmt.power_of_ten(value))
                 ax.plot(frequency[power > 0], power[power > 0], color=colour, linewidth=1.2)
-        ax.set(title=f"residual spectrum at {joint}", xlabel="frequency, Hz", ylabel="power")
+        ax.set(title=f"residual spectrum at {plain(joint)}", xlabel="frequency, Hz", ylabel="power")
         ax.locator_params(axis="x", nbins=6)
         ax.tick_params(length=3)
         ax.minorticks_off()
@@ -212,9 +213,7 @@ def _binned(x: np.ndarray, y: np.ndarray, bins: int = 24) -> tuple[np.ndarray, n
         return x[:0], y[:0]
     index = np.clip((bins * (x - x.min()) / np.ptp(x)).astype(int), 0, bins - 1)
     full = [i for i in range(bins) if np.sum(index == i) >= 5]
-    return np.array([np.median(x[index == i]) for i in full]), np.array(
-        [np.median(y[index == i]) for i in full]
-    )
+    return np.array([np.median(x[index == i]) for i in full]), np.array([np.median(y[index == i]) for i in full])
 
 
 def _largest(*columns: np.ndarray) -> float:

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 
 DASH = "\u2013"
 MINUS = "\u2212"
-_SUPERSCRIPT = str.maketrans(
-    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
-)
+_SUPERSCRIPT = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 _PREFIXED = ("rad", "N", "s", "m", "V", "A", "W", "J")
 """First symbols that take a milli or a micro in front. kg does not: g and mg would hide the base unit."""
 

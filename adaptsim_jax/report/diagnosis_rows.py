@@ -137,7 +137,6 @@ def audit_rows(evidence: Mapping) -> list[dict[str, str]]:
     """Findings, faults first."""
     order = {"fault": 0, "error": 0, "warning": 1}
     rows = [
-        {key: str(row.get(key, "")) for key in ("severity", "where", "message")}
-        for row in evidence.get("audit") or []
+        {key: str(row.get(key, "")) for key in ("severity", "where", "message")} for row in evidence.get("audit") or []
     ]
     return sorted(rows, key=lambda row: order.get(row["severity"], 2))

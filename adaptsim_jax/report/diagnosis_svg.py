@@ -92,9 +92,7 @@ def themed(svg: str, label: str) -> str:
     svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     head = re.search(r'viewBox="[^"]*"', svg)
     box = head.group() if head else ""
-    opening = (
-        f'<svg {box} role="img" aria-label="{_attribute(label)}" xmlns:xlink="http://www.w3.org/1999/xlink">'
-    )
+    opening = f'<svg {box} role="img" aria-label="{_attribute(label)}" xmlns:xlink="http://www.w3.org/1999/xlink">'
     return re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1)
 
 

@@ -82,20 +82,12 @@ def headline(report: Mapping) -> str:
     if verdict == "explained_class":
         return f"The declared model lacks {names}; these trials cannot tell which." if names else ""
     if verdict == "confounded_with_declared":
-        suspects = [effect_name(row) for row in report["candidates"] if status(row, report) == "confounded"][
-            :3
-        ]
+        suspects = [effect_name(row) for row in report["candidates"] if status(row, report) == "confounded"][:3]
         what = names or fmt.listing(suspects, "or") or "an effect"
         return f"{what[:1].upper()}{what[1:]} cannot be told from the declared parameters."
     if verdict == "structured_unattributed":
-        found = (
-            f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
-        )
-        return (
-            f"{found} something more that no candidate explains."
-            if names
-            else f"{found} no candidate explains it."
-        )
+        found = f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
+        return f"{found} something more that no candidate explains." if names else f"{found} no candidate explains it."
     return {
         "within_noise": "The declared model explains these data to within the noise.",
         "underpowered": "These data cannot decide whether the declared model is complete.",
@@ -142,9 +134,7 @@ def not_established(report: Mapping) -> list[str]:
             f"these motions show only {'a combination of it with others' if one else 'combinations of them'}."
         )
     if report["verdict"] in ("explained", "explained_class", "within_noise", "structured_unattributed"):
-        lines.append(
-            "Anything outside the speeds, angles, loads and frequencies of these trials, or on another rig."
-        )
+        lines.append("Anything outside the speeds, angles, loads and frequencies of these trials, or on another rig.")
     if report["verdict"] == "within_noise":
         lines.append("That no effect exists: only that none shows above the noise here.")
     return list(dict.fromkeys(lines))
@@ -160,9 +150,7 @@ def todo(report: Mapping, plan: Mapping | None) -> str:
     """What to do now; it points to the next experiment where there is one."""
     there = report.get("next_experiment") or plan
     nameless = report["verdict"] in ("within_noise", "data_fault")
-    return NEXT[report["verdict"]] + (
-        " The next experiment below is made for it." if there and not nameless else ""
-    )
+    return NEXT[report["verdict"]] + (" See the next experiment below." if there and not nameless else "")
 
 
 def next_words(report: Mapping, plan: Mapping | None) -> str:
@@ -175,6 +163,4 @@ def next_words(report: Mapping, plan: Mapping | None) -> str:
             if isinstance(given.get(key), str) and given[key].strip():
                 return given[key]
     names = (plan or {}).get("separates") or (given.get("separates") if isinstance(given, Mapping) else None)
-    return (
-        f"Commanded torques chosen to tell {fmt.listing([plain(n) for n in names])} apart." if names else ""
-    )
+    return f"Commanded torques chosen to tell {fmt.listing([plain(n) for n in names])} apart." if names else ""

@@ -172,9 +172,7 @@ def test_every_evidence_key_may_come_alone():
 def test_poor_evidence_is_drawn_without_a_warning():
     empty, gaps = np.zeros(0), np.full(50, np.nan)
     bad = {
-        "held_out": [
-            {"trial": "a", "time": np.arange(50.0), "measured": {"q1": gaps}, "before": {}, "after": None}
-        ],
+        "held_out": [{"trial": "a", "time": np.arange(50.0), "measured": {"q1": gaps}, "before": {}, "after": None}],
         "residual_torque": [{"joint": "joint1", "time": empty, "value": empty}],
         "regressor": {"where": "joint1", "x": gaps, "y": gaps},
         "leftover": [{"joint": "joint1", "variable": "time", "share": 0.2, "p_value": None}],
