@@ -135,9 +135,7 @@ def _suite(name: str, rs: list[dict]) -> dict:
     if name == "power":
         out["right_by_size"] = by(rs, "multiple", lambda r: all(r["hits"]))
     if name == "outside":
-        out["unattributed"] = share(
-            rs, lambda r: r["verdict"] == "structured_unattributed" and not r["named"]
-        )
+        out["unattributed"] = share(rs, lambda r: r["verdict"] == "structured_unattributed" and not r["named"])
     if name == "two":
         out["both"] = share(rs, lambda r: all(r["hits"]))
         out["at_least_one"] = share(rs, lambda r: any(r["hits"]))
@@ -190,8 +188,6 @@ def table(results: dict) -> str:
                 lines.append(f"| {key} | {value} |")
         if "confusion" in r:
             lines += ["", "| hidden | said |", "| --- | --- |"]
-            lines += [
-                f"| {h} | {', '.join(f'{k} {v}' for k, v in s.items())} |" for h, s in r["confusion"].items()
-            ]
+            lines += [f"| {h} | {', '.join(f'{k} {v}' for k, v in s.items())} |" for h, s in r["confusion"].items()]
         lines.append("")
     return "\n".join(lines)

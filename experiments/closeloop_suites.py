@@ -77,9 +77,7 @@ def main() -> None:
     p.add_argument("--out", type=Path, required=True)
     p.add_argument("--workers", type=int, default=1)
     p.add_argument("--keep-data", action="store_true")
-    p.add_argument(
-        "--generate-only", action="store_true", help="write the data sets and their truths, no diagnosis"
-    )
+    p.add_argument("--generate-only", action="store_true", help="write the data sets and their truths, no diagnosis")
     a = p.parse_args()
     for name in ("cases", "data", "reports"):
         (a.out / name).mkdir(parents=True, exist_ok=True)

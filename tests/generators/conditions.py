@@ -61,9 +61,7 @@ def row_times(rng: np.random.Generator, c: Condition, rate: float, seconds: floa
     return times[times <= seconds]
 
 
-def ornstein_uhlenbeck(
-    rng: np.random.Generator, times: np.ndarray, rms: np.ndarray, tau: float
-) -> np.ndarray:
+def ornstein_uhlenbeck(rng: np.random.Generator, times: np.ndarray, rms: np.ndarray, tau: float) -> np.ndarray:
     """A stationary coloured disturbance `[K, 2]` with standard deviation `rms` `[2]`, sampled at `times`."""
     keep = np.exp(-np.diff(times, prepend=times[0]) / tau)
     out = np.empty((len(times), 2))

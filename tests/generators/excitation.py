@@ -112,9 +112,7 @@ def _upright(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> Tr
     """About upright: balanced by LQR with extra torques, or let go for as long as the trial lasts."""
     gain = balance_gain(rng, rig, float(np.median(np.diff(t)))) if kind == "balance" else np.zeros((2, 4))
     size = (0.3 if rig.world == "linearized" else 0.15) * rng.uniform(0.7, 1.3)
-    push = torques(
-        rng, str(rng.choice(["multisine", "random_phase", "chirp"])), t, rig.gravity_torque() * size
-    )
+    push = torques(rng, str(rng.choice(["multisine", "random_phase", "chirp"])), t, rig.gravity_torque() * size)
     wide = 1.0 if rig.world == "linearized" and kind == "balance" else 0.15
     start = rng.uniform(-wide, wide, 4) * [1.0, 0.6, 0.5, 0.5]
     reference = np.zeros((len(t), 4))

@@ -48,9 +48,7 @@ def force_terms(table: Table, inertia: np.ndarray, step: float, free_phase: np.n
         terms.append(hard_stop(table["hard_stop"]))
     if "load_friction" in table:
         mu = table["load_friction"]["size"]
-        terms.append(
-            lambda q, v, t, u: -mu * np.abs(u) * np.tanh(v / stick_speed(mu * np.abs(u), inertia, step))
-        )
+        terms.append(lambda q, v, t, u: -mu * np.abs(u) * np.tanh(v / stick_speed(mu * np.abs(u), inertia, step)))
     return terms
 
 

@@ -167,9 +167,7 @@ def _command(drive: Drive, k: int, clean: np.ndarray, run: Run) -> np.ndarray:
     """Read the sensors at row k, decide the command, write both down."""
     measured = clean + drive.noise[k]
     steps = drive.quantum
-    measured[:2] = np.where(
-        steps > 0, np.round(measured[:2] / np.maximum(steps, 1e-12)) * steps, measured[:2]
-    )
+    measured[:2] = np.where(steps > 0, np.round(measured[:2] / np.maximum(steps, 1e-12)) * steps, measured[:2])
     error = drive.reference[k] - measured
     command = drive.feedforward[k] + (drive.gain * error).sum(1)
     command = np.clip(command, -drive.limit, drive.limit)

@@ -42,7 +42,7 @@ def measure(rig: Rig, run: Run, lanes: slice, valid: np.ndarray) -> Share:
     smooth, u = run.smooth[..., lanes], run.command[..., lanes]
     dt = np.maximum(np.diff(run.times[:, lanes], axis=0), 1e-12)[:, None]
     middle, slope = (smooth[1:] + smooth[:-1]) / 2, np.diff(smooth[:, 2:], axis=0) / dt
-    pick = lambda x: x.transpose(2, 0, 1)[valid[:, :-1]]  # noqa: E731  [K, n, L] -> [N, n]
+    pick = lambda x: x.transpose(2, 0, 1)[valid[:, :-1]]
     x, a, u = pick(middle), pick(slope), pick(u[:-1])
     y = regressor(rig, x[:, :2], x[:, 2:], a)
     if not np.isfinite(y).all():  # the closed loop did not bear an effect of this size
