@@ -7,7 +7,7 @@ each round draws its randomness from `(state.key, round)` alone: however a run i
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -48,7 +48,9 @@ class Phase1Config:
         return self.trajectories // self.parallel
 
 
-class Phase1Hyper(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Phase1Hyper:
     """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
 
     delta: adaptation step, a fraction of the range. threshold: the sparse reward's; rewards below it count as 0.
@@ -60,16 +62,16 @@ class Phase1Hyper(NamedTuple):
     """
 
     learner: BDQHyper = BDQHyper()
-    delta: Any = 0.1
-    threshold: Any = 0.95
-    gain: Any = 1.0
-    soft: Any = 0.0
-    epsilon_start: Any = 1.0
-    epsilon_end: Any = 0.1
-    epsilon_share: Any = 0.75
-    rate_end: Any = 1.0
-    obs_noise: Any = 0.0
-    terminal: Any = 1.0
+    delta: float = 0.1
+    threshold: float = 0.95
+    gain: float = 1.0
+    soft: float = 0.0
+    epsilon_start: float = 1.0
+    epsilon_end: float = 0.1
+    epsilon_share: float = 0.75
+    rate_end: float = 1.0
+    obs_noise: float = 0.0
+    terminal: float = 1.0
 
 
 class Archive(NamedTuple):
@@ -143,9 +145,7 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
             replay=ring.write(state.replay, batch, number), archive=_remember(state.archive, episodes, number)
         )
         learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
-        info = Phase1Info(
-            episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats
-        )
+        info = Phase1Info(episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats)
         return state._replace(learner=learner), info
 
     def run(state, hyper, numbers):
@@ -204,7 +204,8 @@ def _learn(key, bdq: BDQ, config, hyper, state: Phase1State, number):
     filled = jnp.minimum((number + 1) * block, config.capacity)
     batches = ring.sample(key, state.replay, filled, (config.updates, config.batch))
     on = number >= config.warmup
-    rates = hyper.learner._replace(
+    rates = replace(
+        hyper.learner,
         learning_rate=hyper.learner.learning_rate * _rate_share(config, hyper, number) * on,
         tau=hyper.learner.tau * on,
     )

@@ -7,7 +7,7 @@ moving copy. Sizes are static (`BDQConfig`); rates are traced (`BDQHyper`), so t
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import flax.linen as nn
 import jax
@@ -38,17 +38,19 @@ class BDQConfig:
     layer_norm: bool = False
 
 
-class BDQHyper(NamedTuple):
-    """Rates of the learner, each a traced scalar.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class BDQHyper:
+    """Rates of the learner: a pytree, each leaf a scalar, or `[S]` under vmap over a sweep.
 
     learning_rate: Adam's; discount: gamma; tau: share of the online network that enters the target network at each
     update; max_grad_norm: the gradient is scaled down to this global norm.
     """
 
-    learning_rate: Any = 3e-4
-    discount: Any = 0.9
-    tau: Any = 0.01
-    max_grad_norm: Any = 1.0
+    learning_rate: float = 3e-4
+    discount: float = 0.9
+    tau: float = 0.01
+    max_grad_norm: float = 1.0
 
 
 class BDQState(NamedTuple):

@@ -32,9 +32,7 @@ def check_capacity(capacity: int, block: int) -> None:
     """Blocks must tile the ring, else a write would run over its end and `dynamic_update_slice` would shift it."""
     if capacity % block or capacity < block:
         near = max(block, round(capacity / block) * block)
-        raise BadInput(
-            f"replay capacity {capacity} is not a multiple of the {block} items written at once; use {near}"
-        )
+        raise BadInput(f"replay capacity {capacity} is not a multiple of the {block} items written at once; use {near}")
 
 
 def empty(example: Items, capacity: int) -> Items:
