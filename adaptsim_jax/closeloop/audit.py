@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.closeloop import checks
+from adaptsim_jax.closeloop import checks, stamps
 from adaptsim_jax.closeloop.checks import Finding
 from adaptsim_jax.closeloop.consistency import lattice_step
 from adaptsim_jax.closeloop.plausible import check_angle_zero
@@ -77,12 +77,8 @@ def _audit_trial(trial: Trial, steps: dict[str, float]) -> tuple[list[Finding], 
     spikes, smooth = checks.check_spikes(trial, steps)
     velocity, wrong = checks.check_velocity(trial)
     found = checks.check_sampling(trial) + wrapped + frozen + spikes + checks.check_saturation(trial, steps)
-    found += (
-        checks.check_stale(trial, steps)
-        + velocity
-        + checks.check_command(trial)
-        + checks.check_excitation(trial)
-    )
+    found += stamps.check_timestamps(trial) + stamps.check_derived(trial) + stamps.check_stale(trial, steps)
+    found += velocity + checks.check_command(trial) + checks.check_excitation(trial)
     return found, moving & smooth, stuck + wrong
 
 
@@ -106,9 +102,7 @@ def _quantisation(recording: Recording) -> dict[str, float]:
         columns = {"q": trial.q, "tau": trial.torque} | ({} if trial.v is None else {"v": trial.v})
         for stem, x in columns.items():
             for j in range(2):
-                steps.setdefault(f"{stem}{j + 1}", []).append(
-                    lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan
-                )
+                steps.setdefault(f"{stem}{j + 1}", []).append(lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan)
     out = {}
     for channel, seen in sorted(steps.items()):
         known = [s for s in seen if np.isfinite(s)]
@@ -119,9 +113,7 @@ def _quantisation(recording: Recording) -> dict[str, float]:
 
 def _quantised(channel: str, step: float) -> Finding:
     unit = {"q": "rad", "v": "rad/s", "t": "N m"}[channel[0]]
-    return Finding(
-        "quantisation", "info", "", channel, f"{channel} is quantised in steps of {step:.4g} {unit}", step
-    )
+    return Finding("quantisation", "info", "", channel, f"{channel} is quantised in steps of {step:.4g} {unit}", step)
 
 
 def _fingerprint(trial: Trial) -> str:
@@ -171,6 +163,14 @@ def unwrapped(recording: Recording) -> Recording:
 
 
 def usable(recording: Recording, found: Audit) -> Recording:
-    """What the fit should see: unwrapped, each trial once, without those that the audit excludes."""
+    """What the fit should see: unwrapped, each trial once, without those that the audit excludes.
+
+    Velocities go too where they are mere differences of the angles in every trial: used beside the angles they
+    would count the same noise twice.
+    """
     single, _ = without_duplicates(unwrapped(recording))
-    return replace(single, trials=tuple(t for t in single.trials if t.name not in found.exclude))
+    trials = tuple(t for t in single.trials if t.name not in found.exclude)
+    derived = {(f.trial, f.where) for f in found.of("velocity_derived")}
+    if trials and all((t.name, c) in derived for t in trials for c in ("v1", "v2")):
+        trials = tuple(replace(t, v=None) for t in trials)
+    return replace(single, trials=trials)

@@ -31,9 +31,7 @@ def check_sampling(trial: Trial) -> Found:
     """Sampling rate, jitter, gaps longer than five intervals."""
     dt = np.diff(trial.time)
     step = float(np.median(dt))
-    found = [
-        Finding("sampling", "info", trial.name, "time", f"sampled at {1 / step:.4g} Hz (median)", 1 / step)
-    ]
+    found = [Finding("sampling", "info", trial.name, "time", f"sampled at {1 / step:.4g} Hz (median)", 1 / step)]
     jitter = float(np.std(dt[dt <= 5 * step]) / step)
     if jitter > 0.05:
         found.append(
@@ -84,9 +82,7 @@ def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
         if bad:
             lost = sum(length for _, length in bad)
             at = trial.time[bad[0][0]]
-            text = (
-                f"{channel} froze {len(bad)} time(s) while moving ({lost} samples, the first at {at:.3g} s)"
-            )
+            text = f"{channel} froze {len(bad)} time(s) while moving ({lost} samples, the first at {at:.3g} s)"
             found.append(Finding("frozen", "warn", trial.name, channel, text, float(lost)))
     return found, keep, stuck
 
@@ -125,9 +121,7 @@ def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarr
         if bad.size:
             keep[bad] = False
             at = trial.time[bad[0]]
-            text = (
-                f"q{j + 1} has {bad.size} lone outlier(s), the first at {at:.3g} s; those rows are not used"
-            )
+            text = f"q{j + 1} has {bad.size} lone outlier(s), the first at {at:.3g} s; those rows are not used"
             found.append(Finding("spike", "warn", trial.name, f"q{j + 1}", text, float(bad.size)))
     return found, keep
 
@@ -163,9 +157,7 @@ def check_saturation(trial: Trial, steps: dict[str, float]) -> Found:
             share = float(lengths[at].sum()) / len(x)
             two_level = np.mean(np.isin(x, (x.max(), x.min()))) > 0.9
             if share > 0.01 and np.sum(at) >= 2 and not two_level:
-                text = (
-                    f"{channel} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: clipped?"
-                )
+                text = f"{channel} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: clipped?"
                 severity = "info" if channel.startswith("tau") else "warn"
                 found.append(Finding("saturation", severity, trial.name, channel, text, share))
     return found
@@ -203,29 +195,9 @@ def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
             text = f"{channel} is {a.gain:.3f} times d(q{j + 1})/dt"
             found.append(Finding("velocity_scale", "warn", name, channel, text, a.gain))
         if abs(a.lag) > 0.5 * trial.dt and abs(a.lag) > 1e-3:
-            text = (
-                f"{channel} lags d(q{j + 1})/dt by {a.lag * 1e3:.3g} ms (a filter, or a backward difference)"
-            )
+            text = f"{channel} lags d(q{j + 1})/dt by {a.lag * 1e3:.3g} ms (a filter, or a backward difference)"
             found.append(Finding("velocity_lag", "info", name, channel, text, a.lag))
     return found, wrong
-
-
-def check_stale(trial: Trial, steps: dict[str, float]) -> Found:
-    """Rows that repeat the angle of the row before although the joint turns: they outrun the sensor."""
-    found = []
-    for j in range(2):
-        q, step = trial.q[:, j], max(steps.get(f"q{j + 1}", 0.0), 1e-12)
-        move = np.abs(q[2:] - q[:-2])
-        turning = move > 6 * step
-        if turning.sum() < 50:
-            continue
-        share = float(np.mean((q[1:-1] == q[:-2])[turning] | (q[1:-1] == q[2:])[turning]))
-        if share > 0.05:
-            text = (
-                f"q{j + 1} repeats its value in {share:.0%} of the rows while turning: rows outrun the sensor"
-            )
-            found.append(Finding("stale", "warn", trial.name, f"q{j + 1}", text, share))
-    return found
 
 
 def check_command(trial: Trial) -> Found:

@@ -53,14 +53,10 @@ def _angle_noise(q: np.ndarray) -> float:
     """Rough noise of an angle `q: [T]`, from its fourth difference and its resolution."""
     change = np.abs(np.diff(q))
     moved = change[change > 0]
-    return max(
-        float(np.median(np.abs(np.diff(q, 4)))) / 5.6, float(np.min(moved)) / 3.5 if len(moved) else 0.0
-    )
+    return max(float(np.median(np.abs(np.diff(q, 4)))) / 5.6, float(np.min(moved)) / 3.5 if len(moved) else 0.0)
 
 
-def _regress(
-    first: np.ndarray, second: np.ndarray, target: np.ndarray, span: int
-) -> tuple[np.ndarray, float, float]:
+def _regress(first: np.ndarray, second: np.ndarray, target: np.ndarray, span: int) -> tuple[np.ndarray, float, float]:
     """Trimmed least squares on both and a constant: coefficients `[3]`, std error of the first, R2."""
     keep = np.ones(len(target), bool)
     design = np.stack([first, second, np.ones_like(first)], axis=1)
@@ -78,9 +74,7 @@ def _regress(
     return coef / scale, float(spread), 1.0 - rest / total if total > 0 else 0.0
 
 
-def command_agreement(
-    time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40
-) -> Agreement:
+def command_agreement(time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40) -> Agreement:
     """measured = gain command(t - lag) + offset; lag in s: the best of `most` samples and a parabola."""
     if np.std(command) < 1e-9 or np.std(measured) < 1e-9 or len(time) <= 3 * most:
         return NOT_ENOUGH
@@ -100,9 +94,7 @@ def command_agreement(
         shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
     gain = float(shifted[:, best] @ y / power[best])
     lag = float((lags[best] + shift) * np.median(np.diff(time)))
-    return Agreement(
-        gain, lag, float(measured.mean() - gain * command.mean()), float(r2[best]), bool(r2[best] > 0.3)
-    )
+    return Agreement(gain, lag, float(measured.mean() - gain * command.mean()), float(r2[best]), bool(r2[best] > 0.3))
 
 
 def lattice_step(x: np.ndarray) -> float:

@@ -111,9 +111,7 @@ def check_known(path: str, known: dict[str, float], names: tuple[str, ...]) -> N
     """Raise `BadInput` where `[known]` names a parameter that the model has not ."""
     for key in known:
         if key not in names:
-            raise BadInput(
-                f"{path}/meta.toml: [known] {key!r} is no parameter of the model; {nearest(key, names)}"
-            )
+            raise BadInput(f"{path}/meta.toml: [known] {key!r} is no parameter of the model; {nearest(key, names)}")
 
 
 def _example(key: str) -> str:
@@ -163,9 +161,7 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
         return _choice(path, raw, "model", MODELS) or "", None
     where = (path.parent / file).resolve()
     if not where.is_file():
-        raise BadInput(
-            f"{path}: model file {file!r} does not exist beside it; give its path relative to the folder"
-        )
+        raise BadInput(f"{path}: model file {file!r} does not exist beside it; give its path relative to the folder")
     base = value or load_toml(where).get("model")
     if not isinstance(base, str) or base not in MODELS:
         raise BadInput(f"{where}: model = {_brief(base)} is unknown; it must be one of {', '.join(MODELS)}")
@@ -196,9 +192,7 @@ def _noise(path: Path, raw: dict) -> dict[str, float]:
             raise BadInput(f"{path}: unknown key {key!r} in [noise]; {nearest(key, (*CHANNELS, *GROUPS))}")
         std = _number(path, f"noise.{key}", value)
         if std < 0:
-            raise BadInput(
-                f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units"
-            )
+            raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
         names = (key,) if key in CHANNELS else (f"{key}1", f"{key}2")
         out |= {name: std for name in names if name == key or name not in raw}
     return out
@@ -220,9 +214,7 @@ def _scales(path: Path, raw: dict) -> dict[str, float]:
             raise BadInput(f"{path}: units.{key} must be text in quotes, not {_brief(value)}")
         unit = "".join(c for c in value if c not in " *.·")
         if unit not in UNITS[key]:
-            raise BadInput(
-                f"{path}: units.{key} = {_brief(value)} is unknown; {nearest(unit, tuple(UNITS[key]))}"
-            )
+            raise BadInput(f"{path}: units.{key} = {_brief(value)} is unknown; {nearest(unit, tuple(UNITS[key]))}")
         chosen[key] = unit
     if "velocity" not in chosen and "angle" in chosen:
         chosen["velocity"] = f"{chosen['angle']}/s"

@@ -54,7 +54,7 @@ def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
     per_trial = {name: {c: f[0] for c, f in by.items()} for name, by in fits.items()}
     channels = sorted({c for by in per_trial.values() for c in by})
     smoothed = {c: float(np.median([by[c] for by in per_trial.values() if c in by])) for c in channels}
-    hidden = {c: float(np.mean([by[c][1] for by in fits.values() if c in by])) > 0.5 for c in channels}
+    hidden = {c: float(np.mean([by[c][1] for by in fits.values() if c in by])) >= 0.5 for c in channels}
     repeats = _from_repeats(recording)
     std, sources, estimated, remarks = {}, {}, {}, []
     for c in channels:
@@ -78,9 +78,7 @@ def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
     )
 
 
-def _choose(
-    channel: str, declared: float | None, estimate: float, source: str, hidden: bool
-) -> tuple[float, str, str]:
+def _choose(channel: str, declared: float | None, estimate: float, source: str, hidden: bool) -> tuple[float, str, str]:
     """The noise to use, its source, and a remark where declared and estimated disagree."""
     if not declared:
         return estimate, source, ""

@@ -85,9 +85,7 @@ def check_angle_zero(recording: Recording) -> list[Finding]:
     if r2 < 0.5 or not any(t < -8 for _, t in joints) or any(t > 3 for _, t in joints):
         return _resting(recording)
     other = "upright" if recording.angle_zero == "hanging" else "hanging"
-    text = (
-        f"gravity acts as if angles were zero when {other}, meta.toml says {recording.angle_zero}: check it"
-    )
+    text = f"gravity acts as if angles were zero when {other}, meta.toml says {recording.angle_zero}: check it"
     return [Finding("angle_zero", "warn", "", "meta.toml", text, float(min(t for _, t in joints)))]
 
 

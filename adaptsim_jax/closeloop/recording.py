@@ -55,9 +55,7 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
 
 
 def _files(folder: Path) -> list[Path]:
-    found = [
-        p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".npz") and not p.name.startswith(".")
-    ]
+    found = [p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".npz") and not p.name.startswith(".")]
     if not found:
         raise BadInput(f"{folder}: holds no .csv or .npz file; put one file a trial beside meta.toml")
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
@@ -121,9 +119,7 @@ def _velocities(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray | None
     return np.stack([columns["v1"], columns["v2"]], axis=1) if have else None
 
 
-def _torques(
-    path: Path, columns: dict[str, np.ndarray], meta: Meta
-) -> tuple[np.ndarray, np.ndarray | None, str]:
+def _torques(path: Path, columns: dict[str, np.ndarray], meta: Meta) -> tuple[np.ndarray, np.ndarray | None, str]:
     """The applied torque `[T, 2]`, the commanded one where both are there, and where the first comes from."""
     measured = _pair(columns, ("tau1", "tau2"), meta.unactuated)
     commanded = _pair(columns, COMMANDED, meta.unactuated)
@@ -136,9 +132,7 @@ def _torques(
     raise BadInput(f"{path}: column 'tau{joint}' is missing; {mend}")
 
 
-def _pair(
-    columns: dict[str, np.ndarray], names: tuple[str, str], unactuated: tuple[int, ...]
-) -> np.ndarray | None:
+def _pair(columns: dict[str, np.ndarray], names: tuple[str, str], unactuated: tuple[int, ...]) -> np.ndarray | None:
     """`[T, 2]` of both columns, zero for a joint without a motor; None where one is missing."""
     zero = np.zeros_like(columns["time"])
     pair = [columns.get(c, zero if i in unactuated else None) for i, c in enumerate(names, start=1)]
@@ -152,9 +146,7 @@ def _notes(read: list[tuple[Trial, str]]) -> tuple[str, ...]:
     notes = []
     commanded = [trial.name for trial, source in read if source == "commanded"]
     if commanded:
-        notes.append(
-            f"torques are commands, not measured, in {len(commanded)} trial(s), first {commanded[0]}"
-        )
+        notes.append(f"torques are commands, not measured, in {len(commanded)} trial(s), first {commanded[0]}")
     ignored = sorted({column for trial, _ in read for column in trial.ignored})
     if ignored:
         notes.append(f"columns ignored: {', '.join(ignored)}")

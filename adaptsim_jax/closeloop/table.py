@@ -51,9 +51,7 @@ def _decode(path: Path) -> str:
     if not raw.strip():
         raise BadInput(f"{path}: is empty; remove it or record the trial again")
     if b"\x00" in raw:
-        raise BadInput(
-            f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV"
-        )
+        raise BadInput(f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
@@ -88,9 +86,7 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> Table:
             _ragged(path, line, row, len(header))
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {
-        name: _numbers(path, name, cells[header.index(name)], lines, delimiter)
-        for name in wanted
-        if name in header
+        name: _numbers(path, name, cells[header.index(name)], lines, delimiter) for name in wanted if name in header
     }
     return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted))
 

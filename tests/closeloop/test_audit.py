@@ -18,9 +18,7 @@ def motions():
     made = []
     for seed in range(3):
         time, q, v, torque = simulate(seed, seconds=3.0)
-        made.append(
-            (time, q + 5e-4 * rng.standard_normal(q.shape), v + 0.01 * rng.standard_normal(v.shape), torque)
-        )
+        made.append((time, q + 5e-4 * rng.standard_normal(q.shape), v + 0.01 * rng.standard_normal(v.shape), torque))
     return made
 
 
@@ -102,9 +100,7 @@ def test_command_gain_and_lag_are_measured(motions):
     time, _, _, torque = motions[0]
     measured = 0.8 * np.interp(time - 0.0175, time, torque[:, 0]) + 0.05
     agreement = command_agreement(time, torque[:, 0], measured)
-    assert agreement.lag == pytest.approx(0.0175, abs=0.002) and agreement.gain == pytest.approx(
-        0.8, rel=0.02
-    )
+    assert agreement.lag == pytest.approx(0.0175, abs=0.002) and agreement.gain == pytest.approx(0.8, rel=0.02)
 
 
 def test_gaps_jitter_spikes_wraps_and_clipping_are_found(clean):
@@ -135,6 +131,30 @@ def test_gaps_jitter_spikes_wraps_and_clipping_are_found(clean):
 
     clipped = audit(changed(clean, clip)).of("saturation")
     assert {f.where for f in clipped} == {"tau1", "tau2"}
+
+
+def test_velocities_made_from_the_angles_and_late_stamps_are_told(clean):
+    def derive(t):
+        v = np.zeros_like(t.q)
+        v[1:] = np.diff(t.q, axis=0) / np.diff(t.time)[:, None]
+        return {"v": v}
+
+    derived = changed(clean, derive)
+    found = audit(derived)
+    assert len(found.of("velocity_derived")) == 6 and not found.fault
+    assert all(t.v is None for t in usable(derived, found).trials)
+    assert not audit(clean).of("velocity_derived")
+    assert all(t.v is not None for t in usable(clean, audit(clean)).trials)
+
+    def stamp(t):
+        rng = np.random.default_rng(1)
+        return {"time": t.time + 0.8 * t.dt * rng.uniform(0, 1, len(t.time))}
+
+    late = audit(changed(clean, stamp)).of("timestamps")
+    assert len(late) == 3 and late[0].value == pytest.approx(1.0, abs=0.2)
+    time, q, v, torque = simulate(7, 3.0, jitter=0.8)
+    true = changed(clean, lambda t: {"time": time, "q": q, "v": v, "torque": torque})
+    assert not audit(true).of("timestamps")
 
 
 @pytest.mark.parametrize("step", [2 * np.pi / 4096, 3.8147e-4, 0.01])

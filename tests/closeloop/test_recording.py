@@ -102,9 +102,7 @@ def test_a_joint_without_motor_must_be_declared(tmp_path):
 
 
 def test_linearized_model_has_default_geometry_and_a_mended_model_is_a_path(tmp_path):
-    folder = write(
-        tmp_path, {"t": gentle()}, 'task = "pendulum"\nmodel = "linearized"\nangle_zero = "upright"\n'
-    )
+    folder = write(tmp_path, {"t": gentle()}, 'task = "pendulum"\nmodel = "linearized"\nangle_zero = "upright"\n')
     assert read_recording(folder).geometry == {"l1": 1.0, "l2": 1.0, "g": 9.81}
     (folder / "model.toml").write_text('model = "rigid_body"\n')
     (folder / "meta.toml").write_text('task = "pendulum"\nmodel = "model.toml"\nangle_zero = "hanging"\n')
