@@ -72,12 +72,11 @@ def columns_of(layout: Layout, reach: Reach, names: Sequence[str] | None = None)
 
 
 def _unit_params(effect: Effect, shape: dict[str, float]) -> list[list[float]]:
-    """Parameter rows, one a column: each amplitude at one in turn; a jump at its size."""
+    """Rows `[parameters | direction]`, one a column: off, towards each amplitude in turn; a jump at its size."""
     value = {p.name: shape.get(p.name, p.default if p.off is None else p.off) for p in effect.parameters}
-    if effect.jump:
-        return [[value[p.name] for p in effect.parameters]]
-    rows = [value | {a.name: 1.0 if a is b else a.off for a in effect.amplitudes} for b in effect.amplitudes]
-    return [[row[p.name] for p in effect.parameters] for row in rows]
+    values = [value[p.name] for p in effect.parameters]
+    sizes = effect.amplitudes[:1] if effect.jump else effect.amplitudes
+    return [values + [1.0 if p is size else 0.0 for p in effect.parameters] for size in sizes]
 
 
 def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
@@ -89,19 +88,33 @@ def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
         inertia = np.asarray(plant.inertia_at(jnp.asarray(theta), jnp.asarray(np.median(q, 0))[:, None]))[:, 0]
     torque = np.quantile(u, 0.998, axis=0)
     torque = np.maximum(torque, 0.05 * torque.max() + 1e-6)
-    return Reach(
-        torque, np.maximum(np.quantile(np.abs(v), 0.9, axis=0), 0.05), *np.quantile(q, [0.005, 0.995], axis=0), float(windows.time.max()),
-        float(np.median(windows.dt[windows.dt > 0])), inertia,
-    )  # fmt: skip
+    speed = np.maximum(np.quantile(np.abs(v), 0.9, axis=0), 0.05)
+    low, high = np.quantile(q, [0.005, 0.995], axis=0)
+    dt = float(np.median(windows.dt[windows.dt > 0]))
+    return Reach(torque, speed, low, high, float(windows.time.max()), dt, inertia)
 
 
-def _named(effect: Effect, row) -> dict:
-    return {p.name: row[k] for k, p in enumerate(effect.parameters)}
+def _named(effect: Effect, row) -> tuple[dict, dict]:
+    """Parameters of a column, and the direction in which its amplitude grows."""
+    count = len(effect.parameters)
+    return tuple({p.name: row[k + at] for k, p in enumerate(effect.parameters)} for at in (0, count))
+
+
+def _change(effect: Effect, row, act):
+    """How `act(p)`, an array or tuple of arrays, changes per unit of the column's amplitude."""
+    p, direction = _named(effect, row)
+    if not effect.jump:
+        return jax.jvp(act, (p,), (direction,))[1]
+    size = effect.amplitudes[0]
+    off = p | {size.name: jnp.full_like(p[size.name], size.off)}
+    return jax.tree.map(lambda a, b: (a - b) / (p[size.name] - size.off), act(p), act(off))
 
 
 def force_rows(model: Model, theta, eff, mask, windows: Windows, drive, x, columns: Columns):
-    """Mean force of every force and command column over each row, N m per unit amplitude: a `[K_e, W, n, L]` (float32) for
-    each effect, padding included (`Columns.trim`)."""
+    """Mean force of every force and command column over each row, N m per unit amplitude.
+
+    One `[K_e, W, n, L]` (float32) for each effect, padding included (`Columns.trim`).
+    """
     out = []
     for joint, params, effect in zip(columns.joint, columns.params, columns.effects, strict=True):
         if effect.place == "measurement":
@@ -109,7 +122,7 @@ def force_rows(model: Model, theta, eff, mask, windows: Windows, drive, x, colum
         if effect.place == "command":
             one = _command_rows(model, eff, mask, windows, drive, effect)
         elif effect.inertia:
-            one = _inertia_rows(model, drive, x)
+            one = _inertia_rows(model, drive, x, effect)
         elif effect.memory:
             one = _memory_rows(model, theta, windows, effect)
         else:
@@ -139,19 +152,22 @@ def _force_rows(model: Model, theta, drive, x, effect: Effect):
 
     def one(joint, row):
         pick = (lambda z: z) if effect.scope == "base" else (lambda z: z[joint][None])
-        p = _named(effect, row)
-        mean = 0.5 * (at(p, pick, slice(None, -1), drive.time[:-1]) + at(p, pick, slice(1, None), drive.time[1:]))
-        return _spread(mean, joint, n)
+
+        def mean(p):
+            return 0.5 * (at(p, pick, slice(None, -1), drive.time[:-1]) + at(p, pick, slice(1, None), drive.time[1:]))
+
+        return _spread(_change(effect, row, mean), joint, n)
 
     return one
 
 
-def _inertia_rows(model: Model, drive, x):
+def _inertia_rows(model: Model, drive, x, effect: Effect):
     n = model.plant.joint_dim
     accel = jnp.diff(x[:, n:], axis=0) / jnp.where(drive.dt > 0, drive.dt, 1.0)[:, None]
 
     def one(joint, row):
-        return _spread(-row[0] * accel[:, joint][None], joint, n)
+        extra = _change(effect, row, effect.apply)
+        return _spread(-extra * accel[:, joint][None], joint, n)
 
     return one
 
@@ -167,15 +183,17 @@ def _memory_rows(model: Model, theta, windows: Windows, effect: Effect):
     gravity = lambda q: model.plant.gravity_force(theta, q)
 
     def one(joint, row):
-        p = _named(effect, row)
         width = sign_speed[joint]
 
-        def step(w, now):
-            q, v, u, t, h = now
-            answer = effect.apply(p, Motion(q, v, u, t, w, gravity, width))
-            return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h), answer.force
+        def run(p):
+            def step(w, now):
+                q, v, u, t, h = now
+                answer = effect.apply(p, Motion(q, v, u, t, w, gravity, width))
+                return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h), answer.force
 
-        _, force = jax.lax.scan(step, jnp.zeros_like(q[0, 0]), (q[joint], v[joint], u[joint], time, h))
+            return jax.lax.scan(step, jnp.zeros_like(q[0, 0]), (q[joint], v[joint], u[joint], time, h))[1]
+
+        force = _change(effect, row, run)
         ends = force[windows.rows.T, windows.trial[None]]  # [L+1, W]
         return _spread(0.5 * (ends[:-1] + ends[1:])[None], joint, n)
 
@@ -186,12 +204,9 @@ def _command_rows(model: Model, eff, mask, windows: Windows, drive, effect: Effe
     """Change of the command, per unit of size, on top of the command effects that already act."""
     now = trial_command(model, eff, mask, windows)
     t = jnp.asarray(windows.time).T
-    size = [k for k, p in enumerate(effect.parameters) if p.off is not None][0]
-    off = effect.parameters[size].off or 0.0
 
     def one(joint, row):
-        u = now[:, joint]
-        change = (effect.apply(_named(effect, row), t, u) - u) / (row[size] - off)
+        change = _change(effect, row, lambda p: effect.apply(p, t, now[:, joint]))
         rows = gather_command(change[:, None], windows, drive.dt)  # [L, 1, W]
         return _spread(rows.transpose(1, 0, 2), joint, model.plant.joint_dim)
 
@@ -206,16 +221,13 @@ def measured_change(model: Model, eff, mask, drive, x, columns: Columns, weight)
     for joint, params, effect in zip(columns.joint, columns.params, columns.effects, strict=True):
         if effect.place != "measurement":
             continue
-        size = [k for k, p in enumerate(effect.parameters) if p.off is not None][0]
-        off = effect.parameters[size].off or 0.0
 
-        def one(jp, effect=effect, size=size, off=off):
+        def one(jp, effect=effect):
             joint, row = jp
             q, v = now[:, joint], now[:, n + joint]
-            new_q, new_v = effect.apply(_named(effect, row), drive.time, q, v)
-            scale = 1.0 / (row[size] - off)
+            change = _change(effect, row, lambda p: effect.apply(p, drive.time, q, v))
             own = jnp.arange(n) == joint
-            dq, dv = ((z * scale)[:, None] * own[None, :, None] for z in (new_q - q, new_v - v))
+            dq, dv = (z[:, None] * own[None, :, None] for z in change)
             dy = jnp.concatenate([dq, dv], 1)[:, :channels] * weight
             return dy.transpose(2, 0, 1).reshape(dy.shape[2], -1).astype(jnp.float32)
 

@@ -1,7 +1,7 @@
 """A flexible dictionary of forces: smooth functions of angle, speed, command and time at each joint.
 
-It names nothing. It says how much of a residual any smooth force could explain (the ceiling), and where a structure that
-no candidate explains sits.
+It names nothing. It says how much of a residual any smooth force could explain (the ceiling), and where a structure
+that no candidate explains sits.
 """
 
 import numpy as np
@@ -28,8 +28,8 @@ def _at_joint(path: Path, j: int, bumps: int) -> list[np.ndarray]:
     q, v, u = middle[..., j], middle[..., n + j], path.u[..., j]
     live = dt > 0
     t = path.time[:, :-1]
-    functions = _bumps(q, live, bumps) + [np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)]
-    functions += _bumps(v, live, bumps) + [np.tanh(v / s) for s in _speeds(v, live)] + [v * np.abs(v)]
+    functions = [*_bumps(q, live, bumps), np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)]
+    functions += [*_bumps(v, live, bumps), *(np.tanh(v / s) for s in _speeds(v, live)), v * np.abs(v)]
     scale = np.sqrt(np.mean(u[live] ** 2)) + 1e-9
     functions += [u, np.abs(u), np.tanh(2 * u / scale), u**3 / scale**2]
     end = max(float(t.max()), 1e-6)

@@ -1,9 +1,9 @@
 """Output-error fit by Levenberg-Marquardt over windows with free initial states.
 
-Every window's initial state is eliminated from the normal equations (variable projection; Golub and Pereyra, 1973), so a
-step costs one small system in the shared parameters. A general solver would factor the whole arrow-shaped Jacobian, or
-iterate on it; here one forward-mode pass with P + A + S tangents gives all of it, and one compiled program serves every
-mask of effects and every weighting of trials.
+Every window's initial state is eliminated from the normal equations (variable projection; Golub and Pereyra, 1973),
+so a step costs one small system in the shared parameters. A general solver would factor the whole arrow-shaped
+Jacobian, or iterate on it; here one forward-mode pass with P + A + S tangents gives all of it, and one compiled program
+serves every mask of effects and every weighting of trials.
 """
 
 from dataclasses import dataclass
@@ -66,11 +66,11 @@ class Point(NamedTuple):
 @dataclass(frozen=True)
 class FitResult:
     """theta `[P]`, eff `[E]`, x0 `[W, S]`; residual `[W, L+1, Y]` measured minus simulated in standard deviations;
-    cost `[W]` half the (robust) sum of squares; jac_shared `[W, (L+1) Y, G]`, jac_state `[W, (L+1) Y, S]` of the outputs.
+    cost `[W]` half the (robust) sum of squares; jac_shared `[W, (L+1) Y, G]`, jac_state `[W, (L+1) Y, S]` of outputs.
 
-    names: of the fitted parameters `[G]`; covariance `[G, G]` if the weights are right, sandwich `[G, G]` from the scatter
-    of clusters (trials if there are at least 6, else windows); condition: of the scaled information; singular: directions
-    `[(value, {name: share}), ...]` that the data hardly fix; code: index of CODES.
+    names: of the fitted parameters `[G]`; covariance `[G, G]` if the weights are right, sandwich `[G, G]` from the
+    scatter of clusters (trials if there are at least 6, else windows); condition: of the scaled information; singular:
+    directions `[(value, {name: share}), ...]` that the data hardly fix; code: index of CODES.
     """
 
     theta: np.ndarray
@@ -115,8 +115,8 @@ def fit(
     """Fit theta, the parameters of the masked-in effects and all initial states, in float64.
 
     bounds: `[E]` low and high of the effect parameters (`Layout.bounds`); those with low == high stay, as do names in
-    `fixed` (a theta name, or `effect/where/parameter`). trial_weight `[N]`: 0 leaves a trial out of the shared parameters,
-    while its initial states are still fitted to it, so that its residual is a held-out one.
+    `fixed` (a theta name, or `effect/where/parameter`). trial_weight `[N]`: 0 leaves a trial out of the shared
+    parameters, while its initial states are still fitted to it, so that its residual is a held-out one.
     """
     with jax.enable_x64(True):
         problem, start = _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial_weight)
@@ -253,8 +253,8 @@ class _Loop(NamedTuple):
 
 
 def _nowhere(problem: Problem, theta, eff, x0) -> Point:
-    """A point of infinite cost from which the first step is zero: so the loop linearises in one place only, which halves
-    the compile time."""
+    """A point of infinite cost from which the first step is zero: so the loop linearises in one place only, which
+    halves the compile time."""
     length, channels = problem.windows.measured.shape[1:]
     count, windows = len(problem.low) + x0.shape[0], x0.shape[1]
     empty = lambda *shape: jnp.zeros(shape, x0.dtype)
@@ -305,14 +305,16 @@ def _result(model: Model, problem: Problem, point: Point, info) -> FitResult:
     covariance, sandwich, condition, singular = _uncertainty(hess, scores, trial, names)
     jac = np.moveaxis(point.jac, (3, 0), (0, 3))  # [W, L+1, Y, C-1]
     jac = jac.reshape(len(jac), -1, jac.shape[-1])
+    residual = np.moveaxis(point.residual, -1, 0)
     return FitResult(
-        point.theta, point.eff, point.x0.T, np.asarray(problem.mask), np.moveaxis(point.residual, -1, 0), point.window_cost,
-        jac[:, :, :g][:, :, live], jac[:, :, g:], names, covariance, sandwich, condition, singular, int(iterations), int(code),
+        point.theta, point.eff, point.x0.T, np.asarray(problem.mask), residual, point.window_cost,
+        jac[:, :, :g][:, :, live], jac[:, :, g:], names, covariance, sandwich, condition, singular,
+        int(iterations), int(code),
     )  # fmt: skip
 
 
 def _uncertainty(hess, scores, trial, names):
-    """Covariances and the directions that the data hardly fix, from the reduced information `[G, G]` and scores `[W, G]`."""
+    """Covariances and weak directions, from the reduced information `[G, G]` and the windows' scores `[W, G]`."""
     diagonal = np.diag(hess)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
     value, vector = np.linalg.eigh(hess * scale[:, None] * scale[None, :])

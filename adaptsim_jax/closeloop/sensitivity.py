@@ -23,8 +23,8 @@ from adaptsim_jax.models.effects import Reach
 
 @dataclass(frozen=True)
 class Path:
-    """A fitted trajectory, windows first: time, dt as `[W, L+1]`, `[W, L]` s; x `[W, L+1, S]`; u `[W, L, U]` N m; residual
-    force response `impulse [W, (L+1) Y, n, L]` in standard deviations per N m held over a row."""
+    """A fitted trajectory, windows first: time, dt as `[W, L+1]`, `[W, L]` s; x `[W, L+1, S]`; u `[W, L, U]` N m;
+    impulse `[W, (L+1) Y, n, L]`: outputs, in standard deviations, per N m held over a row."""
 
     time: np.ndarray
     dt: np.ndarray
@@ -53,8 +53,8 @@ def signatures(
 ) -> Signatures:
     """Linearise about `result` and give the signature of every instance at every shape on its grid.
 
-    effects: names to include (all where None). basis: `path -> [K', W, n, L]` more force columns (`generic_forces`), named
-    `generic` and placed after the catalogue's. Effects already in the fit stay in it and are linearised about.
+    effects: names to include (all where None). basis: `path -> [K', W, n, L]` more force columns (`generic_forces`),
+    named `generic` and placed after the catalogue's. Effects already in the fit stay in it and are linearised about.
     """
     columns = columns_of(model.layout, reach, effects)
     with jax.enable_x64(True):

@@ -1,7 +1,8 @@
 """Simulation of windows with any set of effects switched on: one compiled super-model for every candidate.
 
-All instances of the catalogue are in one program; a mask says which act. Effects are evaluated once for all joints, the
-windows lie along the last axis, and the four Runge-Kutta stages are a loop, so that the graph stays small and vectorises.
+All instances of the catalogue are in one program; a mask says which act. Effects are evaluated once for all joints,
+the windows lie along the last axis, and the four Runge-Kutta stages are a loop, so the graph stays small and
+vectorises.
 """
 
 from dataclasses import dataclass
@@ -28,8 +29,8 @@ jax.tree_util.register_dataclass(Model, data_fields=["plant", "sign_speed"], met
 
 
 class Drive(NamedTuple):
-    """What drives the windows, time first and windows last: `u [L, U, W]` N m, `dt [L, W]` s, `time [L+1, W]` s, and the
-    effects' memory `(w [n, W], ...)` at the start."""
+    """What drives the windows, time first and windows last: `u [L, U, W]` N m, `dt [L, W]` s, `time [L+1, W]` s, and
+    the effects' memory `(w [n, W], ...)` at the start."""
 
     u: jax.Array
     dt: jax.Array

@@ -6,6 +6,7 @@ the joint over each of its steps is gathered from the trial's impulse inside the
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import jax
@@ -85,8 +86,8 @@ def cut_windows(
 ) -> Windows:
     """Cut `trials` into windows of about `duration` s.
 
-    sigma: `[2 n]` standard deviations of positions [rad] and velocities [rad/s]; a channel with NaN samples or an infinite
-    sigma has no weight there. Rows faster than `max_rate` Hz are merged (torque by impulse, every k-th sample kept).
+    sigma: `[2 n]` standard deviations of positions [rad] and velocities [rad/s]; NaN samples and channels of infinite
+    sigma have no weight. Rows faster than `max_rate` Hz are merged (torque by impulse, every k-th sample kept).
     motions: smoothed `(q [T, n], v [T, n])` per trial, for initial states; local cubics of the data where None.
     Windows never span a gap of over five median rows. Raises BadInput where a trial is too short.
     """
@@ -120,13 +121,13 @@ def cut_windows(
 
 
 def _places(time: np.ndarray, stride: int, steps: int, dt: float) -> np.ndarray:
-    """Row indices of the boundaries of a trial's windows `[w, L+1]`; the last window of a stretch repeats its end row."""
+    """Rows at the boundaries of a trial's windows `[w, L+1]`; the last window of a stretch repeats its end row."""
     if len(time) < 3:
         raise BadInput(f"a trial of {len(time)} rows is too short to fit; give at least 3")
     gaps = np.flatnonzero(np.diff(time) > 5 * dt)
     edges = np.concatenate([[0], gaps + 1, [len(time)]])
     windows = []
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         kept = np.arange(first, last, stride)
         count = max(1, round((len(kept) - 1) / steps))
         for k in range(count):

@@ -1,7 +1,7 @@
 """What can be added to a model: `Effect`, one entry in one place, and the catalogue of them.
 
-An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its one
-pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.
+An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its
+one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -140,7 +140,7 @@ class Effect:
 
 
 class Instance(NamedTuple):
-    """An effect at a place of the mechanism: `where` is `joint1`, ... or `base`; `at` its parameters in the flat vector."""
+    """An effect at a place of the mechanism: `where` is `joint1`, ... or `base`; `at`: its part of the flat vector."""
 
     effect: Effect
     where: str

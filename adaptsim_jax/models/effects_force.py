@@ -129,7 +129,8 @@ FORCE = (
             Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, plausible=2.0),
             Parameter("preload", "N m", -5.0, 5.0, 0.0),
         ),
-        spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness", "a wide range of angles",
+        spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
+        "a wide range of angles",
         ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",),
     ),
     Effect(
@@ -199,9 +200,10 @@ FORCE = (
         memory=True, smooth=False, contains=("coulomb",), grid=_deflections,
     ),
     Effect(
-        "rotor_inertia", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, plausible=0.3),), rotor_inertia,
-        "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the coupling through the "
-        "moving stator is smaller by the ratio and left out); at joint 1 a rigid body's own inertia absorbs it",
+        "rotor_inertia", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, plausible=0.3),),
+        rotor_inertia,
+        "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the coupling through "
+        "the moving stator is smaller by the ratio and left out); at joint 1 a rigid body's own inertia absorbs it",
         "fast motion of both joints with the elbow straight and bent", ("torque_gain",), inertia=True,
     ),
 )  # fmt: skip

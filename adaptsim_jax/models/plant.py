@@ -4,8 +4,8 @@ A plant is a mechanical model in generalized coordinates,
 
     d/dt momentum(theta, q, v) = push(theta, q, v) + u + force,
 
-whose two sides are linear in `theta` (for a rigid body these are the base parameters: Gautier and Khalil, 1990), so that
-a start value comes from linear regression and the data can fix what they can fix, no more.
+whose two sides are linear in `theta` (for a rigid body these are the base parameters: Gautier and Khalil, 1990), so
+that a start value comes from linear regression and the data can fix what they can fix, no more.
 Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, ...]`.
 """
 
@@ -31,12 +31,12 @@ class Physical(NamedTuple):
 
 @dataclass(frozen=True)
 class Plant:
-    """A model as pure functions of `(constants, theta, ...)`; a pytree whose leaves are numbers, so that two plants of the
-    same kind but other geometry share one compiled program.
+    """A model as pure functions of `(constants, theta, ...)`; a pytree whose leaves are numbers, so that two plants of
+    the same kind but other geometry share one compiled program.
 
-    mass(constants, theta, q [n, ...]) -> [n, n, ...]; push(constants, theta, q, v) -> [n, ...] (all forces but the input);
-    gravity(constants, theta, q) -> [n, ...]; momentum(constants, theta, q, v) -> [n, ...] and
-    momentum_push(constants, theta, q, v) -> [n, ...] are the weak form that the regression uses.
+    mass(constants, theta, q [n, ...]) -> [n, n, ...]; gravity(constants, theta, q) -> [n, ...];
+    push(constants, theta, q, v) -> [n, ...]: all forces but the input; momentum_push(constants, theta, q, v) ->
+    [n, ...]: what changes the momentum `mass v` beside the input, for the regression.
     """
 
     name: str
@@ -68,8 +68,8 @@ class Plant:
         return tuple(f"q{i + 1}" for i in range(n)) + tuple(f"v{i + 1}" for i in range(n))
 
     def deriv(self, theta: jax.Array, x: jax.Array, u: jax.Array, force: jax.Array, inertia: jax.Array) -> jax.Array:
-        """Time derivative of `x: [S, ...]` (positions, then velocities) under command `u: [U, ...]` N m, generalized force
-        `force: [n, ...]` N m and extra inertia `inertia: [n, ...]` kg m^2 on the diagonal."""
+        """Time derivative of `x: [S, ...]` (positions, then velocities) under command `u: [U, ...]` N m, generalized
+        force `force: [n, ...]` N m and extra inertia `inertia: [n, ...]` kg m^2 on the diagonal."""
         n = self.joint_dim
         q, v = x[:n], x[n:]
         total = u + force + self.push(self.constants, theta, q, v)
@@ -85,7 +85,7 @@ class Plant:
         return self.gravity(self.constants, theta, q)
 
     def inertia_at(self, theta: jax.Array, q: jax.Array) -> jax.Array:
-        """What each joint feels when pushed alone: 1 / diag(M^-1) `[n, ...]` kg m^2; it bounds the stable friction slope."""
+        """What each joint feels when pushed alone: 1 / diag(M^-1) `[n, ...]` kg m^2; it bounds stable friction slopes."""
         mass = self.mass(self.constants, theta, q)
         n = self.joint_dim
         eye = jnp.eye(n, dtype=mass.dtype).reshape((n, n) + (1,) * (mass.ndim - 2))
@@ -179,7 +179,7 @@ def _bounded_regression(design: np.ndarray, target: np.ndarray, low: np.ndarray,
     return theta
 
 
-# --- the pendulum ------------------------------------------------------------------------------------------------------
+# --- the pendulum ---------------------------------------------------------------------------------------------------
 def _rigid_mass(c, theta, q):
     p1, p3, h2 = theta[0], theta[1], theta[3]
     couple = c["l1"] * h2 * jnp.cos(q[1])
