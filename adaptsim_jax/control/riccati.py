@@ -6,7 +6,7 @@ solve works on a whole batch at once (see `small_matrix`), refines with Newton-K
 differentiates by the implicit function theorem, in forward and reverse mode and more than once.
 """
 
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -200,7 +200,7 @@ def _dare_batch(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Ar
 
 def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Array]:
     """Result code by the relative residual; a float here, since it shares a derivative rule with P."""
-    good = 1e3 * jnp.finfo(P.dtype).eps
+    good = 1e4 * jnp.finfo(P.dtype).eps
     finite = jnp.isfinite(norm(P)) & jnp.isfinite(residual)
     code = jnp.where(residual <= good, CONVERGED, INACCURATE)
     code = jnp.where(settled & (residual < 1e-2), code, NOT_STABILISING)
@@ -210,15 +210,20 @@ def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Ar
 # --- derivatives ---
 
 
+@cache
+def _batched(core: Any, refine: int) -> Any:
+    return jax.jit(batch_last(partial(core, refine)))  # jit for those who call it eagerly
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _care(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
-    return batch_last(partial(_care_batch, refine))(A, B, Q, R)
+def _care(refine: int, A: Array, B: Array, Q: Array, R: Array) -> Any:
+    return _batched(_care_batch, refine)(A, B, Q, R)
 
 
 @_care.defjvp
 def _care_jvp(refine: int, primals: Any, tangents: Any) -> Any:
-    A, B, _, R = primals
-    P, residual, code = _care(refine, *primals)
+    A, B, Q, R = primals
+    P, residual, code = _care(refine, A, B, Q, R)
     _, S = jax.jvp(lambda *abqr: care_residual(*abqr, P), primals, tangents)
     closed = A - mm(B, solve(R, mm(transpose(B), P)))
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
@@ -228,14 +233,14 @@ def _care_jvp(refine: int, primals: Any, tangents: Any) -> Any:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _dare(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
-    return batch_last(partial(_dare_batch, refine))(A, B, Q, R)
+def _dare(refine: int, A: Array, B: Array, Q: Array, R: Array) -> Any:
+    return _batched(_dare_batch, refine)(A, B, Q, R)
 
 
 @_dare.defjvp
 def _dare_jvp(refine: int, primals: Any, tangents: Any) -> Any:
-    A, B, _, R = primals
-    P, residual, code = _dare(refine, *primals)
+    A, B, Q, R = primals
+    P, residual, code = _dare(refine, A, B, Q, R)
     _, S = jax.jvp(lambda *abqr: dare_residual(*abqr, P), primals, tangents)
     PB = mm(P, B)
     closed = A - mm(B, solve(R + mm(transpose(B), PB), mm(transpose(PB), A)))

@@ -7,7 +7,7 @@ instead of 1000 steps.
 """
 
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,9 +25,7 @@ HORIZON = 2.5  # s
 SAMPLES = 1000  # equispaced over the horizon, both ends included
 START = (-np.pi, 0.0, 0.0, 0.0)  # hanging straight down
 SNAPSHOTS = tuple(range(81, 973, 81))  # 12 points spread over the horizon: the standard observation
-LATE_SNAPSHOTS = tuple(
-    int(i) for i in np.round(np.linspace(0.8 * (SAMPLES - 1), SAMPLES - 1, 12))
-)  # last 0.5 s
+LATE_SNAPSHOTS = tuple(int(i) for i in np.round(np.linspace(0.8 * (SAMPLES - 1), SAMPLES - 1, 12)))  # last 0.5 s
 COST_CEILING = 1e20  # what an overflowing cost is reported as
 
 OK, UNSTABLE, OVERFLOW = 0, 1, 2
@@ -116,61 +114,62 @@ def _expm1(X: Array) -> Array:
     size = norm(X)[None, None]
     halvings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(size, 1e-30)) + 1), 0, _SQUARINGS)
     X = X * 2.0**-halvings
-    E = X / _TERMS
-    for k in range(_TERMS - 1, 0, -1):
-        E = (X + mm(X, E)) / k
-    for k in range(_SQUARINGS):
-        E = jnp.where(k < halvings, 2 * E + mm(E, E), E)
-    return E
+
+    def horner(i: Array, E: Array) -> Array:
+        return (X + mm(X, E)) / (_TERMS - i)
+
+    def square(k: Array, E: Array) -> Array:
+        return jnp.where(k < halvings, 2 * E + mm(E, E), E)
+
+    E = lax.fori_loop(1, _TERMS, horner, X / _TERMS)
+    return lax.fori_loop(0, _SQUARINGS, square, E)
 
 
-def _powers_and_sums(E: Array, C: Array, count: int) -> tuple[list[Array], list[Array]]:
+def _powers_and_sums(E: Array, C: Array, count: int) -> tuple[Array, Array]:
     """With `F = I + E`, for every k with `2^k <= count`: `F^(2^k) - I`, and `sum_{i < 2^k} F'^i C F^i`."""
-    powers, sums = [E], [C]
-    while 2 ** len(powers) <= count:
-        E, S = powers[-1], sums[-1]
+
+    def double(carry: tuple[Array, Array], _: None) -> Any:
+        E, S = carry
         half = S + mm(S, E)
-        sums.append(S + half + mm(transpose(E), half))
-        powers.append(2 * E + mm(E, E))
-    return powers, sums
+        return (2 * E + mm(E, E), S + half + mm(transpose(E), half)), carry
+
+    return lax.scan(double, (E, C), None, length=count.bit_length())[1]
 
 
-def _sum_along(powers: list[Array], sums: list[Array], x0: Array, count: int) -> Array:
+def _sum_along(powers: Array, sums: Array, x0: Array, count: int) -> Array:
     """`sum_{i < count} x_i' C x_i` over the states from `x0: [n, ...]`, by the binary digits of `count`."""
-    x, total = x0, 0.0
-    for k, (E, S) in enumerate(zip(powers, sums, strict=True)):
-        if count >> k & 1:
-            total = total + jnp.sum(x * mv(S, x), axis=0)
-            x = x + mv(E, x)
-    return total
+    digits = np.array([k for k in range(count.bit_length()) if count >> k & 1])
+
+    def add(x: Array, ES: tuple[Array, Array]) -> tuple[Array, Array]:
+        E, S = ES
+        return x + mv(E, x), jnp.sum(x * mv(S, x), axis=0)
+
+    return jnp.sum(lax.scan(add, x0, (powers[digits], sums[digits]))[1], axis=0)
 
 
-def _compose(powers: list[Array], count: int) -> Array:
+def _power(powers: Array, count: int) -> Array:
     """`F^count - I` from the binary powers."""
-    bits = [powers[k] for k in range(len(powers)) if count >> k & 1]
-    out = bits[0]
-    for E in bits[1:]:
-        out = out + E + mm(out, E)
+    digits = [k for k in range(count.bit_length()) if count >> k & 1]
+    out = powers[digits[0]]
+    for k in digits[1:]:
+        out = out + powers[k] + mm(out, powers[k])
     return out
 
 
-def _points(powers: list[Array], x0: Array, indices: tuple[int, ...]) -> Array:
+def _points(powers: Array, x0: Array, indices: tuple[int, ...]) -> Array:
     """States at increasing sample `indices`, `[K, n, ...]`, hopping by matrices that equal gaps share."""
-    hops: dict[int, Array] = {}
-    x, at, out = x0, 0, []
-    for index in indices:
-        gap = index - at
-        if gap and gap not in hops:
-            hops[gap] = _compose(powers, gap)
-        x = x + mv(hops[gap], x) if gap else x
-        at = index
-        out.append(x)
-    return jnp.stack(out)
+    gaps = np.diff(indices, prepend=0)
+    sizes = sorted(set(gaps.tolist()))
+    hops = jnp.stack([_power(powers, size) if size else jnp.zeros_like(powers[0]) for size in sizes])
+
+    def hop(x: Array, which: Array) -> tuple[Array, Array]:
+        x = x + mv(hops[which], x)
+        return x, x
+
+    return lax.scan(hop, x0, np.searchsorted(sizes, gaps))[1]
 
 
-def _propagate_plain(
-    indices: tuple[int, ...], closed: Array, gain: Array, x0: Array
-) -> tuple[Array, Array, Array]:
+def _propagate_plain(indices: tuple[int, ...], closed: Array, gain: Array, x0: Array) -> tuple[Array, Array, Array]:
     """Cost, points and code for `closed: [n, n, ...]`, `gain: [m, n, ...]`, `x0: [n, ...]`."""
     E = _expm1(closed * (HORIZON / (SAMPLES - 1)))
     C = eye_like(closed) + mm(transpose(gain), gain)
@@ -191,17 +190,17 @@ def _stability(F: Array) -> Array:
     return jnp.where(norm(far) < 1.0, OK, UNSTABLE)
 
 
+@cache
+def _batched(indices: tuple[int, ...]) -> Any:
+    return jax.jit(batch_last(partial(_propagate_plain, indices)))  # jit for those who call it eagerly
+
+
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _propagate(indices: tuple[int, ...], closed: Array, gain: Array, x0: Array) -> tuple[Array, Array, Array]:
-    return batch_last(partial(_propagate_batch, indices))(closed, gain, x0)
-
-
-def _propagate_batch(
-    indices: tuple[int, ...], closed: Array, gain: Array, x0: Array
-) -> tuple[Array, Array, Array]:
-    return _propagate_plain(indices, closed, gain, x0)
+def _propagate(indices: tuple[int, ...], closed: Array, gain: Array, x0: Array) -> Any:
+    return _batched(indices)(closed, gain, x0)
 
 
 @_propagate.defjvp
 def _propagate_jvp(indices: tuple[int, ...], primals: Any, tangents: Any) -> Any:
+    # The batched form has no derivative rule of its own; the plain one is the same computation.
     return jax.jvp(partial(_propagate_plain, indices), primals, tangents)
