@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 
 LOG_RATIO = (-22.0, 10.0)
@@ -88,13 +88,24 @@ def posterior(prior: Prior, ratio: float, weights: list[np.ndarray | None], data
         if w is not None and y is not None:
             bands[0, k::m] += w
             rhs[:, k] = w * y
-    factor = cholesky_banded(bands, lower=True, overwrite_ab=True, check_finite=False)
+    factor = _factor(bands)
     mean = cho_solve_banded((factor, True), rhs.reshape(-1), check_finite=False).reshape(n, m)
     parts = [(k, w, y) for k, (w, y) in enumerate(zip(weights, data, strict=True)) if w is not None]
     quad = sum(float(np.sum(w * y * (y - mean[:, k]))) for k, w, y in parts)
     # The quadratic form exceeds the residual's part of it; rounding may not.
     least = sum(float(np.sum(w * (y - mean[:, k]) ** 2)) for k, w, y in parts)
     return mean, factor, max(quad, least, 1e-300)
+
+
+def _factor(bands: np.ndarray) -> np.ndarray:
+    """Banded Cholesky factor, the diagonal raised a little where very uneven times make rounding matter."""
+    for ridge in (0.0, 1e-12, 1e-9, 1e-6, 1e-3):
+        try:
+            raised = np.concatenate([bands[:1] * (1.0 + ridge), bands[1:]])
+            return cholesky_banded(raised, lower=True, overwrite_ab=True, check_finite=False)
+        except LinAlgError:
+            continue
+    raise LinAlgError("the sampling times are too uneven to smooth over")
 
 
 def cost(prior: Prior, log_ratio: float, weights: list, data: list, count: int) -> tuple[float, float]:

@@ -33,9 +33,9 @@ def check_timestamps(trial: Trial) -> Found:
     shares = []
     for j in range(2):
         turn = np.diff(trial.q[:, j])
-        width = np.ones(21)
+        width = np.ones(min(21, len(dt) // 2))
         speed = np.convolve(turn, width, "same") / np.convolve(dt, width, "same")
-        expected = speed * (dt - np.convolve(dt, width / 21, "same"))
+        expected = speed * (dt - np.convolve(dt, width / len(width), "same"))
         extra = turn - speed * dt
         power = float(np.sum(expected**2))
         shares.append((-float(np.sum(extra * expected)) / power if power else 0.0, power))
