@@ -157,7 +157,7 @@ def by(rs: list[dict], key: str, test) -> dict:
 
 
 def confusion(rs: list[dict]) -> dict[str, dict[str, int]]:
-    """Hidden effect -> what was said (the right name wherever the class holds it, else the first name or the verdict)."""
+    """Hidden effect -> what was said (the right name if in a class, else the first name or the verdict)."""
     out: dict[str, Counter] = defaultdict(Counter)
     for r in rs:
         hidden = "@".join(r["hidden"][0])

@@ -1,7 +1,7 @@
 """The effects that a generator can hide in its world: physics, how each is drawn, and its one size.
 
-An effect is drawn as a dictionary of arrays `[2]` (joint) or scalars (base); `size` multiplies or sets the one
-parameter that makes it larger. `Table` stacks those of all lanes of a batch to `[2, L]`, zero where absent.
+An effect is drawn as a dictionary of scalars; `size` multiplies or sets the one parameter that makes it larger.
+`Table` stacks those of all lanes of a batch to `[2, L]`, zero where absent.
 """
 
 from dataclasses import dataclass
@@ -57,12 +57,21 @@ def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
         "actuator_lag": lambda: {"size": 0.005},
         "saturation": lambda: {"size": 0.15, "peak": s.torque_peak},
         "dead_zone": lambda: {"size": few},
-        "presliding": lambda: {"size": few, "stiffness_angle": min(span / 12, 0.01 + 0.05 * u), "lugre": float(rng.random() < 0.5)},
+        "presliding": lambda: {
+            "size": few,
+            "stiffness_angle": min(span / 12, 0.01 + 0.05 * u),
+            "lugre": float(rng.random() < 0.5),
+        },
         "backlash": lambda: {"size": 0.01},
         "cogging": lambda: {"size": few * 1.4, "order": float(rng.integers(3, 25)), "phase": 2 * np.pi * u},
         "rotor_inertia": lambda: {"size": 0.03 * s.inertia},
         "friction_drift": lambda: {"size": few * 2 / s.speed, "decay": 0.8 + 2.5 * u},
-        "periodic_disturbance": lambda: {"size": few * 1.4, "frequency": float(np.exp(rng.uniform(np.log(0.7), np.log(12)))), "free_phase": float(rng.random() < 0.5), "phase": 2 * np.pi * u},
+        "periodic_disturbance": lambda: {
+            "size": few * 1.4,
+            "frequency": float(np.exp(rng.uniform(np.log(0.7), np.log(12)))),
+            "free_phase": float(rng.random() < 0.5),
+            "phase": 2 * np.pi * u,
+        },
         "hard_stop": lambda: {
             "size": 20 * few,
             "side": sign,

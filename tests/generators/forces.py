@@ -6,7 +6,10 @@ from tests.generators.effects import Table
 
 
 def stick_speed(level: np.ndarray, inertia: np.ndarray, step: float) -> np.ndarray:
-    """Width of the sign function `tanh(v / width)` [rad/s]: 1 mrad/s, or as small as RK4 at `step` stays stable."""
+    """Width of the sign function `tanh(v / width)` [rad/s]: 1 mrad/s, or as small as RK4 at `step` stays stable.
+
+    A joint that should stick creeps by that width times torque over friction: some mrad/s on these rigs.
+    """
     return np.maximum(1e-3, step * level / (1.5 * inertia))
 
 

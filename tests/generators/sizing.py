@@ -1,9 +1,10 @@
 """How large an effect is: the torque that the best-fitting declared model leaves unexplained.
 
 Along a noise-free run, the declared inverse dynamics Y(q, v, a) theta are evaluated with what the sensors read, on
-average over each row (a from the change of v), and compared with the commanded torque of that row. The discrepancy, each joint divided by the RMS of its torque, is projected
-orthogonal to the columns of Y (so what a declared parameter can absorb does not count). Its RMS, summed over the
-joints in squares, is the *unexplained share*; the RMS before projection is the *raw share*.
+average over each row (a from the change of v), and compared with the commanded torque of that row. The discrepancy,
+each joint divided by the RMS of its torque, is projected orthogonal to the columns of Y (so what a declared parameter
+can absorb does not count). Its RMS, summed over the joints in squares, is the *unexplained share*; the RMS before
+projection is the *raw share*.
 
 **The size that just matters** (size multiple 1) has an unexplained share of 3 %. A multiple m aims at m times 3 %.
 If the declared model absorbs over nine tenths of the effect (unexplained < 0.1 raw), it is confounded with the

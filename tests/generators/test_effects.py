@@ -6,12 +6,13 @@ import pytest
 from tests.generators import Spec, effects, forces, make_datasets
 from tests.generators import dataset as making
 from tests.generators.effects import EFFECTS, Table
+from tests.generators.excitation import mass_at_rest
 from tests.generators.simulate import Delay, play, simulate
 from tests.generators.suites import PLACES
 from tests.generators.worlds import lanes_of
 
 SHORT = {"n_trials": 3, "seconds": 2.0, "angle_zero": "hanging"}
-RULER = effects.Scale(torque=1.0, torque_peak=2.5, speed=2.0, q_low=-1.0, q_high=1.0, inertia=0.05)
+RULER = effects.Scale(torque=1.0, torque_peak=0.5, speed=2.0, q_low=-1.0, q_high=1.0, inertia=0.05)
 
 
 def run_with(table_of, seed=21, **kwargs):
@@ -36,10 +37,12 @@ def table_with(name, joint=0, **changes):
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_nothing_at_zero_size(name):
-    _, _, null = run_with(table_with(""))
-    _, _, zero = run_with(table_with(name, size=0.0))
+    short = {"n_trials": 2, "seconds": 0.6}
+    _, _, null = run_with(table_with(""), **short)
+    _, _, zero = run_with(table_with(name, size=0.0), **short)
     assert np.abs(null.measured - zero.measured).max() < 1e-6
-    _, _, some = run_with(table_with(name))
+    reached = {"angle": 0.0} if name == "hard_stop" else {}
+    _, _, some = run_with(table_with(name, **reached), **short)
     assert np.abs(null.measured - some.measured).max() > 1e-4
 
 
@@ -75,9 +78,14 @@ def test_delay_shifts_by_rows_and_averages_fractions():
 
 
 def test_a_stuck_joint_stays():
-    d, _, run = run_with(table_with("coulomb", 1, size=50.0))
-    assert np.abs(run.state[:, 1] - run.state[0, 1]).max() < 0.05
-    assert np.abs(run.state[:, 0] - run.state[0, 0]).max() > 0.2
+    """Friction above the torque holds joint 2: it creeps slower than the width of the smoothed sign."""
+    level = 5.0
+    d, _, run = run_with(table_with("coulomb", 1, size=level))
+    _, _, free = run_with(table_with(""))
+    mass = mass_at_rest(d.rig)
+    width = forces.stick_speed(np.array(level), np.linalg.det(mass) / mass[0, 0], 2.5e-4)
+    assert np.abs(run.state[100:, 3]).max() < width
+    assert np.all(10 * np.ptp(run.state[100:, 1], axis=0) < np.ptp(free.state[100:, 1], axis=0))
 
 
 def test_play_keeps_its_distance():
@@ -104,13 +112,14 @@ def test_tilt_is_an_offset_of_the_first_encoder():
 
 
 def test_lag_of_the_sensor_trails_the_motion():
-    d, _, run = run_with(table_with("sensor_lag", 1, size=0.02))
+    _, _, run = run_with(table_with("sensor_lag", 1, size=0.02))
     k = slice(40, None)
     lagged, true, slope = run.clean[k, 1], run.state[k, 1], run.state[k, 3]
     gain = np.sum((true - lagged) * slope) / np.sum(slope**2)
     assert gain == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.slow
 def test_sizes_are_what_was_asked_for():
     """Three times the size that just matters: the declared model leaves 9 % of the torque unexplained."""
     specs = [Spec(70 + i, "clean", ((n, j, 3.0),), **SHORT) for i, (n, j) in enumerate(PLACES)]

@@ -82,7 +82,7 @@ def test_rows_follow_scipy_with_the_torque_of_the_row_before(condition):
 
 def test_linearised_world_is_the_paper_s_matrix():
     """Exact propagation with A, B as the paper states them, unit lengths and point masses."""
-    d, drive, run = made(Spec(12, "clean", world="linearized", n_trials=2, seconds=1.0))
+    d, _, run = made(Spec(12, "clean", world="linearized", n_trials=2, seconds=1.0))
     (m1, m2), b = d.rig.m, d.rig.b
     mass = np.array([[m1 + 4 * m2, 2 * m2], [2 * m2, m2]])
     lower = np.array([[G, -G * m2 / m1], [-G, G + 2 * G * m2 / m1]])
