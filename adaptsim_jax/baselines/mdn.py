@@ -64,7 +64,7 @@ class MixtureNetwork(nn.Module):
 
 def log_prob(mixture: Mixture, theta: jax.Array) -> jax.Array:
     """Log density `[]` of one mixture at `theta [D]`."""
-    whitened = jnp.einsum("kij,ki->kj", mixture.factors, theta - mixture.means)
+    whitened = jnp.einsum("kij,ki->kj", mixture.factors, theta[None] - mixture.means)
     log_det = jnp.sum(jnp.log(jnp.diagonal(mixture.factors, axis1=-2, axis2=-1)), axis=-1)
     constant = 0.5 * theta.shape[-1] * np.log(2 * np.pi)
     return jax.nn.logsumexp(mixture.log_weights + log_det - 0.5 * jnp.sum(whitened**2, -1) - constant)
@@ -90,7 +90,7 @@ def moments(mixture: Mixture) -> tuple[jax.Array, jax.Array]:
     mean = weights @ mixture.means
     roots = jax.vmap(_inverse_transpose)(mixture.factors)
     within = jnp.einsum("k,kij,klj->il", weights, roots, roots)
-    offset = mixture.means - mean
+    offset = mixture.means - mean[None]
     return mean, within + jnp.einsum("k,ki,kj->ij", weights, offset, offset)
 
 
@@ -144,9 +144,7 @@ def fit(
 
     start = (variables, optimiser.init(variables))
     first = jnp.asarray(jnp.inf, x.dtype)
-    (_, best, best_loss), losses = jax.lax.scan(
-        check, (start, variables, first), jax.random.split(key, checks)
-    )
+    (_, best, best_loss), losses = jax.lax.scan(check, (start, variables, first), jax.random.split(key, checks))
     return Fit(best, losses, best_loss)
 
 

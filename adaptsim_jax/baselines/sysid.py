@@ -1,0 +1,160 @@
+"""The loop that both system-identification baselines share (paper, section 6; BayesSim, Ramos et al. 2019).
+
+Each iteration rolls the current policy out once in the target, simulates the same policy at parameters drawn from the
+prior (uniform over Omega), fits a network from observation to parameters, and retrains the policy on what the network
+infers from the target's observation. The inferred E stays within Omega.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.baselines import mdn
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.space import Gaussian
+from adaptsim_jax.tasks.base import Task
+
+
+@dataclass(frozen=True)
+class SysIdConfig:
+    """Budgets of a SysID baseline. Target rollouts: `iterations + 1` (the last one scores the last policy).
+
+    `simulations`: simulated trajectories drawn at each iteration. `noise`: standard deviation added to standardised
+    simulated observations. `pool`: average what all iterations inferred instead of the newest alone.
+    """
+
+    iterations: int = 10
+    simulations: int = 2000
+    hidden: tuple[int, ...] = (128, 128)
+    components: int = 5
+    noise: float = 0.0
+    pool: bool = False
+    draws: int = 1000
+    least_std: float = 1e-4
+    first_fit: mdn.FitConfig = field(default_factory=lambda: mdn.FitConfig(updates=2000))
+    next_fit: mdn.FitConfig = field(default_factory=lambda: mdn.FitConfig(updates=500, rate=1e-3))
+
+    def __post_init__(self):
+        for name in ("iterations", "simulations", "components", "draws"):
+            if getattr(self, name) < 1:
+                raise BadInput(f"SysID {name} = {getattr(self, name)}: give at least 1")
+        if self.simulations < 20:
+            raise BadInput(f"SysID simulations = {self.simulations}: too few to fit a network; give at least 20")
+
+
+class Estimator(NamedTuple):
+    """A network from a standardised observation to parameters: what tells SysID-Bayes and SysID-Point apart.
+
+    `init(key, obs_dim) -> variables`, `loss(variables, x [obs], u [D]) -> []`,
+    `infer(key, variables, x [obs]) -> draws [n, D]` in unit coordinates, not truncated.
+    """
+
+    init: Callable
+    loss: Callable
+    infer: Callable
+
+
+class State(NamedTuple):
+    """What the next iteration needs: E, the policy trained on it, the network, the draws kept so far `[I, n, D]`."""
+
+    dist: Gaussian
+    policy: jax.Array
+    variables: dict
+    kept: jax.Array
+    count: jax.Array
+
+
+class Info(NamedTuple):
+    """For people and tests: E in use `mean, std [D]`, the target's observation, the fit's held-out loss, share inside."""
+
+    mean: jax.Array
+    std: jax.Array
+    observation: jax.Array
+    held_out_loss: jax.Array
+    inside: jax.Array
+
+
+class Identified(NamedTuple):
+    """Means of E visited, `[iterations + 1, D]` (unit coordinates, from the start at the centre), and each step's Info."""
+
+    means: jax.Array
+    info: Info
+
+
+def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
+    """`adapt(key, target [D] physical) -> Identified`, pure: jit it, and vmap it over keys and targets."""
+
+    def adapt(key: jax.Array, target: jax.Array) -> Identified:
+        start_key, first_key, rest_key = jax.random.split(key, 3)
+        state = _start(start_key, task, estimator, config)
+        state, first = _iterate(first_key, state, target, task, estimator, config, config.first_fit)
+
+        def one(state, step_key):
+            return _iterate(step_key, state, target, task, estimator, config, config.next_fit)
+
+        state, rest = jax.lax.scan(one, state, jax.random.split(rest_key, config.iterations - 1))
+        info = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
+        return Identified(jnp.concatenate([info.mean, state.dist.mean[None]]), info)
+
+    return adapt
+
+
+def _start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
+    policy_key, train_key, net_key = jax.random.split(key, 3)
+    D = task.space.dim
+    dist = Gaussian(jnp.full(D, 0.5), jnp.full(D, config.least_std))
+    policy = task.train(train_key, dist, task.init_policy(policy_key))
+    variables = estimator.init(net_key, task.obs_dim)
+    draws = jax.eval_shape(estimator.infer, key, variables, jnp.zeros(task.obs_dim)).shape
+    return State(dist, policy, variables, jnp.zeros((config.iterations, *draws)), jnp.zeros((), int))
+
+
+def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[State, Info]:
+    real_key, data_key, fit_key, infer_key, train_key = jax.random.split(key, 5)
+    real = task.observe(task.rollout(real_key, state.policy, target))
+    x, u = simulate(data_key, task, state.policy, config)
+    shift, scale = mdn.standardise(x)
+    noise = config.noise * jax.random.normal(jax.random.fold_in(data_key, 1), x.shape)
+    fitted = mdn.fit(fit_key, state.variables, estimator.loss, (x - shift[None]) / scale[None] + noise, u, fit_config)
+    draws = estimator.infer(infer_key, fitted.variables, (real - shift) / scale)
+    kept = state.kept.at[state.count].set(draws)
+    used = kept if config.pool else draws[None]
+    told = (jnp.arange(kept.shape[0]) <= state.count) if config.pool else jnp.ones(1, bool)
+    dist, inside = within_omega(used, told, config.least_std)
+    policy = task.train(train_key, dist, state.policy)
+    info = Info(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
+    return State(dist, policy, fitted.variables, kept, state.count + 1), info
+
+
+def simulate(key: jax.Array, task: Task, policy, config: SysIdConfig) -> tuple[jax.Array, jax.Array]:
+    """Observations `[n, obs]` of one policy at parameters `[n, D]` (unit coordinates) drawn uniformly from Omega."""
+    prior_key, rollout_key = jax.random.split(key)
+    u = task.space.sample(prior_key, (config.simulations,))
+
+    def observe(k, one):
+        return task.observe(task.rollout(k, policy, task.space.physical(one)))
+
+    return jax.vmap(observe)(jax.random.split(rollout_key, config.simulations), u), u
+
+
+def within_omega(draws: jax.Array, told: jax.Array, least_std: float) -> tuple[Gaussian, jax.Array]:
+    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `told [I]`; also the share inside Omega.
+
+    Draws outside the box are dropped (the posterior is truncated to Omega). Where hardly any is inside, as with targets
+    far outside of Omega, the mean of all is clipped to the box instead.
+    """
+    flat = draws.reshape(-1, draws.shape[-1])
+    used = jnp.repeat(told, draws.shape[1])
+    inside = jnp.all((flat >= 0.0) & (flat <= 1.0), axis=-1) & used
+    share = jnp.sum(inside) / jnp.sum(used)
+    few = share < 0.01
+    weights = jnp.where(few, used, inside).astype(flat.dtype)
+    weights = weights / jnp.sum(weights)
+    points = jnp.clip(flat, 0.0, 1.0)
+    # With few inside, clip after averaging: clipped draws would all sit on the faces of the box.
+    mean = jnp.where(few, jnp.clip(weights @ flat, 0.0, 1.0), weights @ points)
+    std = jnp.sqrt(weights @ (points - mean[None]) ** 2)
+    return Gaussian(mean, jnp.maximum(std, least_std)), share
