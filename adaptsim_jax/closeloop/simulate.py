@@ -64,8 +64,7 @@ def simulate(model: Model, theta, eff, mask, windows: Windows, x0) -> tuple[jax.
 
 def driven(model: Model, theta, eff, mask, windows: Windows) -> Drive:
     """Commands as they reach the joints, and memories warmed along the measured motion."""
-    rows, trial = windows.rows, windows.trial
-    time = jnp.asarray(windows.time)[trial[:, None], rows].T
+    time = jnp.asarray(windows.times).T
     dt = jnp.diff(time, axis=0)
     applied = trial_command(model, eff, mask, windows)
     return Drive(gather_command(applied, windows, dt), dt, time, _warm_memory(model, theta, eff, mask, windows))
@@ -86,11 +85,13 @@ def trial_command(model: Model, eff, mask, windows: Windows) -> jax.Array:
 
 
 def gather_command(applied, windows: Windows, dt) -> jax.Array:
-    """Mean torque over each step of each window `[L, U, W]`, exact in impulse where rows were merged."""
+    """Mean torque over each step of each window `[L, U, W]`, exact in impulse where rows were merged or split."""
     time = jnp.asarray(windows.time).T[:, None, :]
     impulse = jnp.cumsum(applied[:-1] * jnp.diff(time, axis=0), 0)
     impulse = jnp.concatenate([jnp.zeros_like(impulse[:1]), impulse])
-    at = impulse[windows.rows.T, :, windows.trial[None, :]]  # [L+1, W, U]
+    rows, trial = windows.rows.T, windows.trial[None, :]
+    since = jnp.asarray(windows.times).T - time[rows, 0, trial]
+    at = impulse[rows, :, trial] + applied[rows, :, trial] * since[..., None]  # [L+1, W, U]
     mean = jnp.diff(at, axis=0) / jnp.where(dt > 0, dt, 1.0)[..., None]
     return jnp.swapaxes(mean, 1, 2)
 

@@ -7,7 +7,7 @@ the joint over each of its steps is gathered from the trial's impulse inside the
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -29,8 +29,9 @@ class Windows:
     """Arrays of one recording, a pytree. Padding has weight 0 and steps of no duration.
 
     time [N, T] s, torque [N, T, U] N m, motion_q, motion_v [N, T, n]: trials, padded at the end;
-    trial [W], rows [W, L+1]: where the windows lie; measured, weight [W, L+1, Y] (weight in 1 / standard deviation);
-    start [W, S]: initial states from the data; substeps: integration steps in a step of a window.
+    trial [W], rows, times [W, L+1]: where the windows' boundaries lie, `rows` being the row that holds at that time;
+    measured, weight [W, L+1, Y] (weight in 1 / standard deviation); start [W, S]: initial states from the data;
+    substeps: integration steps in a step of a window.
     """
 
     time: np.ndarray
@@ -39,15 +40,11 @@ class Windows:
     motion_v: np.ndarray
     trial: np.ndarray
     rows: np.ndarray
+    times: np.ndarray
     measured: np.ndarray
     weight: np.ndarray
     start: np.ndarray
     substeps: int
-
-    @property
-    def times(self) -> np.ndarray:
-        """Time of each boundary `[W, L+1]` s."""
-        return np.take_along_axis(self.time[self.trial], self.rows, 1)
 
     @property
     def dt(self) -> np.ndarray:
@@ -67,10 +64,18 @@ class Windows:
 jax.tree_util.register_dataclass(
     Windows,
     data_fields=[
-        "time", "torque", "motion_q", "motion_v", "trial", "rows", "measured", "weight", "start",
+        "time", "torque", "motion_q", "motion_v", "trial", "rows", "times", "measured", "weight", "start",
     ],
     meta_fields=["substeps"],
 )  # fmt: skip
+
+
+class _Cut(NamedTuple):
+    """Windows of one trial: boundaries `[w, L+1]` as held row, time from its start, and whether a sample is there."""
+
+    rows: np.ndarray
+    times: np.ndarray
+    sampled: np.ndarray
 
 
 def cut_windows(
@@ -87,9 +92,10 @@ def cut_windows(
     """Cut `trials` into windows of about `duration` s.
 
     sigma: `[2 n]` standard deviations of positions [rad] and velocities [rad/s]; NaN samples and channels of infinite
-    sigma have no weight. Rows faster than `max_rate` Hz are merged (torque by impulse, every k-th sample kept).
+    sigma have no weight. Rows faster than `max_rate` Hz are merged (torque by impulse, every k-th sample kept); a step
+    that is unusually long is split. Integration steps are at most about `max_step` s.
     motions: smoothed `(q [T, n], v [T, n])` per trial, for initial states; local cubics of the data where None.
-    Windows never span a gap of over five median rows. Raises BadInput where a trial is too short.
+    Windows never span a gap of over 0.1 s and five median rows. Raises BadInput where a trial is too short.
     """
     if not trials:
         raise BadInput("no trials to cut into windows; give at least one")
@@ -97,60 +103,76 @@ def cut_windows(
     stride = max(1, int(np.ceil(1.0 / (max_rate * dt) - 0.05)))
     motions = motions or [local_motion(t.time, t.q, t.v) for t in trials]
     steps = max(4, round(duration / (dt * stride)))
-    places = [_places(t.time, stride, steps, dt) for t in trials]
+    substeps = max(1, int(np.ceil(dt * stride / max_step - 0.05)))
+    cuts = [_cut(t.time - t.time[0], stride, steps, dt, 1.3 * substeps * max_step) for t in trials]
     has_velocity = use_velocity and all(t.v is not None for t in trials)
-    trial = np.concatenate([np.full(len(p), i) for i, p in enumerate(places)]).astype(np.int32)
-    rows = np.concatenate(places).astype(np.int32)
-    pieces = [_measured(t, p, sigma, has_velocity) for t, p in zip(trials, places, strict=True)]
+    trial = np.concatenate([np.full(len(c.rows), i) for i, c in enumerate(cuts)]).astype(np.int32)
+    pieces = [_measured(t, c, sigma, has_velocity) for t, c in zip(trials, cuts, strict=True)]
     measured, weight = (np.concatenate(z) for z in zip(*pieces, strict=True))
-    start = np.concatenate(
-        [np.concatenate([q[p[:, 0]], v[p[:, 0]]], 1) for (q, v), p in zip(motions, places, strict=True)]
-    )
-    rest = (-len(rows)) % pad_windows
-    widest = max(float(np.diff(t.time[p], axis=1).max()) for t, p in zip(trials, places, strict=True))
-    pad = lambda z: np.concatenate([z, np.zeros((rest, *z.shape[1:]), z.dtype)])
+    first = [c.rows[:, 0] for c in cuts]
+    start = [np.concatenate([q[k], v[k]], 1) for (q, v), k in zip(motions, first, strict=True)]
+    rest = (-len(trial)) % pad_windows
+    empty = lambda z: np.concatenate([z, np.zeros((rest, *z.shape[1:]), z.dtype)])
+    again = lambda z: np.concatenate([*z, np.repeat(z[0][:1], rest, 0)])
     return Windows(
         *_stacked(trials, motions),
-        trial=pad(trial),
-        rows=np.concatenate([rows, np.repeat(rows[:1], rest, 0)]),
-        measured=pad(measured),
-        weight=pad(weight),
-        start=np.concatenate([start, np.repeat(start[:1], rest, 0)]),
-        substeps=max(1, int(np.ceil(widest / max_step - 1e-6))),
+        trial=empty(trial),
+        rows=again([c.rows for c in cuts]).astype(np.int32),
+        times=again([c.times for c in cuts]),
+        measured=empty(measured),
+        weight=empty(weight),
+        start=again(start),
+        substeps=substeps,
     )
 
 
-def _places(time: np.ndarray, stride: int, steps: int, dt: float) -> np.ndarray:
-    """Rows at the boundaries of a trial's windows `[w, L+1]`; the last window of a stretch repeats its end row."""
-    if len(time) < 3:
-        raise BadInput(f"a trial of {len(time)} rows is too short to fit; give at least 3")
-    gaps = np.flatnonzero(np.diff(time) > 5 * dt)
+def _cut(time: np.ndarray, stride: int, steps: int, dt: float, longest: float) -> _Cut:
+    """Boundaries of a trial's windows; a window that ends early repeats its last boundary."""
+    if len(time) < 4:
+        raise BadInput(f"a trial of {len(time)} rows is too short to fit; give at least 4")
+    gaps = np.flatnonzero(np.diff(time) > max(5 * dt, 0.1))
     edges = np.concatenate([[0], gaps + 1, [len(time)]])
     windows = []
     for first, last in pairwise(edges):
         kept = np.arange(first, last, stride)
-        count = max(1, round((len(kept) - 1) / steps))
-        for k in range(count):
-            part = kept[k * steps : min(len(kept), (k + 1) * steps + 1)]
-            if len(part) >= 4:
-                windows.append(np.concatenate([part, np.repeat(part[-1], steps + 1 - len(part))]))
+        at, sampled = _split_long(time[kept], longest)
+        for part in _parts(len(at), steps):
+            index = np.concatenate([part, np.repeat(part[-1], steps + 1 - len(part))])
+            fresh = np.arange(steps + 1) < len(part)
+            windows.append((at[index], sampled[index] & fresh))
     if not windows:
         raise BadInput("a trial has no unbroken stretch of 4 rows; record without gaps")
-    return np.array(windows)
+    times, sampled = (np.array(z) for z in zip(*windows, strict=True))
+    rows = np.clip(np.searchsorted(time, times + 1e-9, side="right") - 1, 0, len(time) - 1)
+    return _Cut(rows, times, sampled)
 
 
-def _measured(trial: Measured, places: np.ndarray, sigma: np.ndarray, has_velocity: bool):
-    """Samples and weights `[w, L+1, Y]`; a row that two windows share counts half in each."""
+def _split_long(at: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times with steps over `longest` split evenly, and which of them are samples."""
+    pieces = np.maximum(1, np.ceil(np.diff(at) / longest - 1e-6)).astype(int)
+    new = [t + (u - t) * np.arange(k) / k for t, u, k in zip(at[:-1], at[1:], pieces, strict=True)]
+    sampled = np.concatenate([np.arange(k) == 0 for k in pieces] + [[True]])
+    return np.concatenate([*new, at[-1:]]), sampled
+
+
+def _parts(count: int, steps: int) -> list[np.ndarray]:
+    """Consecutive stretches of `steps` steps; a rest of under half a window is dropped, unless it is all there is."""
+    starts = range(0, max(count - 1, 0), steps)
+    parts = [np.arange(s, min(s + steps + 1, count)) for s in starts]
+    long = [p for p in parts if len(p) > steps // 2 + 1]
+    return long or [p for p in parts[:1] if len(p) >= 4]
+
+
+def _measured(trial: Measured, cut: _Cut, sigma: np.ndarray, has_velocity: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Samples and weights `[w, L+1, Y]`; a sample that two windows share counts half in each."""
     y = trial.q if not has_velocity or trial.v is None else np.concatenate([trial.q, trial.v], 1)
     count = y.shape[1]
     inverse = np.where(np.isfinite(sigma[:count]) & (sigma[:count] > 0), 1.0 / sigma[:count], 0.0)
-    picked = y[places]
-    weight = np.where(np.isfinite(picked), inverse, 0.0)
-    weight[:, 1:] *= (np.diff(places, axis=1) > 0)[..., None]
-    uses = np.bincount(places[:, 0], minlength=len(y)) + np.bincount(places.max(1), minlength=len(y))
-    half = np.sqrt(0.5)
-    weight[:, 0] *= np.where(uses[places[:, 0]] > 1, half, 1.0)[:, None]
-    weight *= np.where((places == places.max(1, keepdims=True)) & (uses[places] > 1), half, 1.0)[..., None]
+    picked = y[cut.rows]
+    uses = np.zeros(len(y))
+    np.add.at(uses, cut.rows[cut.sampled], 1.0)
+    share = np.where(cut.sampled, 1.0 / np.sqrt(np.maximum(uses[cut.rows], 1.0)), 0.0)
+    weight = np.where(np.isfinite(picked), inverse, 0.0) * share[..., None]
     return np.where(np.isfinite(picked), picked, 0.0), weight
 
 
@@ -175,19 +197,24 @@ def local_motion(time: np.ndarray, q: np.ndarray, v: np.ndarray | None, half: in
 
     Measured velocities enter the same cubic. Good enough to start a fit; the noise model has a better smoother.
     """
-    out_q, out_v = np.empty_like(q), np.empty_like(q)
     count = min(2 * half + 1, len(time))
-    for i in range(len(time)):
-        first = min(max(i - half, 0), len(time) - count)
-        near = slice(first, first + count)
-        s = time[near] - time[i]
-        width = max(abs(s[0]), abs(s[-1]))
-        powers = (s[:, None] / width) ** np.arange(4)
-        design, target = powers, q[near]
-        if v is not None and np.isfinite(v[near]).all():
-            slopes = np.arange(4) * (s[:, None] / width) ** np.maximum(np.arange(4) - 1, 0)
-            design, target = np.concatenate([design, slopes]), np.concatenate([target, v[near] * width])
-        keep = np.isfinite(target).all(1)
-        coef = np.linalg.lstsq(design[keep], target[keep], rcond=None)[0]
-        out_q[i], out_v[i] = coef[0], coef[1] / width
-    return out_q, out_v
+    first = np.clip(np.arange(len(time)) - half, 0, len(time) - count)
+    near = first[:, None] + np.arange(count)
+    s = time[near] - time[:, None]
+    width = np.abs(s).max(1, keepdims=True)
+    powers = (s / width)[..., None] ** np.arange(4)
+    design, target = powers, q[near]
+    if v is not None:
+        slopes = np.concatenate([np.zeros_like(powers[..., :1]), np.arange(1, 4) * powers[..., :3]], -1)
+        design, target = np.concatenate([design, slopes], 1), np.concatenate([target, v[near] * width[..., None]], 1)
+    keep = np.isfinite(target)
+    channels = [(np.where(keep, target, 0.0)[..., j], keep[..., j]) for j in range(q.shape[1])]
+    coef = np.stack([_cubic(design, y, k) for y, k in channels], -1)  # [T, 4, n]
+    return coef[:, 0], coef[:, 1] / width
+
+
+def _cubic(design: np.ndarray, target: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """Coefficients `[T, 4]` of weighted least squares."""
+    kept = design * keep[..., None]
+    normal = np.swapaxes(kept, 1, 2) @ design + 1e-9 * np.eye(4)
+    return np.linalg.solve(normal, (np.swapaxes(kept, 1, 2) @ target[..., None]))[..., 0]

@@ -85,7 +85,7 @@ class Plant:
         return self.gravity(self.constants, theta, q)
 
     def inertia_at(self, theta: jax.Array, q: jax.Array) -> jax.Array:
-        """What each joint feels when pushed alone: 1 / diag(M^-1) `[n, ...]` kg m^2; it bounds stable friction slopes."""
+        """What each joint feels when pushed alone: 1 / diag(M^-1) `[n, ...]` kg m^2."""
         mass = self.mass(self.constants, theta, q)
         n = self.joint_dim
         eye = jnp.eye(n, dtype=mass.dtype).reshape((n, n) + (1,) * (mass.ndim - 2))
