@@ -76,10 +76,25 @@ def score_case(suite: str, case: Case, truth: dict, report: dict) -> dict:
         "hits": hits,
         "wrong": wrong,
         "error": report.get("error", {}),
+        "declared": declared_errors(truth.get("declared", {}), report.get("declared") or {}),
         "leftover": report.get("leftover"),
         "message": report.get("message", ""),
         "brief": f"{right} -> {verdict} {first} {'hit ' * sum(hits)}{'WRONG ' * wrong}",
     }
+
+
+def declared_errors(truth: dict[str, float], declared: dict) -> dict[str, dict]:
+    """Per identifiable declared parameter: relative error before and after, and whether the 90 % interval holds it."""
+    out = {}
+    for name, true in truth.items():
+        before, after = (declared.get(stage, {}).get(name) or {} for stage in ("before", "after"))
+        if before.get("value") is None or after.get("value") is None or after.get("identifiable") is False:
+            continue
+        errors = {k: (e["value"] - true) / abs(true) for k, e in (("before", before), ("after", after))}
+        if after.get("low") is not None and after.get("high") is not None:
+            errors["covered"] = after["low"] <= true <= after["high"]
+        out[name] = errors
+    return out
 
 
 def share(records: list[dict], test) -> dict:
@@ -116,6 +131,8 @@ def summarise(records: list[dict]) -> dict:
 
 
 def _suite(name: str, rs: list[dict]) -> dict:
+    errors = [e for r in rs for e in r["declared"].values()]
+    covered = [e for e in errors if "covered" in e]
     gaps = [g for g in map(gap_closed, rs) if g is not None]
     out: dict = {
         "cases": len(rs),
@@ -125,6 +142,9 @@ def _suite(name: str, rs: list[dict]) -> dict:
         "crashes": [r["name"] for r in rs if r["verdict"] == "error"],
         "any_wrong_name": share(rs, lambda r: r["wrong"] > 0),
         "gap_closed_median": median(gaps) if gaps else None,
+        "declared_error_before": median(abs(e["before"]) for e in errors) if errors else None,
+        "declared_error_after": median(abs(e["after"]) for e in errors) if errors else None,
+        "declared_covered": share(covered, lambda e: e["covered"]),
     }
     if name == "null":
         out["false_alarms"] = by(rs, "condition", lambda r: bool(r["named"]))

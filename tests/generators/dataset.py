@@ -293,6 +293,7 @@ def _truth(d: Draft) -> dict:
         "engine": d.spec.engine,
         "effects": hidden,
         "rig": d.rig.truth(),
+        "declared": d.rig.declared(),
         "sensor": d.sensor,
         "kinds": [t.kind for t in d.trials],
     }

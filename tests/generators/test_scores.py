@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.closeloop_scores import classes, parse, score_case, summarise, table, wilson
+from experiments.closeloop_scores import classes, declared_errors, parse, score_case, summarise, table, wilson
 from tests.generators import Spec
 from tests.generators.suites import Case
 
@@ -69,3 +69,16 @@ def test_a_disguise_that_changes_the_verdict_is_seen():
     other = judged([], [], "underpowered", "metamorphic", name="meta_1_b", variant="filtered")
     records = [r | {"seconds": 1.0} for r in (plain, same, other)]
     assert summarise(records)["metamorphic"]["consistent"] == pytest.approx(0.5)
+
+
+def test_declared_parameters_are_compared_where_they_are_identifiable():
+    truth = {"b1": 0.1, "b2": 0.2, "p1": 1.0}
+    before = {"b1": {"value": 0.2}, "b2": {"value": 0.1}, "p1": {"value": 2.0}}
+    after = {
+        "b1": {"value": 0.11, "low": 0.09, "high": 0.13},
+        "b2": {"value": 0.25, "low": 0.22, "high": 0.28},
+        "p1": {"value": 1.0, "low": 0.9, "high": 1.1, "identifiable": False},
+    }
+    found = declared_errors(truth, {"before": before, "after": after})
+    assert set(found) == {"b1", "b2"} and found["b1"]["before"] == pytest.approx(1.0)
+    assert found["b1"]["covered"] and not found["b2"]["covered"]

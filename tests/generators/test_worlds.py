@@ -14,7 +14,7 @@ from tests.generators.conditions import CONDITIONS
 from tests.generators.effects import Table
 from tests.generators.simulate import simulate
 from tests.generators.sizing import measure
-from tests.generators.worlds import G, Rig, acceleration, lanes_of
+from tests.generators.worlds import G, Rig, acceleration, bias_torque, lanes_of, mass_matrix
 
 
 def made(spec: Spec, table: Table | None = None, step: float = 5e-4):
@@ -105,6 +105,15 @@ def test_linearised_world_is_the_slope_of_the_rigid_one():
         q, v, u = 1e-5 * rng.normal(size=(3, 2, 1))
         both = [acceleration(p := lanes_of([r], [1]), q, v, u - p.b * v) for r in (rigid, linear)]
         np.testing.assert_allclose(both[0], both[1], rtol=1e-5)
+
+
+def test_declared_truth_is_the_mass_matrix_and_gravity_of_the_world():
+    d = making.draft(Spec(4, angle_zero="hanging"))
+    t, p = d.rig.declared(), lanes_of([d.rig], [1])
+    m11, m12, m22 = mass_matrix(p, np.array([[0.3], [np.pi / 2]]))
+    assert (m11[0], m22[0]) == (pytest.approx(t["p1"]), pytest.approx(t["p3"])) and m12[0] == pytest.approx(t["p3"])
+    torque = bias_torque(p, np.array([[np.pi / 2], [0.0]]), np.zeros((2, 1)))[:, 0]
+    np.testing.assert_allclose(torque, G * np.array([t["h1"] + t["h2"], t["h2"]]))
 
 
 # What the second engine may differ by, as a share of what the effect changes, with the reason.

@@ -28,6 +28,20 @@ class Rig:
         first = self.m[0] * self.c[0] + self.m[1] * (self.l[0] + self.c[1])
         return G * np.array([first, self.m[1] * self.c[1]])
 
+    def declared(self) -> dict[str, float]:
+        """True values of what a declared model can identify: masses and damping, or the rigid base parameters.
+
+        p1, p3 are the inertias about joints 1 and 2 (with q2's cosine left out), h1, h2 the first moments.
+        """
+        (m1, m2), (c1, c2), (i1, i2), l1 = self.m, self.c, self.inertia, self.l[0]
+        damping = {"b1": float(self.b[0]), "b2": float(self.b[1])}
+        if self.world == "linearized":
+            return {"m1": float(m1), "m2": float(m2)} | damping
+        p3 = i2 + m2 * c2**2
+        p1 = i1 + m1 * c1**2 + m2 * l1**2 + p3
+        moments = {"p1": p1, "p3": p3, "h1": m1 * c1 + m2 * l1, "h2": m2 * c2}
+        return {k: float(v) for k, v in moments.items()} | damping
+
     def truth(self) -> dict:
         return {f.name: np.asarray(getattr(self, f.name)).tolist() for f in fields(self)}
 
