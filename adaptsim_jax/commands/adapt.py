@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from typing import Any
 
 EXAMPLES = """
   adaptsim adapt runs/a --target ood-1
@@ -16,18 +18,89 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument("folder", metavar="RUN", help="a run folder of `adaptsim train`")
     parser.add_argument("--target", required=True, metavar="T", help="wd, ood-1 .. ood-4, or a TOML file")
-    parser.add_argument(
-        "--starts", type=positive, default=2, metavar="N", help="initial distributions (default 2)"
-    )
-    parser.add_argument(
-        "--iterations", type=positive, default=10, metavar="I", help="adaptation steps (default 10)"
-    )
+    parser.add_argument("--starts", type=positive, default=2, metavar="N", help="initial distributions (2)")
+    parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)")
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Phase 2 of a trained run."""
-    from adaptsim_jax.commands.common import require
+    """Phase 2 of a trained run: result.json, and a few lines for a person."""
+    from adaptsim_jax.store import RunFolder
 
-    require("adaptsim_jax.adapt.training", "'adaptsim adapt'")
+    folder = RunFolder.open(args.folder)
+    import jax
+
+    from adaptsim_jax.adapt.training import adapt_run, load_run
+    from adaptsim_jax.commands.common import read_target
+    from adaptsim_jax.files import output_folder, write_json
+
+    trained = load_run(folder)
+    task = trained.phase1.task
+    name, params = read_target(args.target, task)
+    out = output_folder(args.out or Path(args.folder) / f"adapt-{name}")
+    result = adapt_run(trained, jax.random.key(args.seed), params, starts=args.starts, iterations=args.iterations)
+    found = describe(result, task, name, params, args)
+    write_json(out / "result.json", found)
+    _show(found)
+    print(f"written: {out / 'result.json'}")
     return 0
+
+
+def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> dict[str, Any]:
+    """What Phase 2 found, as plain data: the best policy, where it came from, and every trial."""
+    import numpy as np
+
+    names = task.space.names
+    physical = np.asarray(task.space.physical(result.history.mean))
+    reward = np.asarray(result.history.reward)
+    return {
+        "schema": 1,
+        "task": task.name,
+        "run": str(args.folder),
+        "seed": args.seed,
+        "target": {"name": name, "params": dict(zip(names, map(float, params), strict=True))},
+        "best": {
+            "reward": number(result.reward),
+            "score": number(result.score),
+            "params": dict(zip(names, np.asarray(task.space.physical(result.mean)).tolist(), strict=True)),
+            "policy": policy_table(result.policy),
+        },
+        "final": [number(row[-1]) for row in reward],
+        "trials": int(reward.size),
+        "history": [
+            [
+                {"reward": number(reward[s, i]), "params": dict(zip(names, physical[s, i].tolist(), strict=True))}
+                for i in range(reward.shape[1])
+            ]
+            for s in range(reward.shape[0])
+        ],
+    }
+
+
+def number(value: Any) -> float | None:
+    """A float for JSON; None where it is not finite."""
+    import math
+
+    return float(value) if math.isfinite(float(value)) else None
+
+
+def policy_table(policy: Any) -> dict[str, Any]:
+    """The leaves of a task policy as nested lists, by name."""
+    import jax
+    import numpy as np
+
+    leaves = jax.tree_util.tree_flatten_with_path(policy)[0]
+    return {jax.tree_util.keystr(path).strip(".[]'"): np.asarray(leaf).tolist() for path, leaf in leaves}
+
+
+def _show(found: dict[str, Any]) -> None:
+    best = found["best"]
+    print(f"target {found['target']['name']}: best reward {_digits(best['reward'])} of {found['trials']} trials")
+    for start, visits in enumerate(found["history"], 1):
+        print(f"  start {start}: reward {' '.join(_digits(visit['reward']) for visit in visits)}")
+    for name, value in best["params"].items():
+        print(f"  {name} {value:.4g} (target {found['target']['params'][name]:.4g})")
+
+
+def _digits(value: float | None) -> str:
+    return "diverged" if value is None else f"{value:.3f}"

@@ -14,12 +14,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
-    parser.add_argument(
-        "--out", required=True, metavar="DIR", help="folder for results.json, table and figure"
-    )
-    parser.add_argument(
-        "--seeds", type=positive, default=20, metavar="N", help="seeds of each method (default 20)"
-    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for results.json, table and figure")
+    parser.add_argument("--seeds", type=positive, default=20, metavar="N", help="seeds of each method (default 20)")
     parser.add_argument("--methods", metavar="A,B", help="default: all")
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
 

@@ -12,9 +12,7 @@ EXAMPLES = """
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("data", metavar="DATA", help="a folder with meta.toml and one CSV or npz a trial")
-    parser.add_argument(
-        "--out", required=True, metavar="DIR", help="folder for report.json, report.html, model.toml"
-    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for report.json, report.html, model.toml")
 
 
 def run(args: argparse.Namespace) -> int:

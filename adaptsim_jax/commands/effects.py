@@ -61,9 +61,7 @@ def describe(effect: Any) -> dict[str, Any]:
 def _parameter(parameter: Any) -> dict[str, Any]:
     sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
     role = "shape" if parameter.off is None else "amplitude"
-    numbers = {
-        name: getattr(parameter, name) for name in ("unit", "low", "high", "default", "off", "plausible")
-    }
+    numbers = {name: getattr(parameter, name) for name in ("unit", "low", "high", "default", "off", "plausible")}
     return {"name": parameter.name, "role": role, "sign": sign, **numbers}
 
 

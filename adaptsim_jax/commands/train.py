@@ -64,9 +64,18 @@ def _folder(args: argparse.Namespace) -> Any:
         table = _start_table(args) if args.config else RunFolder.open(args.folder, task=args.task).config
     else:
         table = _start_table(args)
-    wanted = config.to_table(config_of(table, args))
+    asked = config_of(table, args)
+    _check(asked, args)
     start = RunFolder.resume if args.resume else RunFolder.create
-    return start(Path(args.folder), wanted, task=args.task)
+    return start(Path(args.folder), config.to_table(asked), task=args.task)
+
+
+def _check(asked: Any, args: argparse.Namespace) -> None:
+    """Refuse a config that cannot be run before a folder is made for it."""
+    from adaptsim_jax.adapt.phase1 import make_phase1
+    from adaptsim_jax.tasks.registry import make_task
+
+    make_phase1(make_task(args.task, asked.task, args.config or "--set"), asked.phase1)
 
 
 def _start_table(args: argparse.Namespace) -> dict[str, Any]:
@@ -79,8 +88,6 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     table = config.read(args.config)
     if isinstance(table.get("config"), dict):
         if table.get("task", args.task) != args.task:
-            raise BadInput(
-                f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file"
-            )
+            raise BadInput(f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file")
         return table["config"]
     return table
