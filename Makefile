@@ -34,9 +34,10 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.core
-	@set -e; for script in benchmarks/bench_*.py; do \
-	  [ -e "$$script" ] || { echo "no benchmarks/bench_*.py yet"; exit 0; }; \
-	  echo "== $$script"; $(BIN)/python "$$script"; done
+	@for script in benchmarks/*.py; do \
+	  case "$$script" in *__init__.py) continue;; esac; \
+	  echo "== $$script"; $(BIN)/python "$$script" || echo "$$script did not run to its end; 'pip install -e .[bench]' adds its peers"; \
+	done
 
 clean:
 	rm -rf $(VENV) .cache demo_out build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
