@@ -38,9 +38,10 @@ def check_timestamps(trial: Trial) -> Found:
         expected = speed * (dt - np.convolve(dt, width / len(width), "same"))
         extra = turn - speed * dt
         power = float(np.sum(expected**2))
-        shares.append((-float(np.sum(extra * expected)) / power if power else 0.0, power))
-    share = max(shares, key=lambda s: s[1])[0]
-    if share < 0.3:
+        spread = float(np.std(extra)) / max(power, 1e-300) ** 0.5
+        shares.append((-float(np.sum(extra * expected)) / power if power else 0.0, spread))
+    share, spread = min(shares, key=lambda s: s[1])
+    if share < max(0.3, 6.0 * spread):
         return []
     text = f"angles do not follow {share:.0%} of the unevenness of time: rows are stamped late, not when read"
     return [Finding("timestamps", "warn", trial.name, "time", text, share)]
