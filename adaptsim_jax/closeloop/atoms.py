@@ -14,7 +14,7 @@ import numpy as np
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.simulate import Model, gather_command, measure, trial_command
 from adaptsim_jax.closeloop.windows import Windows
-from adaptsim_jax.models.effects import Effect, Layout, Motion, Reach
+from adaptsim_jax.models.effects import Dry, Effect, Layout, Motion, Reach
 from adaptsim_jax.models.plant import Plant
 
 
@@ -143,12 +143,13 @@ def _force_rows(model: Model, theta, drive, x, effect: Effect):
     n = model.plant.joint_dim
     q, v = x[:, :n].transpose(1, 0, 2), x[:, n:].transpose(1, 0, 2)  # [n, L+1, W]
     u = drive.u.transpose(1, 0, 2)
-    sign_speed = jnp.asarray(model.sign_speed)
+    turned = _mean_sign(v[:, :-1], v[:, 1:])
     gravity = lambda q: model.plant.gravity_force(theta, q)
 
     def at(p, pick, rows, time):
         args = [pick(z) for z in (q[:, rows], v[:, rows], u)]
-        return effect.apply(p, Motion(*args, time, jnp.zeros_like(args[0]), gravity, pick(sign_speed)[:, None, None]))
+        answer = effect.apply(p, Motion(*args, time, jnp.zeros_like(args[0]), gravity))
+        return answer.force - answer.level * pick(turned) if isinstance(answer, Dry) else answer
 
     def one(joint, row):
         pick = (lambda z: z) if effect.scope == "base" else (lambda z: z[joint][None])
@@ -159,6 +160,14 @@ def _force_rows(model: Model, theta, drive, x, effect: Effect):
         return _spread(_change(effect, row, mean), joint, n)
 
     return one
+
+
+def _mean_sign(before, after):
+    """Mean sign of a velocity that changes linearly over a row."""
+    change = after - before
+    return jnp.where(
+        change != 0, (jnp.abs(after) - jnp.abs(before)) / jnp.where(change != 0, change, 1.0), jnp.sign(after)
+    )
 
 
 def _inertia_rows(model: Model, drive, x, effect: Effect):
@@ -179,16 +188,13 @@ def _memory_rows(model: Model, theta, windows: Windows, effect: Effect):
     q, v, u = trial(windows.motion_q), trial(windows.motion_v), trial(windows.torque)
     time = jnp.asarray(windows.time).T
     h = jnp.concatenate([jnp.diff(time, axis=0), jnp.zeros_like(time[:1])])
-    sign_speed = jnp.asarray(model.sign_speed)
     gravity = lambda q: model.plant.gravity_force(theta, q)
 
     def one(joint, row):
-        width = sign_speed[joint]
-
         def run(p):
             def step(w, now):
                 q, v, u, t, h = now
-                answer = effect.apply(p, Motion(q, v, u, t, w, gravity, width))
+                answer = effect.apply(p, Motion(q, v, u, t, w, gravity))
                 return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h), answer.force
 
             return jax.lax.scan(step, jnp.zeros_like(q[0, 0]), (q[joint], v[joint], u[joint], time, h))[1]

@@ -12,20 +12,19 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.closeloop.windows import Windows
-from adaptsim_jax.models.effects import Layout, Motion, Relaxation
-from adaptsim_jax.models.plant import Plant
+from adaptsim_jax.models.effects import Dry, Layout, Motion, Relaxation
+from adaptsim_jax.models.plant import Plant, solve_mass
 
 
 @dataclass(frozen=True)
 class Model:
-    """A plant and the effects that may act on it. `sign_speed: [n]` rad/s is the width of the sign of a velocity."""
+    """A plant and the effects that may act on it."""
 
     plant: Plant
     layout: Layout
-    sign_speed: jax.Array
 
 
-jax.tree_util.register_dataclass(Model, data_fields=["plant", "sign_speed"], meta_fields=["layout"])
+jax.tree_util.register_dataclass(Model, data_fields=["plant"], meta_fields=["layout"])
 
 
 class Drive(NamedTuple):
@@ -45,9 +44,9 @@ class Push(NamedTuple):
     inertia: jax.Array
 
 
-def make_model(plant: Plant, effects: tuple, sign_speed) -> Model:
+def make_model(plant: Plant, effects: tuple) -> Model:
     """A model with all instances of `effects` on the plant's joints."""
-    return Model(plant, Layout(tuple(effects), plant.joints), sign_speed)
+    return Model(plant, Layout(tuple(effects), plant.joints))
 
 
 def simulate(model: Model, theta, eff, mask, windows: Windows, x0) -> tuple[jax.Array, jax.Array]:
@@ -130,29 +129,38 @@ def _warm_memory(model: Model, theta, eff, mask, windows: Windows) -> tuple[jax.
 
 
 def _motion(model: Model, theta, q, v, u, t, memory) -> Motion:
-    sign_speed = jnp.asarray(model.sign_speed).reshape((-1,) + (1,) * (q.ndim - 1))
-    return Motion(q, v, u, t, memory, lambda q: model.plant.gravity_force(theta, q), sign_speed)
+    return Motion(q, v, u, t, memory, lambda q: model.plant.gravity_force(theta, q))
 
 
 def _relax(answer: Relaxation, w, h):
     return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h)
 
 
-def forces(model: Model, theta, eff, memory, x, u, t) -> tuple[jax.Array, jax.Array]:
-    """Sum of the effects' forces and extra inertias, `[n, ...]` each, at `x: [S, ...]`."""
+class Acting(NamedTuple):
+    """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2)."""
+
+    force: jax.Array
+    level: jax.Array
+    inertia: jax.Array
+
+
+def acting(model: Model, theta, eff, memory, x, u, t) -> Acting:
+    """What the force effects do at `x: [S, ...]`."""
     n = model.plant.joint_dim
     q, v = x[:n], x[n:]
-    force, inertia = jnp.zeros_like(q), jnp.zeros_like(q)
+    force, level, inertia = jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
     memories = iter(memory)
     for effect in model.layout.placed("force"):
         p = model.layout.params(effect, eff, q.ndim - 1)
         if effect.inertia:
             inertia = inertia + effect.apply(p)
-        elif effect.memory:
-            force = force + effect.apply(p, _motion(model, theta, q, v, u, t, next(memories))).force
-        else:
-            force = force + effect.apply(p, _motion(model, theta, q, v, u, t, jnp.zeros_like(q)))
-    return force, inertia
+            continue
+        w = next(memories) if effect.memory else jnp.zeros_like(q)
+        answer = effect.apply(p, _motion(model, theta, q, v, u, t, w))
+        if isinstance(answer, Dry):
+            level = level + answer.level
+        force = force + (answer.force if isinstance(answer, (Dry, Relaxation)) else answer)
+    return Acting(force, level, inertia)
 
 
 def _remember(model: Model, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
@@ -176,12 +184,14 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
         now = t + i * h
         memory = _remember(model, theta, eff, memory, x, u, now, 0.5 * h)
 
+        rub = _dry_force(model, theta, eff, memory, x, u, now, h, push)
+
         def stage(inner, ab):
             slope, total = inner
             a, b = ab
             at = x + a * h * slope
-            force, inertia = forces(model, theta, eff, memory, at, u, now + a * h)
-            slope = model.plant.deriv(theta, at, u, force + push.force, inertia + push.inertia)
+            act = acting(model, theta, eff, memory, at, u, now + a * h)
+            slope = model.plant.deriv(theta, at, u, act.force + rub + push.force, act.inertia + push.inertia)
             return (slope, total + b * slope), None
 
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
@@ -192,6 +202,55 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
     if substeps == 1:
         return substep((x, memory), 0.0)[0]
     return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=x.dtype))[0]
+
+
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
+    """Mean force `[n, W]` of dry friction over a step of `h: [W]` s.
+
+    Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
+    then held by just the force that holds it. So joints stick without creeping whatever the step, and nothing is stiff,
+    unlike with a smoothed sign. Joints act on each other through the inverse mass: two sweeps of Gauss-Seidel, from the
+    forces that would stop all of them at once.
+    """
+    n, plant = model.plant.joint_dim, model.plant
+    q, v = x[:n], x[n:]
+    act = acting(model, theta, eff, memory, x, u, t)
+    inertia = act.inertia + push.inertia
+    free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
+    mass = plant.mass(plant.constants, theta, q)
+    unit = jnp.eye(n, dtype=x.dtype)[:, :, None] + jnp.zeros_like(q)
+    answer = [solve_mass(mass, inertia, unit[j]) for j in range(n)]  # acceleration per force at each joint
+    ahead = jnp.concatenate([q, _halfway(v, free, h)])
+    level = acting(model, theta, eff, memory, ahead, u, t + 0.5 * h).level
+    level = jnp.where(level >= 0, level, 0.0)
+    stop = free + v / jnp.where(h > 0, h, 1.0)
+    hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
+    force = [_within(hold[j], level[j]) for j in range(n)]
+    for j in [*range(n), *range(n)]:
+        others = sum((answer[k][j] * force[k] for k in range(n) if k != j), jnp.zeros_like(free[j]))
+        force[j] = _mean_friction(v[j], (free[j] + others) / answer[j][j], level[j], 1.0 / answer[j][j], h)
+    return jnp.stack(force)
+
+
+def _halfway(v, accel, h):
+    """Speed half a step on, zero if it would have turned."""
+    ahead = v + 0.5 * h * accel
+    return jnp.where(ahead * v > 0, ahead, 0.0)
+
+
+def _within(force, level):
+    """`force` limited to `level`, with the right slope where the level is zero."""
+    return level * jnp.clip(force / jnp.maximum(level, 1e-9), -1.0, 1.0)
+
+
+def _mean_friction(v, torque, level, inertia, h):
+    """Mean friction on one joint that moves at `v` under a constant other `torque`: sliding for a part of the step,
+    then holding, or sliding the other way."""
+    way = jnp.sign(v)
+    slow = level - way * torque  # what brakes it
+    share = jnp.abs(v) * inertia / (jnp.where(h > 0, h, 1.0) * jnp.maximum(slow, 1e-9))
+    share = jnp.where(slow > 0, jnp.minimum(share, 1.0), 1.0)
+    return -level * way * share + (1.0 - share) * _within(-torque, level)
 
 
 def trajectory(model: Model, theta, eff, drive: Drive, x0, substeps: int):

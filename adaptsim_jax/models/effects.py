@@ -47,7 +47,7 @@ class Parameter:
 
 class Motion(NamedTuple):
     """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [...]` s since the trial began, its own
-    `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and the width `sign_speed: [n, ...]` rad/s of sign(v)."""
+    `memory: [n, ...]`, and `gravity(q) -> [n, ...]` of the plant."""
 
     q: jax.Array
     v: jax.Array
@@ -55,12 +55,16 @@ class Motion(NamedTuple):
     t: jax.Array
     memory: jax.Array
     gravity: Callable
-    sign_speed: jax.Array
 
-    @property
-    def sign(self) -> jax.Array:
-        """Smooth sign of the velocity."""
-        return jnp.tanh(self.v / self.sign_speed)
+
+class Dry(NamedTuple):
+    """Dry friction: a `level` [N m] that opposes the motion or holds the joint still, and a smooth `force` beside it.
+
+    The level is a number, not a force, because only the integrator knows which force at rest stops the motion.
+    """
+
+    level: jax.Array
+    force: jax.Array | float = 0.0
 
 
 class Relaxation(NamedTuple):
@@ -89,8 +93,8 @@ class Effect:
     """One effect. `apply` is its one function, by place:
 
     - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to the next row;
-    - force: `apply(p, motion) -> force [n, ...]`, or a `Relaxation` where `memory` is true; where `inertia` is true,
-      `apply(p) -> kg m^2` added to the joint;
+    - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where `memory` is true; where
+      `inertia` is true, `apply(p) -> kg m^2` added to the joint;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...]) -> (q', v')`: what the sensor of one joint says.
 
     `p` maps parameter names to arrays that broadcast. `grid(reach, joint) -> [{shape: value}, ...]` lists the fixed

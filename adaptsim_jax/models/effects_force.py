@@ -3,16 +3,16 @@
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.models.effects import Effect, Motion, Parameter, Relaxation
+from adaptsim_jax.models.effects import Dry, Effect, Motion, Parameter, Relaxation
 
 
 def coulomb(p, m: Motion):
-    return -p["level"] * m.sign
+    return Dry(p["level"] + 0.0 * m.q)
 
 
 def stribeck(p, m: Motion):
     """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
-    return -(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"]))) * m.sign
+    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
 
 
 def quadratic_drag(p, m: Motion):
@@ -39,7 +39,8 @@ def cogging(p, m: Motion):
 
 def friction_drift(p, m: Motion):
     """Friction that is there when the trial begins and fades as the joint warms."""
-    return -(p["viscous"] * m.v + p["dry"] * m.sign) * jnp.exp(-m.t / p["decay"])
+    fade = jnp.exp(-m.t / p["decay"])
+    return Dry(p["dry"] * fade + 0.0 * m.q, -p["viscous"] * fade * m.v)
 
 
 def periodic_disturbance(p, m: Motion):
@@ -54,7 +55,7 @@ def hard_stop(p, m: Motion):
 
 
 def load_friction(p, m: Motion):
-    return -p["share"] * jnp.abs(m.u) * m.sign
+    return Dry(p["share"] * jnp.abs(m.u))
 
 
 def presliding(p, m: Motion):
