@@ -14,8 +14,8 @@ from adaptsim_jax.tasks.base import Task
 class Visit(NamedTuple):
     """A distribution tried in the target.
 
-    mean: `[D]` unit coordinates, policy: the task policy trained there, obs: `[D + obs_dim]` as the adaptation policy sees it,
-    score: `[]` raw return, reward: `[]` scaled.
+    mean: `[D]` unit coordinates, policy: the task policy trained there, obs: `[D + obs_dim]` as the adaptation policy
+    sees it, score: `[]` raw return, reward: `[]` scaled.
     """
 
     mean: jax.Array
@@ -60,18 +60,16 @@ def run_episode(
     obs_noise: jax.Array | float = 0.0,
 ) -> Episode:
     """Adapt `start` to `target: [D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`."""
-    first_key, scan_key = jax.random.split(key)
     reference = task.reference(target)
-    first = visit(first_key, task, start, policy, target, reference, obs_noise)
 
+    # The visit stands once in the program, inside the scan: it is most of what there is to compile. The action after
+    # the last visit is computed and dropped.
     def one(carry, key):
-        dist, now = carry
-        act_key, visit_key = jax.random.split(key)
+        dist, policy = carry
+        visit_key, act_key = jax.random.split(key)
+        now = visit(visit_key, task, dist, policy, target, reference, obs_noise)
         action = act(act_key, now.obs)
-        dist = spaces.step(task.space, dist, action, delta)
-        after = visit(visit_key, task, dist, now.policy, target, reference, obs_noise)
-        return (dist, after), (after, action)
+        return (spaces.step(task.space, dist, action, delta), now.policy), (now, action)
 
-    _, (rest, actions) = jax.lax.scan(one, (start, first), jax.random.split(scan_key, steps))
-    visits = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
-    return Episode(*visits, actions)
+    _, (visits, actions) = jax.lax.scan(one, (start, policy), jax.random.split(key, steps + 1))
+    return Episode(*visits, actions[:-1])

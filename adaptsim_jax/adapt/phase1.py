@@ -3,11 +3,12 @@
 A *round* runs `parallel` adaptation trajectories of `horizon` steps side by side, writes them to the replay and to the
 set S_E, and then trains. Everything that a sweep varies is a traced leaf of `Phase1Hyper`; sizes are `Phase1Config`.
 The round number is an argument and not part of the state, so that it stays unbatched under `vmap` (see `replay`), and
-each round draws its randomness from `(state.key, round)` alone: however a run is cut into calls, it gives the same bits.
+each round draws its randomness from `(state.key, round)` alone: however a run is cut into calls, it gives the same
+bits.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -55,13 +56,16 @@ class Phase1Hyper:
 
     delta: adaptation step, a fraction of the range. threshold: the sparse reward's; rewards below it count as 0.
     gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft: instead of the line,
-    `1 / (1 + gain (1 - r))` where 1 (informative however bad the policy is). epsilon falls linearly from `epsilon_start` to
-    `epsilon_end` over the first `epsilon_share` of the rounds. rate_end: the learning rate falls linearly to this share
-    of its start over the last half. obs_noise: standard deviation of noise on the observation, in training only.
-    terminal: 1 ends the return at the horizon, as the paper's equation 2 does; 0 bootstraps through it.
+    `1 / (1 + gain (1 - r))` where 1 (informative however bad the policy is). epsilon falls linearly from
+    `epsilon_start` to `epsilon_end` over the first `epsilon_share` of the rounds. rate_end: over the last half
+    the learning rate falls linearly to this share of its start. obs_noise: standard deviation of noise on the
+    observation, in training only.
+    independent: 1 lets each branch explore by itself. inside: for each parameter of a target, the probability of being
+    drawn from Omega and not from the task's wider box of targets. terminal: 1 ends the return at the horizon, as the
+    paper's equation 2 does; 0 bootstraps through it.
     """
 
-    learner: BDQHyper = BDQHyper()
+    learner: BDQHyper = field(default_factory=BDQHyper)
     delta: float = 0.1
     threshold: float = 0.95
     gain: float = 1.0
@@ -71,6 +75,8 @@ class Phase1Hyper:
     epsilon_share: float = 0.75
     rate_end: float = 1.0
     obs_noise: float = 0.0
+    independent: float = 0.0
+    inside: float = 0.0
     terminal: float = 1.0
 
 
@@ -157,7 +163,8 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
 def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
     """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0 below the threshold."""
     line = jnp.maximum(1.0 - hyper.gain * (1.0 - reward), 0.0)
-    curve = 1.0 / (1.0 + hyper.gain * jnp.maximum(1.0 - reward, 0.0))
+    excess = jnp.maximum(1.0 - reward, 0.0)
+    curve = 1.0 / (1.0 + hyper.gain * excess)
     shaped = jnp.where(hyper.soft > 0, curve, line)
     return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
 
@@ -167,12 +174,12 @@ def _collect(key, task, bdq, config, hyper, weights, epsilon) -> Episode:
 
     def one(key):
         target_key, start_key, run_key = jax.random.split(key, 3)
-        target = task.targets.physical(task.targets.sample(target_key))
+        target = _draw_target(target_key, task, hyper.inside)
         start = gaussian(task.space, task.space.sample(start_key))
         return run_episode(
             run_key,
             task,
-            lambda k, obs: bdq.act(k, weights, obs, epsilon),
+            lambda k, obs: bdq.act(k, weights, obs, epsilon, hyper.independent),
             start,
             task.init_policy(run_key),
             target,
@@ -184,8 +191,16 @@ def _collect(key, task, bdq, config, hyper, weights, epsilon) -> Episode:
     return jax.vmap(one)(jax.random.split(key, config.parallel))
 
 
+def _draw_target(key, task: Task, inside) -> jax.Array:
+    """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of targets."""
+    near_key, far_key, coin_key = jax.random.split(key, 3)
+    near = task.space.physical(task.space.sample(near_key))
+    far = task.targets.physical(task.targets.sample(far_key))
+    return jnp.where(jax.random.uniform(coin_key, far.shape) < inside, near, far)
+
+
 def _transitions(episodes: Episode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
-    """Flatten `[parallel, horizon + 1]` visits to `[parallel * horizon]` transitions; the reward is of the visit after."""
+    """Flatten visits `[parallel, horizon + 1]` to transitions `[parallel * horizon]`, rewarded by the visit after."""
     shaped = shape_reward(episodes.reward, hyper)
     flat = lambda x: x.reshape(-1, *x.shape[2:])
     last = jnp.zeros_like(shaped[:, 1:]).at[:, -1].set(1.0)

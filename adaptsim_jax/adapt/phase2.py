@@ -15,8 +15,9 @@ from adaptsim_jax.tasks.base import Task
 class Phase2Result(NamedTuple):
     """The best policy found, and how it was found.
 
-    policy: the task policy with the highest raw return; mean: `[D]`, its distribution (unit coordinates); score, reward: `[]`, its raw
-    return and scaled reward; history: `Episode` with leading axis `[N]`, one for each initial distribution.
+    policy: the task policy with the highest raw return; mean: `[D]`, its distribution (unit coordinates); score,
+    reward: `[]`, its raw return and scaled reward; history: `Episode` with leading axis `[N]`, one for each
+    initial distribution.
     """
 
     policy: Any

@@ -19,14 +19,15 @@ from adaptsim_jax.tasks.registry import make_task
 class TrainConfig:
     """Everything that a run needs to be run again.
 
-    seed: of the run; every: rounds between checkpoints; task: options of the task, see its config class; phase1: sizes; hyper: rates.
+    seed: of the run; every: rounds between checkpoints; task: options of the task, see its config class;
+    phase1: sizes; hyper: rates.
     """
 
     seed: int = 0
     every: int = 20
     task: dict[str, Any] = field(default_factory=dict)
-    phase1: Phase1Config = Phase1Config()
-    hyper: Phase1Hyper = Phase1Hyper()
+    phase1: Phase1Config = field(default_factory=Phase1Config)
+    hyper: Phase1Hyper = field(default_factory=Phase1Hyper)
 
 
 class Trained(NamedTuple):

@@ -1,8 +1,9 @@
 """Branching dueling Q-network with Double-Q targets (Tavakoli et al. 2018; paper, section 4.1).
 
 One trunk, one state value, one advantage per parameter and bin: `Q_d(s, a) = V(s) + A_d(s, a) - mean_a A_d(s, a)`.
-The target of every branch is the same, `r + discount * mean_d Q_d^-(s', argmax_a Q_d(s', a))`, where `Q^-` is the slowly
-moving copy. Sizes are static (`BDQConfig`); rates are traced (`BDQHyper`), so that one compiled step serves a sweep.
+The target of every branch is the same, `r + discount * mean_d Q_d^-(s', argmax_a Q_d(s', a))`, where `Q^-` is the
+slowly moving copy. Sizes are static (`BDQConfig`); rates are traced (`BDQHyper`), so that one compiled step serves a
+sweep.
 """
 
 from collections.abc import Callable
@@ -106,7 +107,7 @@ def make_bdq(config: BDQConfig) -> BDQ:
     * `init(key) -> BDQState`
     * `q_values(weights, obs [..., obs_dim]) -> [..., branches, bins]`, `weights` being `state.online` or `.target`
     * `greedy(weights, obs) -> [..., branches]` int32
-    * `act(key, weights, obs, epsilon) -> [..., branches]`: with probability epsilon *all* branches are uniform
+    * `act(key, weights, obs, epsilon, independent) -> [..., branches]`: epsilon-greedy, see `explore`
     * `update(state, batch, hyper) -> (BDQState, BDQInfo)`: one Adam step on a `Transition` of `[B, ...]`
     """
     _check(config)
@@ -124,13 +125,13 @@ def make_bdq(config: BDQConfig) -> BDQ:
     def greedy(weights, obs):
         return jnp.argmax(q_values(weights, obs), -1).astype(jnp.int32)
 
-    def act(key, weights, obs, epsilon):
-        return explore(key, greedy(weights, obs), config.bins, epsilon)
+    def act(key, weights, obs, epsilon, independent=0.0):
+        return explore(key, greedy(weights, obs), config.bins, epsilon, independent)
 
     def update(state, batch, hyper):
         target = double_q_target(q_values, state, batch, hyper.discount)
         (loss, q), grad = jax.value_and_grad(_loss, argnums=1, has_aux=True)(q_values, state.online, batch, target)
-        norm = optax.global_norm(grad)
+        norm = optax.tree.norm(grad)
         grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
         step, opt = optax.scale_by_adam().update(grad, state.opt)
         online = state.online - hyper.learning_rate * step
@@ -140,11 +141,19 @@ def make_bdq(config: BDQConfig) -> BDQ:
     return BDQ(config, init, q_values, greedy, act, update)
 
 
-def explore(key: jax.Array, action: jax.Array, bins: int, epsilon: jax.Array) -> jax.Array:
-    """With probability epsilon replace a whole action `[..., branches]` by a uniform one."""
+def explore(
+    key: jax.Array, action: jax.Array, bins: int, epsilon: jax.Array, independent: jax.Array | float = 0.0
+) -> jax.Array:
+    """With probability epsilon replace a whole action `[..., branches]` by a uniform one.
+
+    With `independent` 1 every branch tosses its own coin: a branch is then mostly valued beside greedy neighbours,
+    which is what it will meet when the policy is used.
+    """
     coin, noise = jax.random.split(key)
     random = jax.random.randint(noise, action.shape, 0, bins, action.dtype)
-    return jnp.where(jax.random.uniform(coin, (*action.shape[:-1], 1)) < epsilon, random, action)
+    tosses = jax.random.uniform(coin, action.shape)
+    tosses = jnp.where(independent > 0, tosses, tosses[..., :1])
+    return jnp.where(tosses < epsilon, random, action)
 
 
 def taken(q: jax.Array, action: jax.Array) -> jax.Array:

@@ -1,7 +1,7 @@
 """A first-in first-out replay of fixed size, written in whole blocks.
 
 The write position is an argument and not part of the state: under `vmap` over seeds it stays unbatched, so that a write
-is a `dynamic_update_slice` and never a scatter. `benchmarks/phase1.py --replay` measures it beside flashbax.
+is one contiguous window for all of them. `benchmarks/phase1.py --replay` measures it beside flashbax.
 """
 
 from typing import NamedTuple, TypeVar

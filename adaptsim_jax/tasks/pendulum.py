@@ -31,7 +31,8 @@ _LINEAR_Q = 20.0  # angles beyond this many times their spread are compressed; s
 class PendulumConfig:
     """Options of the task.
 
-    observation: 12 points over the whole trajectory (`full`) or in its last 0.5 s (`late`, the paper's state-only variant).
+    observation: 12 points over the whole trajectory (`full`) or in its last 0.5 s (`late`, the paper's
+    state-only variant).
     scaling: `paper` ((q1 + pi) / pi and q2 as they are) or `whitened` (principal components of simulated trajectories,
     each to unit variance, and compressed where they are far out). components: how many of those.
     reference: rewards relative to the target's own optimal cost (`optimum`) or to the best that a gain from Omega
