@@ -1,0 +1,143 @@
+"""`adaptsim compare`: methods x settings x seeds, normalised as the paper's Table 1; the schema of results.json."""
+
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from adaptsim_jax import config as configs
+from adaptsim_jax.baselines.adaptsim_row import best_over
+from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
+from adaptsim_jax.baselines.methods import METHODS, VISITING, CompareConfig, Run, Visits
+from adaptsim_jax.baselines.problem import Problem, costs, discrepancy, pendulum_problem
+from adaptsim_jax.baselines.summary import normalised, row
+from adaptsim_jax.baselines.udr import Udr, udr
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.progress import silent
+from adaptsim_jax.tasks.registry import make_task
+
+SCHEMA = 1
+PROBLEMS: dict[str, Callable[..., Problem]] = {"pendulum": pendulum_problem}
+
+
+class Bounds(NamedTuple):
+    """Costs `[T]` in the targets: of UDR (0), of the best in Omega (1), and of the target's own optimal policy."""
+
+    udr: Udr
+    best: Best
+    lower: np.ndarray
+    upper: np.ndarray
+    own: np.ndarray
+
+
+def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callable = silent) -> dict[str, Any]:  # noqa: B008
+    """All of `config.methods` in all of `config.settings`: the table of results.json (`docs/results.md`).
+
+    `progress(done, total, note)` is called as methods advance. Costs are recomputed in double precision from the means
+    of E that a method visited, by one code for all methods.
+    """
+    made = make_task(task, config.train.task)
+    if task not in PROBLEMS:
+        raise BadInput(f"compare: task '{task}' has no exact bounds yet; there is: {', '.join(PROBLEMS)}")
+    names = [configs.pick("setting", s, made.settings) for s in config.settings] or list(made.settings)
+    methods = [m.replace("-", "_") for m in config.methods] or list(METHODS)
+    targets = np.array([made.space.values(made.settings[name], name) for name in names])
+    problem = PROBLEMS[task](made.space)
+    progress(0, len(methods) + 1, "bounds")
+    bounds = find_bounds(problem, targets)
+    keys = jax.random.split(jax.random.key(config.seed), config.seeds)
+    rows, total = [], len(methods) + 1
+    for i, method in enumerate(methods):
+
+        def report(done, of, note="", i=i, method=method):
+            progress(1 + i + done / max(of, 1), total, f"{method} {note}".strip())
+
+        report(0, 1)
+        if method in VISITING:
+            run = Run(task, config.train.task, config, problem, targets, keys, report)
+            rows += visiting_rows(method, names, problem, targets, bounds, VISITING[method](run))
+        else:
+            rows += bound_rows(method, names, bounds, config.seeds)
+        report(1, 1)
+    return _results(task, names, targets, config, bounds, rows)
+
+
+def find_bounds(problem: Problem, targets: np.ndarray) -> Bounds:
+    """The normalisers of `targets [T, D]` (physical), computed anew: a second or so once compiled."""
+    best = best_in_omega(problem, targets)
+    policy = udr(problem)
+    with jax.enable_x64(True):
+        lower = np.array([float(problem.cost(t, policy.policy)) for t in targets])
+        own = np.array([float(problem.cost(t, problem.policy(t))) for t in targets])
+    if not np.all(lower > best.cost):
+        raise BadInput(
+            "compare: UDR is no worse than the best policy of Omega in a target, so rewards cannot be normalised; widen Omega"
+        )
+    return Bounds(policy, best, lower, best.cost, own)
+
+
+def visiting_rows(
+    method: str, names: list[str], problem: Problem, targets: np.ndarray, bounds: Bounds, visits: Visits
+) -> list[dict[str, Any]]:
+    """A row for each target from the means that a method visited, with the dynamics discrepancy at each seed's best."""
+    cost = costs(problem, visits.means, targets)
+    curves = normalised(best_over(cost), bounds.lower, bounds.upper)
+    oracle = np.maximum(normalised(bounds.own, bounds.lower, bounds.upper), 1.0)
+    out = []
+    for i, name in enumerate(names):
+        best, final = _best_means(visits.means[i], cost[i]), visits.means[i, :, :, -1]
+        apart = discrepancy(problem, best[None], targets[i : i + 1])[0]
+        extras = {
+            "discrepancy": {"mean": apart.mean(), "median": np.median(apart), "per_seed": apart},
+            "best_params": problem.space.physical(best.astype(np.float32)).__array__(),
+            "final_params": problem.space.physical(final.reshape(-1, final.shape[-1]).astype(np.float32)).__array__(),
+            "cost_ratio": {"best_mean": (best_over(cost[i]).min(axis=1) / bounds.upper[i]).mean()},
+            "failed": int(np.sum(~np.isfinite(cost[i]))),
+        }
+        out.append(row(method, name, curves[i], oracle=oracle[i], target_trials=visits.target_trials, **extras))
+    return out
+
+
+def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """The mean `[S, D]` with the lowest cost that each seed visited, from `[S, N, I + 1, D]` and `[S, N, I + 1]`."""
+    flat = np.where(np.isfinite(cost), cost, np.inf).reshape(len(cost), -1)
+    return means.reshape(len(cost), -1, means.shape[-1])[np.arange(len(cost)), flat.argmin(axis=1)]
+
+
+def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> list[dict[str, Any]]:
+    """The normalisers as rows: 0 and 1 by definition. UDR uses no target data; the best in Omega, the target's model."""
+    value, trials = (0.0, 0) if method == "udr" else (1.0, None)
+    oracle = np.maximum(normalised(bounds.own, bounds.lower, bounds.upper), 1.0)
+    return [
+        row(method, name, np.full((seeds, 1), value), oracle=oracle[i], target_trials=trials)
+        for i, name in enumerate(names)
+    ]
+
+
+def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
+    versions = {name: metadata.version(name) for name in ("adaptsim_jax", "jax", "flax", "numpy", "scipy")}
+    return {
+        "schema": SCHEMA,
+        "task": task,
+        "simulator": "exact propagation of the linearized model (JAX)",
+        "target_backend": "exact propagation of the linearized model (JAX, double precision)",
+        "seeds": config.seeds,
+        "command": " ".join(["adaptsim", *sys.argv[1:]]),
+        "versions": versions | {"python": sys.version.split()[0]},
+        "settings": {
+            name: {
+                "params": [float(p) for p in target],
+                "udr_cost": float(bounds.lower[i]),
+                "best_cost": float(bounds.upper[i]),
+                "best_unit_mean": [float(u) for u in bounds.best.mean[i]],
+                "own_optimal_cost": float(bounds.own[i]),
+            }
+            for i, (name, target) in enumerate(zip(names, targets, strict=True))
+        },
+        "iterations": config.iterations,
+        "starts": config.starts,
+        "rows": rows,
+    }

@@ -1,0 +1,127 @@
+"""The methods of the comparison: each returns the means of E that it visited in every target, for every seed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax import config as configs
+from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.baselines import gradient
+from adaptsim_jax.baselines.adaptsim_row import adapt_seeds, train_seeds
+from adaptsim_jax.baselines.problem import Problem
+from adaptsim_jax.baselines.sysid import SysIdConfig
+from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
+from adaptsim_jax.baselines.sysid_point import make_sysid_point
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.progress import silent
+from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.registry import make_task
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """What `adaptsim compare` runs. `methods`, `settings`: empty means all.
+
+    starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
+    visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
+    """
+
+    methods: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    seeds: int = 20
+    seed: int = 0
+    iterations: int = 10
+    starts: int = 2
+    train: TrainConfig = field(default_factory=TrainConfig)
+    sysid: SysIdConfig = field(default_factory=SysIdConfig)
+
+    def __post_init__(self):
+        for name in ("seeds", "iterations", "starts"):
+            if getattr(self, name) < 1:
+                raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
+        for method in self.methods:
+            configs.pick("method", method, METHODS)
+
+
+class Run(NamedTuple):
+    """What a method is given: the comparison's config, the targets `[T, D]` (physical), keys `[S]`, and a report."""
+
+    task_name: str
+    task_options: dict
+    config: CompareConfig
+    problem: Problem
+    targets: np.ndarray
+    keys: jax.Array
+    report: Callable = silent
+
+
+class Visits(NamedTuple):
+    """`means [T, S, N, I + 1, D]` in unit coordinates, and target rollouts spent on one target by one seed."""
+
+    means: np.ndarray
+    target_trials: int
+
+
+def task_of(run: Run, late: bool) -> Task:
+    """The task as AdaptSim sees it; `late`: 12 points in the last 0.5 s only (the paper's State variants)."""
+    return make_task(run.task_name, {**run.task_options, "observation": "late"} if late else run.task_options)
+
+
+def adaptsim(run: Run, late: bool = False) -> Visits:
+    """Phase 1 from scratch for every seed, Phase 2 in every target."""
+    config = run.config
+    train_keys, adapt_keys = _two(run.keys)
+    trained = train_seeds(task_of(run, late), config.train, train_keys, report=run.report)
+    means = adapt_seeds(trained, adapt_keys, run.targets, starts=config.starts, iterations=config.iterations)
+    return Visits(means, config.starts * (config.iterations + 1))
+
+
+def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
+    """One SysID baseline; the observation is the plain one of the paper, standardised by the baseline itself."""
+    options = {k: v for k, v in run.task_options.items() if k in run.problem.space.names}
+    task = make_task(run.task_name, {**options, "observation": "late" if late else "full"})
+    config = replace(run.config.sysid, iterations=run.config.iterations)
+    adapt = jax.jit(jax.vmap(make(task, config), in_axes=(0, None)))
+    out = []
+    for i, target in enumerate(run.targets):
+        keys = jax.vmap(lambda k, i=i: jax.random.fold_in(k, i))(run.keys)
+        out.append(np.asarray(adapt(keys, jnp.asarray(target, jnp.float32)).means))
+        run.report(i + 1, len(run.targets))
+    return Visits(np.stack(out)[:, :, None], config.iterations + 1)
+
+
+def descend(run: Run) -> Visits:
+    """Gradient descent from as many random starts as AdaptSim has. Its trials are gradients of the target's cost."""
+    N, D = run.config.starts, run.problem.space.dim
+    with jax.enable_x64(True):
+        starts = jax.vmap(lambda k: jax.random.uniform(k, (N, D), jnp.float64))(run.keys)
+
+        def one(u, target):
+            return gradient.descend(run.problem.slope, u, target, run.config.iterations).u
+
+        over = jax.jit(jax.vmap(jax.vmap(jax.vmap(one, (0, None)), (0, None)), (None, 0)))
+        means = np.asarray(over(starts, jnp.asarray(run.targets, jnp.float64)))
+    return Visits(means, N * (run.config.iterations + 1))
+
+
+def _two(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+    pairs = jax.vmap(jax.random.split)(keys)
+    return pairs[:, 0], pairs[:, 1]
+
+
+# Visiting methods; the bounds `udr` and `best_in_omega` are computed for every comparison anyway.
+VISITING: dict[str, Callable[[Run], Visits]] = {
+    "adaptsim": adaptsim,
+    "adaptsim_state": lambda run: adaptsim(run, late=True),
+    "sysid_bayes": lambda run: sysid(run, make_sysid_bayes),
+    "sysid_bayes_state": lambda run: sysid(run, make_sysid_bayes, late=True),
+    "sysid_point": lambda run: sysid(run, make_sysid_point),
+    "sysid_point_state": lambda run: sysid(run, make_sysid_point, late=True),
+    "gradient": descend,
+}
+BOUNDS = ("udr", "best_in_omega")
+METHODS = (*VISITING, *BOUNDS)
