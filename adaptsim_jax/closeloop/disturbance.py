@@ -75,9 +75,7 @@ def null_basis(jac_state: np.ndarray) -> np.ndarray:
 
 def _force_kernels(lin: Linearised, basis: np.ndarray, windows: np.ndarray) -> np.ndarray:
     """Projected response covariances of unit-variance forces: `[n * taus, W', m, m]`."""
-    impulse = np.swapaxes(basis[windows], 1, 2)[:, None] @ np.moveaxis(
-        lin.impulse[windows], 2, 1
-    )  # [W', n, m, L]
+    impulse = np.swapaxes(basis[windows], 1, 2)[:, None] @ np.moveaxis(lin.impulse[windows], 2, 1)  # [W', n, m, L]
     time = np.cumsum(lin.dt[windows], axis=1)
     gap = np.abs(time[:, :, None] - time[:, None, :])
     kernels = []
@@ -154,12 +152,8 @@ def estimate(lin: Linearised, *, most_windows: int = 32, start: Components | Non
     first = np.log(np.full(len(scale), 1e-2))
     first[:n_sensor] = 0.0
     if start is not None:
-        first = np.log(
-            np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12)
-        )
-    bounds = [(np.log(0.05), np.log(50.0))] * n_sensor + [(np.log(1e-8), np.log(1e12))] * (
-        len(scale) - n_sensor
-    )
+        first = np.log(np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12))
+    bounds = [(np.log(0.05), np.log(50.0))] * n_sensor + [(np.log(1e-8), np.log(1e12))] * (len(scale) - n_sensor)
     found = minimize(
         objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-9}
     )
@@ -183,9 +177,7 @@ def whiten(lin: Linearised, factor: np.ndarray) -> Whitened:
         return z - q @ (np.swapaxes(q, 1, 2) @ z)
 
     rows = np.maximum(lin.used.sum(1) - lin.jac_state.shape[2], 0)
-    return Whitened(
-        clean(lin.residual[..., None])[..., 0], clean(lin.jac_theta), clean(lin.atoms), lin.trial, rows
-    )
+    return Whitened(clean(lin.residual[..., None])[..., 0], clean(lin.jac_theta), clean(lin.atoms), lin.trial, rows)
 
 
 def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, np.ndarray]:
@@ -201,11 +193,20 @@ def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, n
     gap = np.abs(time[:, :, None] - time[:, None, :])
     mean, std = [], []
     for joint in range(lin.impulse.shape[2]):
-        prior = sum(
-            a * np.exp(-gap / tau) for a, tau in zip(parts.force[joint], CORRELATION_TIMES, strict=True)
-        )
+        prior = sum(a * np.exp(-gap / tau) for a, tau in zip(parts.force[joint], CORRELATION_TIMES, strict=True))
         cross = prior @ np.swapaxes(lin.impulse[:, :, joint], 1, 2) @ basis  # [W, L, m]
         mean.append(np.einsum("wlm,wmk,wk->wl", cross, inverse, resid, optimize=True))
         explained = np.einsum("wlm,wmk,wlk->wl", cross, inverse, cross, optimize=True)
         std.append(np.sqrt(np.maximum(parts.force[joint].sum() - explained, 0.0)))
     return np.stack(mean, 1), np.stack(std, 1)
+
+
+def log_likelihood(lin: Linearised, parts: Components) -> np.ndarray:
+    """Restricted log-likelihood of each window `[W]`, initial states integrated out; constants left out."""
+    basis = null_basis(lin.jac_state)
+    cov = _covariance(lin, basis, np.arange(len(lin.residual)), parts)
+    resid = np.einsum("wmi,wm->wi", basis, lin.residual)
+    lower = np.linalg.cholesky(cov)
+    logdet = 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1)
+    white = solve_triangular(lower, resid[..., None], lower=True)[..., 0]
+    return -0.5 * (logdet + np.sum(white**2, axis=1))

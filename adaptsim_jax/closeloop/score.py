@@ -1,8 +1,8 @@
 """How much of the residual each candidate explains, beyond what the declared parameters can, and how sure that is.
 
-Works on whitened, initial-state-free rows (`disturbance.whiten`), through one Gram matrix a window: every fit, every
-held-out trial and every subset of candidates is then a small linear solve. Candidate columns are projected orthogonal
-to the declared Jacobian first (Rao's efficient score); what vanishes there is confounded with declared parameters.
+Works on whitened, initial-state-free rows (`disturbance.whiten`): every fit, every held-out trial and every subset of
+candidates is then a small linear solve. Candidate columns are projected orthogonal to the declared Jacobian first
+(Rao's efficient score); what vanishes there is confounded with declared parameters.
 """
 
 from collections.abc import Sequence
@@ -26,23 +26,6 @@ class Atom:
 
 
 @dataclass(frozen=True)
-class Gram:
-    """Window-wise inner products of `[theta | atoms | residual]`: `[W, C, C]`, with P declared and K atom columns."""
-
-    windows: np.ndarray
-    trial: np.ndarray
-    rows: np.ndarray
-    declared: int
-
-    @property
-    def residual(self) -> int:
-        return self.windows.shape[1] - 1
-
-    def total(self, keep: np.ndarray | None = None) -> np.ndarray:
-        return (self.windows if keep is None else self.windows[keep]).sum(0)
-
-
-@dataclass(frozen=True)
 class Score:
     """One subset of atoms fitted together with the declared parameters, linearised."""
 
@@ -55,12 +38,6 @@ class Score:
     held_out_gain: float  # fall of the whitened sum of squares on folds that were not fitted, over all folds
     held_out_share: float  # the same as a share of the held-out sum of squares without the subset
     retained: float  # least share of an atom's norm that survives the projection off the declared Jacobian
-
-
-def gram(white: Whitened) -> Gram:
-    """Inner products per window of declared Jacobian, atom columns and residual."""
-    z = np.concatenate([white.jac_theta, white.atoms, white.residual[..., None]], -1).astype(np.float64)
-    return Gram(np.swapaxes(z, 1, 2) @ z, white.trial, white.rows, white.jac_theta.shape[2])
 
 
 def folds(trial: np.ndarray, rows: np.ndarray, *, least: int = 3, blocks: int = 6) -> np.ndarray:
@@ -81,73 +58,63 @@ def _ridge(matrix: np.ndarray) -> np.ndarray:
     return matrix + np.diag(1e-9 * np.diag(matrix) + 1e-12)
 
 
-def project_declared(g: Gram) -> tuple[np.ndarray, np.ndarray]:
-    """Windows' Gram matrices `[W, K+1, K+1]` after projection off the declared columns, and the retained norms `[K]`."""
-    p = g.declared
-    total = g.total()
-    beta = np.linalg.solve(_ridge(total[:p, :p]), total[:p, p:])
-    lift = np.concatenate([-beta, np.eye(total.shape[0] - p)], 0)
-    projected = lift.T @ g.windows @ lift
-    size = np.diag(total)[p:-1]
-    retained = np.diag(projected.sum(0))[:-1] / np.maximum(size, 1e-30)
-    return projected, np.where(size > 1e-12, retained, 0.0)
-
-
-def _held_out(g: Gram, columns: np.ndarray, fold: np.ndarray) -> tuple[float, float]:
-    """Sum of squares on left-out folds without and with the columns, everything refitted on the others."""
-    base, full = np.arange(g.declared), np.concatenate([np.arange(g.declared), g.declared + columns])
-    total, without, with_ = g.total(fold >= 0), 0.0, 0.0
-    for f in np.unique(fold[fold >= 0]):
-        test = g.total(fold == f)
-        train = total - test
-        without += _test_error(train, test, base)
-        with_ += _test_error(train, test, full)
-    return without, with_
-
-
-def _test_error(train: np.ndarray, test: np.ndarray, index: np.ndarray) -> float:
-    coef = np.linalg.solve(_ridge(train[np.ix_(index, index)]), train[index, -1])
-    return float(test[-1, -1] - 2 * coef @ test[index, -1] + coef @ test[np.ix_(index, index)] @ coef)
-
-
 class Scorer:
-    """Scores subsets of atoms against one linearisation; holds nothing but inner products."""
+    """Scores subsets of atoms against one whitened linearisation.
 
-    def __init__(self, g: Gram, fold: np.ndarray):
-        self.gram, self.fold = g, fold
-        self.projected, self.retained = project_declared(g)
-        self.sum = self.projected.sum(0)
-        self.sum_squares = float(self.sum[-1, -1])
-        self.freedom = int(g.rows.sum()) - g.declared
+    fold `[W]`: fold of each window, -1 for padding. Inner products are taken for the columns asked for, when asked.
+    """
+
+    def __init__(self, white: Whitened, fold: np.ndarray):
+        self.white, self.fold = white, fold
+        j = white.jac_theta
+        normal = _ridge(np.einsum("wmi,wmj->ij", j, j, optimize=True))
+        project = lambda z: z - j @ np.linalg.solve(normal, np.einsum("wmi,wmk->ik", j, z, optimize=True))
+        self.atoms = project(white.atoms)
+        self.residual = project(white.residual[..., None])[..., 0]
+        before, after = (np.einsum("wmk,wmk->k", z, z, optimize=True) for z in (white.atoms, self.atoms))
+        self.retained = np.where(before > 1e-12, after / np.maximum(before, 1e-30), 0.0)
+        self.sum_squares = float(np.sum(self.residual**2))
+        self.freedom = int(white.rows.sum()) - j.shape[2]
 
     def gain(self, columns: Sequence[int]) -> tuple[float, np.ndarray]:
         """Likelihood-ratio gain and amplitudes of a set of atom columns."""
-        c = np.asarray(columns)
-        d, b = _ridge(self.sum[np.ix_(c, c)]), self.sum[c, -1]
-        amplitude = np.linalg.solve(d, b)
-        return float(b @ amplitude), amplitude
+        s = self.atoms[:, :, list(columns)]
+        slope = np.einsum("wmi,wm->i", s, self.residual, optimize=True)
+        amplitude = np.linalg.solve(_ridge(np.einsum("wmi,wmj->ij", s, s, optimize=True)), slope)
+        return float(slope @ amplitude), amplitude
 
     def robust(self, columns: Sequence[int], amplitude: np.ndarray) -> float:
         """Wald statistic whose variance comes from the scatter of the windows' scores about the fit."""
-        c = np.asarray(columns)
-        scores = self.projected[:, c, -1] - self.projected[:, c][:, :, c] @ amplitude
-        live = int((self.gram.rows > 0).sum())
-        spread = scores.T @ scores * live / max(live - len(c), 1)
-        d = self.sum[np.ix_(c, c)]
-        return float((d @ amplitude) @ np.linalg.solve(_ridge(spread), d @ amplitude))
+        s = self.atoms[:, :, list(columns)]
+        scores = np.einsum("wmi,wm->wi", s, self.residual - s @ amplitude, optimize=True)
+        live = int((self.white.rows > 0).sum())
+        spread = scores.T @ scores * live / max(live - len(amplitude), 1)
+        pull = np.einsum("wmi,wmj->ij", s, s, optimize=True) @ amplitude
+        return float(pull @ np.linalg.solve(_ridge(spread), pull))
+
+    def held_out(self, columns: Sequence[int]) -> tuple[float, float]:
+        """Sum of squares on left-out folds without and with the columns, everything refitted on the others."""
+        z = np.concatenate([self.white.jac_theta, self.white.atoms[:, :, list(columns)]], -1)
+        r, p = self.white.residual, self.white.jac_theta.shape[2]
+        normal, slope = np.swapaxes(z, 1, 2) @ z, np.einsum("wmi,wm->wi", z, r)
+        without, with_ = 0.0, 0.0
+        for f in np.unique(self.fold[self.fold >= 0]):
+            test, train = self.fold == f, (self.fold >= 0) & (self.fold != f)
+            a, b = _ridge(normal[train].sum(0)), slope[train].sum(0)
+            without += float(np.sum((r[test] - z[test][:, :, :p] @ np.linalg.solve(a[:p, :p], b[:p])) ** 2))
+            with_ += float(np.sum((r[test] - z[test] @ np.linalg.solve(a, b)) ** 2))
+        return without, with_
 
     def score(self, atoms: Sequence[Atom], *, dispersion: float = 1.0) -> Score:
-        """Everything about one subset; `dispersion` divides both statistics (residual variance left by the best model)."""
+        """Everything about one subset; `dispersion` divides the gain (residual variance left by the best model)."""
         columns = [c for a in atoms for c in a.columns]
         gain, amplitude = self.gain(columns)
         robust = self.robust(columns, amplitude)
-        freedom = len(columns)
-        p = float(chi2.sf(min(gain / dispersion, robust), freedom))
-        without, with_ = _held_out(self.gram, np.asarray(columns), self.fold)
-        return Score(
-            tuple(atoms), gain, robust, freedom, amplitude, p, without - with_, (without - with_) / max(without, 1e-30),
-            float(np.min(self.retained[columns])),
-        )  # fmt: skip
+        p = float(chi2.sf(min(gain / dispersion, robust), len(columns)))
+        without, with_ = self.held_out(columns)
+        share = (without - with_) / max(without, 1e-30)
+        retained = float(np.min(self.retained[columns]))
+        return Score(tuple(atoms), gain, robust, len(columns), amplitude, p, without - with_, share, retained)
 
     def best_shape(self, atoms: Sequence[Atom], beside: Sequence[Atom] = ()) -> Atom:
         """Of one candidate's shapes the one that explains most beside `beside`; the declared sign is preferred."""

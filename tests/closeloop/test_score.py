@@ -12,8 +12,7 @@ WAVE = score.Atom("wave", "joint1", {}, (1,))
 
 def scorer(lin):
     white = disturbance.whiten(lin, disturbance.whitener(lin, disturbance.estimate(lin)))
-    g = score.gram(white)
-    return score.Scorer(g, score.folds(g.trial, g.rows))
+    return score.Scorer(white, score.folds(white.trial, white.rows))
 
 
 def test_p_values_are_uniform_without_effect():

@@ -1,0 +1,153 @@
+"""Close the loop on measured data: read, audit, fit, search, judge, report (design, section 5)."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import adaptsim_jax
+from adaptsim_jax.closeloop import search as hunt
+from adaptsim_jax.closeloop.audit import Audit, audit, without_duplicates
+from adaptsim_jax.closeloop.heldout import HeldOut, held_out
+from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
+from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
+from adaptsim_jax.closeloop.power import Power, power, powered
+from adaptsim_jax.closeloop.problem import Problem, declared_fit, prepare
+from adaptsim_jax.closeloop.recording import read_recording
+from adaptsim_jax.closeloop.results import report_of
+from adaptsim_jax.closeloop.schema import check, new_report
+from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.closeloop.trial import Recording
+from adaptsim_jax.closeloop.verdict import Verdict, decide
+from adaptsim_jax.models.effects import Effect, catalogue
+
+STAGES = 8
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that a diagnosis found; `report` is what goes into report.json."""
+
+    problem: Problem
+    found: Found
+    before: Leftover
+    after: Leftover
+    error_before: HeldOut
+    error_after: HeldOut
+    powers: list[Power]
+    verdict: Verdict
+    first: hunt.View
+    report: dict[str, Any]
+    evidence: dict[str, Any]
+
+
+def diagnose(
+    data: str | Path | Recording,
+    *,
+    out: str | Path | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    effects: Sequence[Effect] | None = None,
+    exclude: Sequence[str] = (),
+    irrelevant: int = 0,
+    settings: Settings | None = None,
+) -> dict[str, Any]:
+    """Diagnose a folder of measured data; returns the report and, with `out`, writes it with its page and model.
+
+    effects: the catalogue to use (the task's own where None); exclude: names left out of it; irrelevant: so many useless
+    candidates are added, for tests. Raises BadInput where the data cannot be read.
+    """
+    began = time.monotonic()
+    say = progress or (lambda done, total, note: None)
+    recording = data if isinstance(data, Recording) else read_recording(data)
+    say(1, STAGES, "audit")
+    recording, _dropped = without_duplicates(recording)
+    checked = audit(recording)
+    if checked.fault:
+        report = faulty(recording, checked)
+        return finish(report, {"audit": findings(checked)}, out, recording, seed, began, None)
+    chosen = tuple(e for e in (effects or catalogue(recording.task)) if e.name not in exclude) + useless(irrelevant)
+    noise = noise_floor(recording, checked)
+    result = examine(recording, checked, noise, chosen, settings or Settings(), seed, say)
+    return finish(result.report, result.evidence, out, recording, seed, began, result)
+
+
+def examine(
+    recording: Recording,
+    checked: Audit,
+    noise: NoiseFloor,
+    effects: Sequence[Effect],
+    settings: Settings,
+    seed: int,
+    say: Progress,
+) -> Diagnosis:
+    """Everything between reading and writing."""
+    say(2, STAGES, "declared model")
+    problem = prepare(recording, checked, noise, effects)
+    fit = declared_fit(problem)
+    base, first = hunt.declared(problem, fit.theta, fit.eff, fit.x0)
+    before = leftover(problem, first)
+    say(3, STAGES, "candidates")
+    found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
+    say(5, STAGES, "what is left")
+    after = before if not found.final.active else leftover(problem, found.view)
+    powers = power(problem, found.view or first, settings)
+    verdict = decide(found, before, after, settings, powered(powers))
+    say(6, STAGES, "held-out trials, declared model")
+    error_before = held_out(problem, base)
+    say(7, STAGES, "held-out trials, mended model")
+    error_after = held_out(problem, found.final) if verdict.named else error_before
+    parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
+    report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
+    evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
+    evidence["audit"] = findings(checked)
+    return Diagnosis(*parts, report, evidence)
+
+
+def useless(count: int) -> tuple[Effect, ...]:
+    """Candidates that explain nothing: a force that follows the square of an hour-long cosine."""
+    from adaptsim_jax.models.effects import Parameter
+
+    def force(p, m):
+        import jax.numpy as jnp
+
+        return p["size"] * jnp.cos(37.0 * m.t + 11.0 * m.q) ** 3
+
+    size = Parameter("size", "N m", -1.0, 1.0, 0.0)
+    return tuple(
+        Effect(f"irrelevant_{i}", "force", (size,), force, "nothing physical", "nothing shows it") for i in range(count)
+    )
+
+
+def findings(checked: Audit) -> list[dict[str, str]]:
+    """The audit's findings as the page shows them."""
+    return [
+        {"severity": f.severity, "where": " ".join(x for x in (f.trial, f.where) if x), "message": f.message}
+        for f in checked.findings
+    ]
+
+
+def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:
+    """The report on data that contradict themselves."""
+    samples = sum(len(t.time) for t in recording.trials)
+    data = {"trials": len(recording.trials), "samples": samples, "held_out_trials": 0}
+    return new_report(recording.task, recording.model, "data_fault", checked.message, data)
+
+
+def finish(
+    report, evidence, out, recording: Recording, seed: int, began: float, result: Diagnosis | None
+) -> dict[str, Any]:
+    """Add how it was run, and write what was asked for."""
+    seconds = round(time.monotonic() - began, 1)
+    run = {"version": adaptsim_jax.__version__, "seed": seed, "seconds": seconds}
+    report["run"] = evidence["run"] = run | {"command": f"adaptsim diagnose {recording.path}"}
+    report = check(report)
+    if out is not None:
+        from adaptsim_jax.report.diagnosis import write_diagnosis
+
+        write_diagnosis(Path(out), report, evidence)
+    return report

@@ -1,0 +1,228 @@
+"""One recording made ready to be diagnosed: plant, windows, noise, catalogue, and the linearisation of any of its models."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from adaptsim_jax.closeloop.atoms import make_reach
+from adaptsim_jax.closeloop.audit import Audit
+from adaptsim_jax.closeloop.basis import generic_forces
+from adaptsim_jax.closeloop.disturbance import Linearised
+from adaptsim_jax.closeloop.fit import FitResult, Settings, fit
+from adaptsim_jax.closeloop.noise import NoiseFloor, smooth
+from adaptsim_jax.closeloop.refit import Point, Refit, refit
+from adaptsim_jax.closeloop.score import Atom
+from adaptsim_jax.closeloop.sensitivity import Path, signatures
+from adaptsim_jax.closeloop.simulate import Model, make_model
+from adaptsim_jax.closeloop.trial import Recording
+from adaptsim_jax.closeloop.windows import Windows, cut_windows
+from adaptsim_jax.models.effects import Effect, Reach
+from adaptsim_jax.models.plant import Plant, make_pendulum_plant
+
+HELD_SHAPES = ("side", "loss")  # shapes that are chosen on a grid and not moved by the fit
+Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A recording, its declared model and every candidate, as arrays. Built by `prepare`."""
+
+    recording: Recording
+    audit: Audit
+    noise: NoiseFloor
+    plant: Plant
+    model: Model
+    windows: Windows
+    reach: Reach
+    theta0: np.ndarray
+    rows_merged: int
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.model.layout.bounds(self.reach)
+
+    @property
+    def torque_rms(self) -> np.ndarray:
+        """RMS of the recorded torque per joint `[n]` N m."""
+        return np.sqrt(np.mean(np.concatenate([t.torque for t in self.recording.trials]) ** 2, axis=0))
+
+    def held(self, active: Active) -> tuple[str, ...]:
+        """Shape parameters that stay where the grid put them."""
+        return tuple(f"{e}/{w}/{s}" for e, w in active for s in HELD_SHAPES)
+
+
+def prepare(
+    recording: Recording,
+    audit: Audit,
+    noise: NoiseFloor,
+    effects: Sequence[Effect],
+    *,
+    duration: float = 0.5,
+    rows_kept: int = 34,
+) -> Problem:
+    """Cut windows, start the declared parameters, and say what the motion covers.
+
+    Angles alone are fitted: a driver's velocity is a filtered difference of them, with a lag of its own. `duration` s is
+    a window's length; about `rows_kept` averaged rows of each are kept for the residual statistics.
+    """
+    motions = [smooth(t, noise) for t in recording.trials]
+    plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
+    theta0 = plant.initial_theta(
+        [(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)]
+    )
+    sigma = np.array([noise.std["q1"], noise.std["q2"], np.inf, np.inf])
+    windows = cut_windows(recording.trials, sigma, duration=duration, motions=motions, use_velocity=False)
+    reach = make_reach(plant, theta0, windows)
+    model = make_model(plant, tuple(effects))
+    merged = max(1, windows.measured.shape[1] // rows_kept)
+    return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged)
+
+
+def declared_fit(problem: Problem, active: Active = (), start: FitResult | None = None, eff0=None) -> FitResult:
+    """Least-squares output-error fit in which sensors are the only noise; where the statistics start from."""
+    return fit(
+        problem.model, problem.model.layout.mask(list(active)), problem.windows,
+        problem.theta0 if start is None else start.theta, eff0, None if start is None else start.x0,
+        bounds=problem.bounds, fixed=problem.held(active), settings=Settings(iterations=30, huber=1e3),
+    )  # fmt: skip
+
+
+def at_point(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
+    """Residual and Jacobians of a model at given parameters: a fit of no iterations."""
+    mask = problem.model.layout.mask(list(active))
+    return fit(
+        problem.model, mask, problem.windows, theta, eff, x0,
+        bounds=problem.bounds, fixed=problem.held(active), settings=Settings(iterations=0),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model with some effects, refitted under a residual covariance. theta `[P]`, eff `[E]`, names of `refit.point.z`."""
+
+    active: Active
+    theta: np.ndarray
+    eff: np.ndarray
+    names: tuple[str, ...]
+    refit: Refit
+
+    @property
+    def cost(self) -> float:
+        return float(self.refit.cost.sum())
+
+    def parameters(self, effect: str, where: str) -> dict[str, tuple[float, float]]:
+        """Fitted values of one effect and their standard errors."""
+        found = {}
+        for i, name in enumerate(self.names):
+            if name.startswith(f"{effect}/{where}/"):
+                found[name.split("/")[2]] = (self.refit.point.z[i], float(np.sqrt(self.refit.covariance[i, i])))
+        return found
+
+
+def refit_candidate(
+    problem: Problem,
+    active: Active,
+    theta: np.ndarray,
+    eff: np.ndarray,
+    x0: np.ndarray,
+    factor: np.ndarray,
+    *,
+    keep: np.ndarray | None = None,
+    iterations: int = 6,
+) -> Candidate:
+    """Refit declared parameters and the active effects' parameters under the covariance behind `factor`."""
+    first = at_point(problem, active, theta, eff, x0)
+    names = first.names
+    split = _Split(problem, names, first.theta, first.eff)
+
+    def linearise(point: Point) -> Linearised:
+        result = at_point(problem, active, *split.full(point.z), point.x0)
+        return compressed(problem, linearised(problem, result))
+
+    low, high = split.bounds()
+    done = refit(
+        linearise, Point(split.pick(first.theta, first.eff), first.x0), factor, low, high,
+        np.ones(len(names), bool), keep=keep, iterations=iterations,
+    )  # fmt: skip
+    theta, eff = split.full(done.point.z)
+    return Candidate(active, theta, eff, names, done)
+
+
+class _Split:
+    """Between the flat vector of what is fitted and the full theta and effect vectors."""
+
+    def __init__(self, problem: Problem, names: tuple[str, ...], theta: np.ndarray, eff: np.ndarray):
+        plant, layout = problem.plant, problem.model.layout
+        every = list(plant.theta_names) + ["/".join(n) for n in layout.names()]
+        self.index = np.array([every.index(n) for n in names], int)
+        self.base = np.concatenate([theta, eff]).astype(float)
+        self.cut = len(plant.theta_names)
+        self.low = np.concatenate([plant.low, problem.bounds[0]])[self.index]
+        self.high = np.concatenate([plant.high, problem.bounds[1]])[self.index]
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.low, self.high
+
+    def pick(self, theta: np.ndarray, eff: np.ndarray) -> np.ndarray:
+        return np.concatenate([theta, eff])[self.index]
+
+    def full(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        both = self.base.copy()
+        both[self.index] = z
+        return both[: self.cut], both[self.cut :]
+
+
+def linearised(problem: Problem, result: FitResult, impulse: np.ndarray | None = None) -> Linearised:
+    """Rows of one fit result without candidates."""
+    windows = problem.windows
+    count, length, channels = windows.measured.shape
+    rows = length * channels
+    return Linearised(
+        residual=result.residual.reshape(count, rows),
+        jac_state=result.jac_state,
+        jac_theta=result.jac_shared,
+        atoms=np.zeros((count, rows, 0)),
+        impulse=np.zeros((count, rows, problem.plant.joint_dim, 0)) if impulse is None else impulse,
+        dt=windows.dt,
+        channel=np.tile(np.arange(channels), length),
+        trial=np.asarray(windows.trial),
+        used=np.asarray(windows.weight).reshape(count, rows) > 0,
+    )
+
+
+def compressed(problem: Problem, lin: Linearised) -> Linearised:
+    """Average neighbouring rows of each channel: motions are slow against rows, and covariances shrink by the square."""
+    group = problem.rows_merged
+    if group == 1:
+        return lin
+    channels = problem.windows.measured.shape[2]
+    length = lin.residual.shape[1] // channels
+    blocks = -(-length // group)
+
+    def pool(z: np.ndarray) -> np.ndarray:
+        z = np.asarray(z, float).reshape(z.shape[0], length, channels, -1)
+        z = np.concatenate([z, np.zeros((z.shape[0], blocks * group - length, *z.shape[2:]))], 1)
+        return z.reshape(z.shape[0], blocks, group, *z.shape[2:]).sum(2).reshape(z.shape[0], blocks * channels, -1)
+
+    used = pool(lin.used[..., None])[..., 0]
+    scale = 1.0 / np.sqrt(np.maximum(used, 1.0))
+
+    def mean(z: np.ndarray) -> np.ndarray:
+        out = pool(z) * scale[..., None]
+        return out.reshape(*out.shape[:2], *z.shape[2:])
+
+    return replace(
+        lin, residual=mean(lin.residual[..., None])[..., 0], jac_state=mean(lin.jac_state), jac_theta=mean(lin.jac_theta),
+        atoms=mean(lin.atoms), impulse=mean(lin.impulse), channel=np.tile(np.arange(channels), blocks), used=used > 0,
+    )  # fmt: skip
+
+
+def survey(
+    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray
+) -> tuple[tuple[Atom, ...], Linearised, Path, FitResult]:
+    """Signatures of every candidate and of the generic dictionary about one model, rows compressed."""
+    result = at_point(problem, active, theta, eff, x0)
+    seen = signatures(problem.model, result, problem.windows, problem.reach, basis=generic_forces)
+    return seen.atoms, compressed(problem, seen.lin), seen.path, result

@@ -1,0 +1,136 @@
+"""Joint refit of declared parameters, effect parameters and initial states under a full residual covariance.
+
+`fit.py` weighs samples one by one, which is right where the sensors are the only noise. Here the residual covariance
+comes from `disturbance.py`: a Gauss-Newton step on whitened rows, initial states projected out of them, so that a force
+which wanders costs what it should and no more. The linearisation is a callable; nothing here knows a model.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from adaptsim_jax.closeloop.disturbance import Linearised, Whitened, whiten
+
+
+class Point(NamedTuple):
+    """Shared parameters `z [G]` (declared, then effects) and initial states `x0 [W, S]`."""
+
+    z: np.ndarray
+    x0: np.ndarray
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Where the refit ended. cost: `[W]` whitened sum of squares with initial states projected out (chi-square if the
+    model is right); covariance `[G, G]` of z, zero for entries that were held; at_bound `[G]`."""
+
+    point: Point
+    linearised: Linearised
+    white: Whitened
+    covariance: np.ndarray
+    free: np.ndarray
+    at_bound: np.ndarray
+    iterations: int
+
+    @property
+    def cost(self) -> np.ndarray:
+        return np.sum(self.white.residual**2, axis=1)
+
+
+Linearise = Callable[[Point], Linearised]
+
+
+def refit(
+    linearise: Linearise,
+    start: Point,
+    factor: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    free: np.ndarray,
+    *,
+    keep: np.ndarray | None = None,
+    iterations: int = 8,
+    tolerance: float = 1e-3,
+) -> Refit:
+    """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
+
+    factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
+    states, so that their cost is a held-out one. Stops when a step lowers the cost by less than `tolerance` (absolute
+    plus relative 1e-7): below what any test could see.
+    """
+    keep = np.ones(len(start.x0), bool) if keep is None else keep
+    point = Point(np.clip(start.z, low, high), start.x0)
+    lin = linearise(point)
+    white = whiten(lin, factor)
+    damping, done = 1e-6, 0
+    for done in range(1, iterations + 1):  # noqa: B007  (its last value is reported)
+        old = float(np.sum(white.residual[keep] ** 2))
+        trial = _stepped(point, lin, white, factor, low, high, free, keep, damping)
+        trial_lin = linearise(trial)
+        trial_white = whiten(trial_lin, factor)
+        new = float(np.sum(trial_white.residual[keep] ** 2))
+        if np.isfinite(new) and new <= old:
+            point, lin, white, damping = trial, trial_lin, trial_white, max(damping * 0.1, 1e-9)
+            if old - new < tolerance + 1e-7 * old:
+                break
+        else:
+            damping = max(damping * 30.0, 1e-4)
+            if damping > 1e4:
+                break
+    covariance, stuck = _covariance(point.z, white, low, high, free, keep)
+    return Refit(point, lin, white, covariance, free, stuck, done)
+
+
+def _information(white: Whitened, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    j = white.jac_theta[keep]
+    return np.einsum("wmi,wmj->ij", j, j, optimize=True), np.einsum("wmi,wm->i", j, white.residual[keep])
+
+
+def _stepped(point: Point, lin: Linearised, white: Whitened, factor, low, high, free, keep, damping) -> Point:
+    hess, slope = _information(white, keep)
+    live = free & ~((point.z <= low) & (slope < 0)) & ~((point.z >= high) & (slope > 0))
+    step = np.zeros_like(point.z)
+    if live.any():
+        step[live] = _solve(hess[np.ix_(live, live)], slope[live], damping)
+    z = np.clip(point.z + step, low, high)
+    rest = lin.residual - lin.jac_theta @ (z - point.z)
+    jac, rest = factor @ lin.jac_state, np.einsum("wij,wj->wi", factor, rest)
+    normal = np.swapaxes(jac, 1, 2) @ jac
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-12))
+    scaled = normal / scale[:, :, None] / scale[:, None, :] + (1e-10 + damping) * np.eye(normal.shape[1])
+    right = np.einsum("wms,wm->ws", jac, rest) / scale
+    return Point(z, point.x0 + np.linalg.solve(scaled, right[..., None])[..., 0] / scale)
+
+
+def _solve(hess: np.ndarray, slope: np.ndarray, damping: float) -> np.ndarray:
+    """Scaled, damped solve that leaves alone the directions on which the data say nothing."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(hess), 1e-30))
+    value, vector = np.linalg.eigh(hess * scale[:, None] * scale[None, :])
+    inverse = np.where(value > 1e-10, 1.0 / (np.maximum(value, 1e-30) + damping), 0.0)
+    return scale * (vector @ (inverse * (vector.T @ (scale * slope))))
+
+
+def _covariance(z, white: Whitened, low, high, free, keep) -> tuple[np.ndarray, np.ndarray]:
+    """Sandwich covariance over windows, no smaller than the model's own; entries at a bound are held there."""
+    hess, slope = _information(white, keep)
+    stuck = free & (((z <= low) & (slope <= 0)) | ((z >= high) & (slope >= 0)))
+    live = np.flatnonzero(free & ~stuck)
+    out = np.zeros((len(z), len(z)))
+    if not len(live):
+        return out, stuck
+    part = hess[np.ix_(live, live)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-30))
+    inverse = scale[:, None] * np.linalg.pinv(part * scale[:, None] * scale, rcond=1e-10, hermitian=True) * scale
+    scores = np.einsum("wmi,wm->wi", white.jac_theta[keep][:, :, live], white.residual[keep])
+    count = max(int((white.rows[keep] > 0).sum()), 1)
+    sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(count - len(live), 1)
+    wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-300), 1.0))
+    out[np.ix_(live, live)] = inverse * wider[:, None] * wider
+    return out, stuck
+
+
+def replace_factor(result: Refit, factor: np.ndarray) -> Refit:
+    """The same point seen through another residual covariance."""
+    return replace(result, white=whiten(result.linearised, factor))

@@ -1,0 +1,286 @@
+"""The search for what the model lacks: one effect at a time, each rival refitted whole and judged by its likelihood.
+
+A linear score ranks all candidates; the leaders are refitted jointly with the declared parameters, each under its own
+residual covariance, and compared by restricted likelihood. What linear scores get wrong (friction at reversals, delays,
+stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.disturbance import Components, Linearised
+from adaptsim_jax.closeloop.problem import Active, Candidate, Problem, refit_candidate, survey
+from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
+
+Instance = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Declared beforehand: what counts as an effect. alpha: family-wise level of a test over all candidates.
+
+    shortlist: leaders refitted whole. price: log-likelihood that each further parameter must earn. class_gap and
+    class_z: a rival stays in the class unless it loses by more than `class_gap` nats *and* `class_z` standard errors over
+    windows. least_fall: least relative fall of the unexplained force that is worth a name.
+    """
+
+    alpha: float = 0.01
+    shortlist: int = 6
+    price: float = 4.0
+    class_gap: float = 6.0
+    class_z: float = 2.5
+    least_fall: float = 0.1
+    most_effects: int = 3
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A candidate model with its own residual covariance and its likelihood window by window `[W]`."""
+
+    candidate: Candidate
+    parts: Components
+    likelihood: np.ndarray
+
+    @property
+    def active(self) -> Active:
+        return self.candidate.active
+
+    @property
+    def total(self) -> float:
+        return float(self.likelihood.sum())
+
+    def merit(self, price: float) -> float:
+        """Log-likelihood less the price of its parameters."""
+        return self.total - price * len(self.candidate.names)
+
+    def at_bound(self) -> tuple[str, ...]:
+        """Effect parameters that ended at the edge of what they may be."""
+        names = np.array(self.candidate.names)
+        return tuple(n for n in names[self.candidate.refit.at_bound] if "/" in n)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One candidate instance as the linear score sees it, about some model."""
+
+    instance: Instance
+    atom: Atom
+    score: Score
+    tried: int  # shapes tried for it
+
+    def corrected(self, instances: int) -> float:
+        """p-value times the number of tests it was picked from."""
+        return min(1.0, self.score.p_value * self.tried * instances)
+
+
+@dataclass
+class Found:
+    """What the search ended with, and what it saw on the way."""
+
+    base: Fitted
+    final: Fitted
+    ranked: list[Ranked]  # about the declared model
+    rivals: dict[Instance, list[Fitted]] = field(default_factory=dict)  # per accepted effect: the others in its place
+    classes: dict[Instance, list[Instance]] = field(default_factory=dict)
+    tried: list[Fitted] = field(default_factory=list)
+    last: list[Ranked] = field(default_factory=list)  # about the final model
+    view: "View | None" = None  # of the final model
+
+
+Progress = Callable[[str], None]
+
+
+def fitted(
+    problem: Problem, active: Active, theta, eff, x0, parts: Components, impulse: Linearised, *, rounds: int = 5
+) -> Fitted:
+    """Refit a model, estimate its residual covariance, and refit under that. `impulse`: a linearisation that has the
+    force responses (they hardly move between rivals)."""
+    best = None
+    for _ in range(rounds):
+        factor = disturbance.whitener(impulse, parts)
+        candidate = refit_candidate(problem, active, theta, eff, x0, factor)
+        theta, eff, x0 = candidate.theta, candidate.eff, candidate.refit.point.x0
+        lin = replace(candidate.refit.linearised, impulse=impulse.impulse)
+        parts = disturbance.estimate(lin, start=parts)
+        new = Fitted(candidate, parts, disturbance.log_likelihood(lin, parts))
+        settled = best is not None and new.total < best.total + 1.0
+        best = new if best is None or new.total > best.total else best
+        if settled:
+            break
+    assert best is not None
+    return best
+
+
+@dataclass(frozen=True)
+class View:
+    """All candidates scored about one model."""
+
+    scorer: Scorer
+    atoms: tuple[Atom, ...]
+    lin: Linearised
+    path: object
+    residual_white: np.ndarray
+
+    def generic(self) -> list[Atom]:
+        return [a for a in self.atoms if a.effect == "generic"]
+
+    def ranked(self, exclude: Sequence[Instance] = ()) -> list[Ranked]:
+        """Every instance at its best shape, by gain."""
+        groups: dict[Instance, list[Atom]] = {}
+        for atom in self.atoms:
+            if atom.effect != "generic" and (atom.effect, atom.where) not in exclude:
+                groups.setdefault((atom.effect, atom.where), []).append(atom)
+        out = []
+        for instance, atoms in groups.items():
+            best = self.scorer.best_shape(atoms)
+            out.append(Ranked(instance, best, self.scorer.score([best]), len(atoms)))
+        return sorted(out, key=lambda r: -r.score.gain)
+
+
+def view(problem: Problem, model: Fitted) -> View:
+    """Linear scores of everything about a fitted model."""
+    c = model.candidate
+    atoms, lin, path, _ = survey(problem, c.active, c.theta, c.eff, c.refit.point.x0)
+    white = disturbance.whiten(lin, disturbance.whitener(lin, model.parts))
+    scorer = Scorer(white, folds(white.trial, white.rows))
+    return View(scorer, atoms, lin, path, white.residual)
+
+
+def started(problem: Problem, base: Fitted, ranked: Ranked) -> np.ndarray:
+    """Effect parameters `[E]` to start a refit from: the grid's shape, the score's amplitude kept within reason."""
+    layout = problem.model.layout
+    low, high = problem.bounds
+    eff = base.candidate.eff.copy()
+    instance = layout.instances[layout.index(*ranked.instance)]
+    amplitudes = iter(ranked.score.amplitude)
+    for k, p in enumerate(instance.effect.parameters):
+        at = instance.at.start + k
+        if p.name in ranked.atom.shape:
+            eff[at] = ranked.atom.shape[p.name]
+        elif p.off is not None:
+            value = next(amplitudes, p.off)
+            eff[at] = max(value, 0.0) if p.sign > 0 else value
+        eff[at] = np.clip(eff[at], low[at], high[at])
+    return eff
+
+
+def declared(problem: Problem, theta, eff, x0) -> tuple[Fitted, View]:
+    """The declared model with its residual covariance, and all candidates scored about it."""
+    _, lin, _, result = survey(problem, (), theta, eff, x0)
+    base = fitted(problem, (), theta, result.eff, x0, disturbance.estimate(lin), lin)
+    return base, view(problem, base)
+
+
+def search(problem: Problem, base: Fitted, first: View, settings: Settings, say: Progress = lambda _: None) -> Found:
+    """Add effects greedily while they earn their price, with one look back after each."""
+    ranked = first.ranked()
+    found = Found(base, base, ranked, last=ranked, view=first)
+    seen, current = first, base
+    while len(found.final.active) < settings.most_effects:
+        leaders = _leaders(found.last, settings)
+        if not leaders:
+            break
+        trials = [extend(problem, current, r, seen, say) for r in leaders]
+        found.tried += trials
+        best = max((t for t in trials if _plausible(t)), key=lambda t: t.merit(settings.price), default=None)
+        if best is None or not _earns(best, current, settings):
+            break
+        new = _new(best, current)
+        found.rivals[new] = [t for t in trials if t is not best]
+        current = best
+        current = _look_back(problem, found, current, new, seen, settings, say)
+        found.final = current
+        seen = found.view = view(problem, current)
+        found.last = seen.ranked(exclude=current.active)
+    found.classes = {e: _class_of(e, found, settings) for e in found.final.active}
+    return found
+
+
+def _leaders(ranked: list[Ranked], settings: Settings) -> list[Ranked]:
+    """Candidates worth a whole refit: significant by the linear score, the best first."""
+    significant = [r for r in ranked if r.corrected(len(ranked)) < settings.alpha and r.score.retained > 1e-3]
+    return significant[: settings.shortlist]
+
+
+def extend(problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None) -> Fitted:
+    """The current model with one more effect, refitted whole."""
+    say(f"refitting with {ranked.instance[0]} at {ranked.instance[1]}")
+    c = current.candidate
+    eff = started(problem, current, ranked)
+    return fitted(problem, (*c.active, ranked.instance), c.theta, eff, c.refit.point.x0, current.parts, seen.lin)
+
+
+def _new(best: Fitted, current: Fitted) -> Instance:
+    return next(a for a in best.active if a not in current.active)
+
+
+def _plausible(model: Fitted) -> bool:
+    """No amplitude of the wrong sign or beyond what the effect may be."""
+    return not model.at_bound()
+
+
+def _earns(new: Fitted, old: Fitted, settings: Settings) -> bool:
+    """More likely by more than its price and the selection it was picked from, and a smaller unexplained force."""
+    extra = len(new.candidate.names) - len(old.candidate.names)
+    if new.total - old.total < settings.price * extra + 6.0:
+        return False
+    return unexplained(new, old) < 1.0 - settings.least_fall
+
+
+def unexplained(new: Fitted, old: Fitted) -> float:
+    """Unexplained force after over before, each joint against its own before, the worse-hit joint weighing more."""
+    before, after = old.parts.force.sum(1), new.parts.force.sum(1)
+    return float(np.sqrt(after.sum() / max(before.sum(), 1e-300)))
+
+
+def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
+    """With a second effect in, the first may have been a stand-in: try its rivals in its place."""
+    for old in [a for a in current.active if a != new]:
+        for rival in found.rivals.get(old, []):
+            instance = rival.active[-1]
+            if instance in current.active:
+                continue
+            active = tuple(instance if a == old else a for a in current.active)
+            eff = _merged(problem, current.candidate.eff, rival.candidate.eff, instance)
+            say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
+            c = current.candidate
+            swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.lin)
+            found.tried.append(swapped)
+            if _plausible(swapped) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
+                found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
+                current, old = swapped, instance
+    return current
+
+
+def _merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Instance) -> np.ndarray:
+    layout = problem.model.layout
+    at = layout.instances[layout.index(*instance)].at
+    out = eff.copy()
+    out[at] = other[at]
+    return out
+
+
+def _class_of(effect: Instance, found: Found, settings: Settings) -> list[Instance]:
+    """Rivals that the data cannot tell from the accepted effect."""
+    final = found.final
+    out = []
+    rest = [a for a in final.active if a != effect]
+    for other in found.tried:
+        extra = [a for a in other.active if a not in final.active]
+        if len(extra) != 1 or sorted(a for a in other.active if a != extra[0]) != sorted(rest) or not _plausible(other):
+            continue
+        if _close(final, other, settings) and extra[0] not in out:
+            out.append(extra[0])
+    return out
+
+
+def _close(best: Fitted, other: Fitted, settings: Settings) -> bool:
+    """Vuong's (1989) comparison over windows: not far behind in nats, or not surely so."""
+    gap = best.likelihood - other.likelihood
+    price = settings.price * (len(best.candidate.names) - len(other.candidate.names))
+    lead = float(gap.sum()) - price
+    scatter = float(np.std(gap) * np.sqrt(len(gap))) + 1e-9
+    return lead < settings.class_gap or (lead / scatter < settings.class_z and lead < 3 * settings.class_gap)

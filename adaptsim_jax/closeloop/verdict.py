@@ -1,0 +1,69 @@
+"""From what was found to what may be said: one of seven verdicts, with its reason in a sentence."""
+
+from dataclasses import dataclass
+
+from adaptsim_jax.closeloop.leftover import Leftover
+from adaptsim_jax.closeloop.search import Found, Settings, unexplained
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A verdict of the report's schema, its message, and whether the effects found may be named."""
+
+    name: str
+    message: str
+    named: bool
+
+
+LEFT_TOO_MUCH = 0.35  # of the unexplained force: more than this left over, and no name is safe
+
+
+def decide(found: Found, before: Leftover, after: Leftover, settings: Settings, powered: bool) -> Verdict:
+    """The verdict. `before`, `after`: the generic dictionary about the declared and the final model."""
+    active = found.final.active
+    structured = _structured(found, before, settings)
+    if not active:
+        if structured:
+            return Verdict("structured_unattributed", _unattributed(before), False)
+        if powered:
+            return Verdict("within_noise", "The declared model explains the data to within their noise.", False)
+        return Verdict(
+            "underpowered", "Nothing is found, but these data would not have shown an effect that matters.", False
+        )
+    left = unexplained(found.final, found.base)
+    if left > LEFT_TOO_MUCH and after.p_value < settings.alpha and after.share > 0.02:
+        return Verdict("structured_unattributed", _partly(found, after, left), False)
+    names = " and ".join(f"{_words(e)} at {w}" for e, w in active)
+    others = [f"{_words(e)} at {w}" for rivals in found.classes.values() for e, w in rivals]
+    if others:
+        message = f"The residual is explained by {names}; these data cannot tell it from {', '.join(others)}."
+        return Verdict("explained_class", message, True)
+    return Verdict("explained", f"The residual is explained by {names}.", True)
+
+
+def _structured(found: Found, before: Leftover, settings: Settings) -> bool:
+    """Held-out structure that is more than chance: some smooth force, or a rival that was refitted, predicts it."""
+    if before.p_value < settings.alpha and before.share > 0.01:
+        return True
+    return any(t.total - found.base.total > 20.0 for t in found.tried)
+
+
+def _words(effect: str) -> str:
+    return effect.replace("_", " ")
+
+
+def _unattributed(at: Leftover) -> str:
+    joint, variable, share, _ = at.places[0]
+    return (
+        f"There is structure that no candidate explains; it sits at {joint} and follows its {variable} "
+        f"({100 * share:.0f} % of the residual, held out)."
+    )
+
+
+def _partly(found: Found, at: Leftover, left: float) -> str:
+    joint, variable, _, _ = at.places[0]
+    best = " and ".join(f"{_words(e)} at {w}" for e, w in found.final.active)
+    return (
+        f"The best candidate, {best}, leaves {100 * left:.0f} % of the unexplained torque, which is too much for a name; "
+        f"what is left sits at {joint} and follows its {variable}."
+    )
