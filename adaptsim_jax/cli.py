@@ -51,6 +51,7 @@ def main(argv: list[str] | None = None) -> int:
     args = None
     try:
         args = parse(argv)
+        _limit_blas_threads()
         _set_up_cache(args)
         return args.run(args) or 0
     except SystemExit as stop:  # argparse's --help and --version
@@ -123,6 +124,13 @@ def _unknown_argument(parser: Parser, word: str) -> str:
     near = difflib.get_close_matches(word.partition("=")[0], options, n=1, cutoff=0.5)
     mend = f"did you mean '{near[0]}'?" if near else f"see '{parser.prog} --help'"
     return f"unknown argument '{word}'; {mend}"
+
+
+def _limit_blas_threads() -> None:
+    # The matrices here are small: OpenBLAS's threads gain nothing on them, and spin while they wait, which takes the
+    # cores away from XLA. NumPy reads these when it is imported, which happens later.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def _set_up_cache(args: argparse.Namespace) -> None:

@@ -8,6 +8,8 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, see `cli._limit_blas_threads`
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import jax  # noqa: E402  (JAX reads the settings above when it is imported)
 import pytest  # noqa: E402

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 EXAMPLES = """
   adaptsim compare pendulum --out results
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
+  adaptsim compare pendulum --out small --seeds 3 --set train.phase1.trajectories=2000
 """
 
 
@@ -14,16 +16,55 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for results.json, table and figure")
-    parser.add_argument("--seeds", type=positive, default=20, metavar="N", help="seeds of each method (default 20)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for results.json, table and figures")
+    parser.add_argument("--seeds", type=positive, metavar="N", help="seeds of each method (20)")
     parser.add_argument("--methods", metavar="A,B", help="default: all")
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
+    parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change one key of the config; repeatable"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Table 1 of the paper for one task."""
-    from adaptsim_jax.commands.common import check_task, require
+    from adaptsim_jax.commands.common import check_task
 
     check_task(args.task)
-    require("adaptsim_jax.baselines.compare", "'adaptsim compare'")
+    from adaptsim_jax.baselines.compare import compare
+    from adaptsim_jax.files import output_folder
+    from adaptsim_jax.progress import progress
+    from adaptsim_jax.report.comparison import table, write_comparison
+
+    asked = config_of(args)
+    output_folder(args.out)
+    with progress(f"compare {args.task}") as report:
+        results = compare(args.task, asked, report)
+    paths = write_comparison(results, args.out)
+    print(table(results))
+    for path in paths:
+        print(f"written: {path}")
     return 0
+
+
+def config_of(args: argparse.Namespace) -> Any:
+    """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
+    from adaptsim_jax import config
+    from adaptsim_jax.adapt.phase1 import make_phase1
+    from adaptsim_jax.baselines.methods import CompareConfig
+    from adaptsim_jax.tasks.registry import make_task
+
+    where = args.config or "--set"
+    start = config.from_table(CompareConfig, config.read(args.config) if args.config else {}, where)
+    given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None}
+    settings = [f"{name}={value}" for name, value in given.items() if value is not None]
+    for name in ("methods", "settings"):
+        if getattr(args, name) is not None:
+            words = [word.strip().replace("-", "_" if name == "methods" else "-") for word in getattr(args, name).split(",")]
+            settings.append(f"{name}={words!r}")
+    asked = config.with_settings(start, [*args.set, *settings])
+    task = make_task(args.task, asked.train.task, where)
+    for setting in asked.settings:
+        config.pick("setting", setting, task.settings)
+    make_phase1(task, asked.train.phase1)
+    return asked
