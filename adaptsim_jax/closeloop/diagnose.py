@@ -10,7 +10,7 @@ import numpy as np
 
 import adaptsim_jax
 from adaptsim_jax.closeloop import search as hunt
-from adaptsim_jax.closeloop.audit import Audit, audit, without_duplicates
+from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
@@ -65,12 +65,12 @@ def diagnose(
     say = progress or (lambda done, total, note: None)
     recording = data if isinstance(data, Recording) else read_recording(data)
     say(1, STAGES, "audit")
-    recording, _dropped = without_duplicates(recording)
     checked = audit(recording)
     if checked.fault:
         report = faulty(recording, checked)
         return finish(report, {"audit": findings(checked)}, out, recording, seed, began, None)
     chosen = tuple(e for e in (effects or catalogue(recording.task)) if e.name not in exclude) + useless(irrelevant)
+    recording = usable(recording, checked)
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Settings(), seed, say)
     return finish(result.report, result.evidence, out, recording, seed, began, result)
@@ -94,7 +94,7 @@ def examine(
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
-    after = before if not found.final.active else leftover(problem, found.view)
+    after = before if not found.added else leftover(problem, found.view)
     powers = power(problem, found.view or first, settings)
     verdict = decide(found, before, after, settings, powered(powers))
     say(6, STAGES, "held-out trials, declared model")

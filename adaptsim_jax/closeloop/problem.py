@@ -11,12 +11,13 @@ from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.basis import generic_forces
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit import FitResult, Settings, fit
+from adaptsim_jax.closeloop.model_file import declared_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, smooth
 from adaptsim_jax.closeloop.refit import Point, Refit, refit
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.sensitivity import Path, signatures
 from adaptsim_jax.closeloop.simulate import Model, make_model
-from adaptsim_jax.closeloop.trial import Recording
+from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.closeloop.windows import Windows, cut_windows
 from adaptsim_jax.models.effects import Effect, Reach
 from adaptsim_jax.models.plant import Plant, make_pendulum_plant
@@ -38,10 +39,17 @@ class Problem:
     reach: Reach
     theta0: np.ndarray
     rows_merged: int
+    base: Active = ()  # effects that the declared model has already (it is a mended one)
+    eff0: np.ndarray | None = None  # `[E]` where they start
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.model.layout.bounds(self.reach)
+        """Of the effect parameters `[E]`, for this rig; what the declared model has already stays within them."""
+        low, high = self.model.layout.bounds(self.reach)
+        if self.eff0 is None:
+            return low, high
+        room = 2.0 * self.eff0  # another recording may have larger torques than this one
+        return np.minimum(low, np.minimum(room, self.eff0)), np.maximum(high, np.maximum(room, self.eff0))
 
     @property
     def torque_rms(self) -> np.ndarray:
@@ -65,23 +73,39 @@ def prepare(
     """Cut windows, start the declared parameters, and say what the motion covers.
 
     Angles alone are fitted: a driver's velocity is a filtered difference of them, with a lag of its own. `duration` s is
-    a window's length; about `rows_kept` averaged rows of each are kept for the residual statistics.
+    a window's length; about `rows_kept` averaged rows of each are kept for the residual statistics. Where the recording
+    names a mended model, that is the declared one: its effects act from the start. Raises BadInput where it does not fit.
     """
+    given = declared_model(recording, effects)
     motions = [smooth(t, noise) for t in recording.trials]
     plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
     theta0 = plant.initial_theta(
         [(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)]
     )
+    theta0 = theta0 if given is None else np.clip(given.theta(plant), plant.low, plant.high)
     sigma = np.array([noise.std["q1"], noise.std["q2"], np.inf, np.inf])
-    windows = cut_windows(recording.trials, sigma, duration=duration, motions=motions, use_velocity=False)
+    trials = [_masked(t, audit.valid.get(t.name)) for t in recording.trials]
+    windows = cut_windows(trials, sigma, duration=duration, motions=motions, use_velocity=False)
     reach = make_reach(plant, theta0, windows)
     model = make_model(plant, tuple(effects))
     merged = max(1, windows.measured.shape[1] // rows_kept)
-    return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged)
+    base, eff0 = ((), None) if given is None else (given.active, given.effect_vector(model.layout))
+    return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged, base, eff0)
 
 
-def declared_fit(problem: Problem, active: Active = (), start: FitResult | None = None, eff0=None) -> FitResult:
+def _masked(trial: Trial, valid: np.ndarray | None) -> Trial:
+    """The trial without the rows that the audit found frozen or spiked."""
+    if valid is None or valid.all():
+        return trial
+    return replace(trial, q=np.where(valid[:, None], trial.q, np.nan))
+
+
+def declared_fit(
+    problem: Problem, active: Active | None = None, start: FitResult | None = None, eff0=None
+) -> FitResult:
     """Least-squares output-error fit in which sensors are the only noise; where the statistics start from."""
+    active = problem.base if active is None else active
+    eff0 = problem.eff0 if eff0 is None else eff0
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows,
         problem.theta0 if start is None else start.theta, eff0, None if start is None else start.x0,
