@@ -1,0 +1,79 @@
+"""What `adaptsim compare` leaves in its folder: results.json, table.md and figures."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from adaptsim_jax.files import output_folder, write_bytes, write_json
+from adaptsim_jax.report import figures as look
+from adaptsim_jax.report import figures_comparison as draw
+
+
+def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
+    """Write all of it into `out` (made if need be); returns the paths. Raises BadInput where it cannot be written."""
+    out = output_folder(Path(out))
+    write_json(out / "results.json", results)
+    write_bytes(out / "table.md", table(results).encode())
+    paths = [out / "results.json", out / "table.md"]
+    visiting = {r["method"] for r in results["rows"] if len(r["curve"]["median"]) > 1}
+    late = {m for m in visiting if m.endswith("_state")}
+    for name, methods in (("reward_over_iterations", visiting - late), ("reward_over_iterations_state", late)):
+        if methods:
+            figure = draw.reward_over_iterations(results, sorted(methods, key=list(look.COLOURS).index))
+            paths.append(look.save(figure, out / f"{name}.png"))
+    if visiting:
+        paths.append(look.save(draw.rewards(results), out / "rewards.png"))
+    return paths
+
+
+def table(results: Mapping[str, Any]) -> str:
+    """Table 1 in Markdown: for each method and setting the mean over seeds of the best iteration, and what else counts."""
+    rows = results["rows"]
+    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    methods = list(dict.fromkeys(r["method"] for r in rows))
+    cells = {(r["method"], r["setting"]): r for r in rows}
+    head = [look.SETTINGS.get(s, s) for s in settings]
+    across = lambda cell: _grid(head, methods, cell, settings, cells)
+    spread = lambda r, *keys: f"{_number(r[keys[0]])} [{_number(r[keys[1]])}, {_number(r[keys[2]])}]"
+    parts = [
+        f"Normalized reward (0 UDR, 1 best in Omega, not clipped), {results['seeds']} seeds, "
+        f"{results['iterations']} iterations, {results['starts']} initial distributions.",
+        "Mean over seeds of the best iteration [95 % interval of the mean]:",
+        across(lambda r: spread(r, "mean", "low", "high")),
+        "Median [quartiles] of the best iteration:",
+        across(lambda r: spread(r, "median", "q25", "q75")),
+        "Mean over seeds at the last iteration, and in brackets the best mean of any one iteration:",
+        across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
+        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed over the 12 observed "
+        "points; median over seeds):",
+        across(_discrepancy),
+        f"Target rollouts for one target: {_trials(rows, methods)}.",
+        f"Command: `{results['command']}`",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _grid(head, methods, cell, settings, cells) -> str:
+    lines = ["| method | " + " | ".join(head) + " |", "| --- |" + " --- |" * len(head)]
+    for m in methods:
+        texts = [cell(cells[m, s]) if (m, s) in cells else "-" for s in settings]
+        if any(t != "-" for t in texts):
+            lines.append(f"| {_name(m)} | " + " | ".join(texts) + " |")
+    return "\n".join(lines)
+
+
+def _trials(rows, methods) -> str:
+    counts = {m: next(r["target_trials"] for r in rows if r["method"] == m) for m in methods}
+    return ", ".join(f"{_name(m)} {n}" for m, n in counts.items() if n is not None)
+
+
+def _name(method: str) -> str:
+    return look.label(method).replace("\n", " ")
+
+
+def _number(value: float | None) -> str:
+    return "fails" if value is None else f"{value:.2f}"
+
+
+def _discrepancy(r: Mapping[str, Any]) -> str:
+    return _number(r["discrepancy"]["median"]) if "discrepancy" in r else "-"

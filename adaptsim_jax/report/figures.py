@@ -1,0 +1,86 @@
+"""The look that the figures of the comparison share: colours that colour-blind readers tell apart, labels, saving."""
+
+import io
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from adaptsim_jax.files import write_bytes
+
+# Okabe and Ito's palette: told apart with any common colour blindness, and in grey by the line styles below.
+COLOURS = {
+    "adaptsim": "#0072B2",
+    "adaptsim_state": "#56B4E9",
+    "sysid_bayes": "#D55E00",
+    "sysid_bayes_state": "#E69F00",
+    "sysid_point": "#009E73",
+    "sysid_point_state": "#6FBF8F",
+    "gradient": "#CC79A7",
+    "udr": "#777777",
+    "best_in_omega": "#000000",
+}
+LABELS = {
+    "adaptsim": "AdaptSim",
+    "adaptsim_state": "AdaptSim-State",
+    "sysid_bayes": "SysID-Bayes",
+    "sysid_bayes_state": "SysID-Bayes-State",
+    "sysid_point": "SysID-Point",
+    "sysid_point_state": "SysID-Point-State",
+    "gradient": "Gradient (needs a\ndifferentiable target)",
+    "udr": "UDR",
+    "best_in_omega": "Best in Ω",
+}
+MARKERS = {"adaptsim": "o", "sysid_bayes": "s", "sysid_point": "^", "gradient": "D"}
+SETTINGS = {"wd": "WD"} | {f"ood-{i}": f"OOD-{i}" for i in range(1, 5)}
+INK, MUTED, GRID = "#20262e", "#5d6875", "#dde2e8"
+REWARD = "normalized reward (0 UDR, 1 best in Ω)"
+
+
+def colour(method: str) -> str:
+    return COLOURS.get(method, MUTED)
+
+
+def label(method: str) -> str:
+    return LABELS.get(method, method)
+
+
+def style(method: str) -> dict:
+    """Line style: state-only variants are dashed."""
+    return {"color": colour(method), "linestyle": "--" if method.endswith("_state") else "-"}
+
+
+def marker(method: str) -> str:
+    return MARKERS.get(method.removesuffix("_state"), "o")
+
+
+def quiet(ax: Axes) -> None:
+    """Light grid, no frame at the top and right, small ticks."""
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color(MUTED)
+    ax.grid(True, color=GRID, linewidth=0.7)
+    ax.set_axisbelow(True)
+    ax.tick_params(colors=MUTED, labelcolor=INK, labelsize=8)
+
+
+def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options) -> tuple[Figure, list[Axes]]:
+    """A figure of `width x height` inches without any global state, and its axes in reading order."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, list(axes.ravel())
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG of 200 dots per inch, whole or not at all."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=200, facecolor="white")
+    write_bytes(path, buffer.getvalue())
+    return path
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an SVG element, to stand in a page."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", facecolor="white")
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]

@@ -1,0 +1,144 @@
+"""Figures of `adaptsim compare` and of the sweeps, drawn from results.json and nothing else."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from adaptsim_jax.report import figures as look
+
+
+def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = (), bottom: float = -0.4) -> Figure:
+    """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
+    rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
+    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    figure, axes = look.new_figure(2.15 * len(settings) + 0.6, 2.9, 1, len(settings), sharey=True)
+    for ax, setting in zip(axes, settings, strict=True):
+        for r in (r for r in rows if r["setting"] == setting):
+            _curve(ax, r["curve"], look.style(r["method"]), look.label(r["method"]), bottom)
+        look.quiet(ax)
+        ax.axhline(1, color=look.INK, linewidth=0.8, linestyle=":")
+        ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
+        ax.set_ylim(bottom, 1.08)
+        ax.set_xlabel("iteration", fontsize=8.5)
+    axes[0].set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=8.5)
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=min(len(names), 7), frameon=False, fontsize=8)
+    return figure
+
+
+def _curve(ax, curve: Mapping[str, Any], style: dict, label: str, bottom: float) -> None:
+    # None stands for minus infinity, a policy that destabilised the target; it is drawn below the panel.
+    median, q25, q75 = (
+        np.array([bottom - 10 if v is None else v for v in curve[key]]) for key in ("median", "q25", "q75")
+    )
+    iterations = np.arange(len(median))
+    ax.fill_between(iterations, q25, q75, color=style["color"], alpha=0.15, linewidth=0)
+    ax.plot(iterations, median, linewidth=1.7, label=label, **style)
+
+
+def rewards(results: Mapping[str, Any], left: float = -0.4) -> Figure:
+    """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval, and every seed."""
+    rows = [r for r in results["rows"] if r["method"] not in ("udr", "best_in_omega")]
+    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    methods = list(dict.fromkeys(r["method"] for r in rows))
+    figure, axes = look.new_figure(2.0 * len(settings) + 1.6, 0.34 * len(methods) + 1.1, 1, len(settings), sharey=True)
+    for ax, setting in zip(axes, settings, strict=True):
+        for r in (r for r in rows if r["setting"] == setting):
+            _dots(ax, len(methods) - 1 - methods.index(r["method"]), r, left)
+        look.quiet(ax)
+        ax.grid(False, axis="y")
+        ax.axvline(1, color=look.INK, linewidth=0.8, linestyle=":")
+        ax.set_xlim(left, 1.08)
+        ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
+    axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
+    figure.supxlabel("best-iteration " + look.REWARD, fontsize=8.5)
+    return figure
+
+
+def _dots(ax, y: float, r: Mapping[str, Any], left: float) -> None:
+    colour, seeds = look.colour(r["method"]), [left - 1 if v is None else v for v in r["per_seed"]]
+    spread = 0.22 * ((np.arange(len(seeds)) % 5) - 2) / 2
+    ax.plot(seeds, y + spread, "o", color=colour, markersize=2.6, alpha=0.45, markeredgewidth=0)
+    if r["mean"] is None or r["mean"] < left:
+        text = "fails" if r["mean"] is None else f"{r['mean']:.2f}"
+        ax.annotate(f"◂ {text}", (left + 0.02, y), fontsize=7.5, color=colour, va="center")
+        return
+    ax.plot([r["low"], r["high"]], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
+    ax.plot(r["mean"], y, look.marker(r["method"]), color=colour, markersize=5.5, markeredgecolor="white")
+
+
+def parameter_map(
+    reward_map: Any, target: Sequence[float], found: Mapping[str, np.ndarray], bottom: float = -0.5
+) -> Figure:
+    """Figure 5 of the paper: colours are the best reward possible at two parameters, marks what methods found `[S, 2]`."""
+    figure, (ax,) = look.new_figure(4.6, 3.7)
+    levels = np.linspace(bottom, 1.0, 16)
+    filled = ax.contourf(
+        reward_map.x, reward_map.y, np.clip(reward_map.reward, bottom, 1.0), levels=levels, cmap="cividis"
+    )
+    bar = figure.colorbar(filled, ax=ax, ticks=np.arange(bottom, 1.01, 0.25), pad=0.02)
+    bar.set_label(f"reward (0 UDR, 1 best in Ω; below {bottom:g} as {bottom:g})", fontsize=8)
+    bar.ax.tick_params(labelsize=7.5)
+    (x0, y0), (x1, y1) = reward_map.low, reward_map.high
+    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=1.6))
+    ax.annotate("Ω", (x0, y1), xytext=(4, -11), textcoords="offset points", color="white", fontsize=10)
+    for method, points in found.items():
+        marks = {"color": look.colour(method), "markeredgecolor": "white", "markeredgewidth": 0.8, "markersize": 6.5}
+        ax.plot(
+            *np.asarray(points).T, look.marker(method), label=look.label(method), linestyle="", clip_on=False, **marks
+        )
+    ax.plot(*target, "*", color="#8b0000", markersize=15, markeredgecolor="white", label="target", linestyle="")
+    ax.set_xlabel(f"{reward_map.names[0]} (kg)", fontsize=9)
+    ax.set_ylabel(f"{reward_map.names[1]} (kg)", fontsize=9)
+    ax.tick_params(labelsize=8)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    return figure
+
+
+def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: str, bottom: float = -0.4) -> Figure:
+    """Reward over iterations for one row of results a curve, as the step-size figure of the appendix."""
+    shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#CC79A7"]
+    figure, (ax,) = look.new_figure(4.2, 3.0)
+    for i, (r, name) in enumerate(zip(rows, names, strict=True)):
+        line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
+        _curve(ax, r["curve"], line, name, bottom)
+    look.quiet(ax)
+    ax.set_ylim(bottom, 1.08)
+    ax.set_xlabel("adaptation iteration", fontsize=9)
+    ax.set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=9)
+    ax.set_title(title, fontsize=9.5, color=look.INK)
+    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    return figure
+
+
+def against(
+    rows: Mapping[str, Sequence[Mapping[str, Any]]], ticks: Sequence[str], xlabel: str, bottom: float = -0.4
+) -> Figure:
+    """Best-iteration reward of several methods against a setting of the experiment, as the range figure of the appendix."""
+    figure, (ax,) = look.new_figure(4.2, 3.0)
+    places = np.arange(len(ticks))
+    for i, (method, points) in enumerate(rows.items()):
+        mean, low, high = (
+            np.array([bottom - 1 if p[key] is None else p[key] for p in points]) for key in ("mean", "low", "high")
+        )
+        at = places + 0.07 * (i - (len(rows) - 1) / 2)
+        ax.vlines(at, low, high, color=look.colour(method), linewidth=2)
+        ax.plot(
+            at,
+            mean,
+            marker=look.marker(method),
+            markersize=6,
+            linewidth=1.4,
+            label=look.label(method),
+            **look.style(method),
+        )
+    look.quiet(ax)
+    ax.set_ylim(bottom, 1.08)
+    ax.set_xticks(places, ticks)
+    ax.set_xlabel(xlabel, fontsize=9)
+    ax.set_ylabel("best-iteration " + look.REWARD.replace(" (", "\n("), fontsize=9)
+    ax.legend(frameon=False, fontsize=8, loc="lower left")
+    return figure

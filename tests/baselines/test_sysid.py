@@ -1,0 +1,86 @@
+"""SysID-Bayes and SysID-Point on a task whose answer is known, and what both promise: E never leaves Omega."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from adaptsim_jax.baselines.mdn import FitConfig
+from adaptsim_jax.baselines.sysid import SysIdConfig, within_omega
+from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
+from adaptsim_jax.baselines.sysid_point import make_sysid_point
+from adaptsim_jax.errors import BadInput
+from tests.baselines.probe import SPACE, probe_task
+
+CONFIG = SysIdConfig(
+    iterations=2,
+    simulations=600,
+    hidden=(64, 64),
+    components=2,
+    draws=200,
+    first_fit=FitConfig(updates=1000, rate=5e-3),
+    next_fit=FitConfig(updates=1000, rate=2e-3),
+)
+
+
+@pytest.fixture(scope="module", params=[make_sysid_bayes, make_sysid_point])
+def outcome(request):
+    task = probe_task()
+    targets = jnp.array([SPACE.values(t) for t in task.settings.values()], jnp.float32)
+    run = jax.jit(jax.vmap(jax.vmap(request.param(task, CONFIG), (0, None)), (None, 0)))
+    return run(jax.random.split(jax.random.key(0), 3), targets)
+
+
+def test_the_target_is_identified(outcome):
+    np.testing.assert_allclose(outcome.means[0, :, -1], np.tile([0.3, 0.8], (3, 1)), atol=0.03)  # three times the held-out error of either network
+
+
+def test_starts_at_the_centre_and_visits_one_more_than_iterations(outcome):
+    assert outcome.means.shape == (2, 3, CONFIG.iterations + 1, 2)
+    np.testing.assert_array_equal(outcome.means[:, :, 0], 0.5)
+
+
+def test_never_leaves_omega(outcome):
+    assert np.all((outcome.means >= 0) & (outcome.means <= 1))
+    # The second target lies a whole range below; that no network extrapolates well is the baseline's own weakness.
+
+
+def test_policies_are_retrained_on_what_was_inferred(outcome):
+    """The observation holds the policy: iteration 1 sees the mean that iteration 0 inferred."""
+    u = np.array([0.3, 0.8])
+    seen = outcome.info.observation[0, :, 1]
+    np.testing.assert_allclose(seen[:, 2], 0.5 * u[1] + outcome.means[0, :, 1, 1], atol=1e-5)
+
+
+def test_seeds_differ_and_repeat():
+    task, target = probe_task(), jnp.array([1.3, 26.0])
+    run = jax.jit(make_sysid_point(task, CONFIG))
+    a, b, c = run(jax.random.key(0), target), run(jax.random.key(0), target), run(jax.random.key(1), target)
+    np.testing.assert_array_equal(a.means, b.means)
+    assert np.any(np.asarray(a.means != c.means))
+
+
+def test_draws_outside_omega_are_dropped():
+    draws = jnp.array([[[0.2, 0.2], [0.4, 0.4], [5.0, 0.5]]])
+    dist, share = within_omega(draws, jnp.ones(1, bool), 1e-4)
+    np.testing.assert_allclose(dist.mean, [0.3, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(dist.std, [0.1, 0.1], rtol=1e-5)
+    assert share == pytest.approx(2 / 3)
+
+
+def test_with_no_draw_inside_the_mean_is_clipped():
+    dist, share = within_omega(jnp.array([[[-2.0, 0.4], [-1.0, 1.2]]]), jnp.ones(1, bool), 1e-4)
+    np.testing.assert_allclose(dist.mean, [0.0, 0.8], rtol=1e-6)
+    assert share == 0.5 * 0
+
+
+def test_pooled_draws_count_told_iterations_only():
+    draws = jnp.array([[[0.2, 0.2]], [[0.4, 0.4]], [[0.9, 0.9]]])
+    dist, _ = within_omega(draws, jnp.array([True, True, False]), 1e-4)
+    np.testing.assert_allclose(dist.mean, [0.3, 0.3], rtol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [{"iterations": 0}, {"simulations": 3}, {"components": 0}])
+def test_bad_budgets_are_refused(bad):
+    with pytest.raises(BadInput, match=next(iter(bad))):
+        SysIdConfig(**bad)
