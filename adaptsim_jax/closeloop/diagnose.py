@@ -13,6 +13,7 @@ from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
+from adaptsim_jax.closeloop.model_file import fitted_model, write_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Problem, declared_fit, prepare
@@ -22,6 +23,7 @@ from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.verdict import Verdict, decide
+from adaptsim_jax.files import output_folder
 from adaptsim_jax.models.effects import Effect, catalogue
 
 STAGES = 8
@@ -149,5 +151,10 @@ def finish(
     if out is not None:
         from adaptsim_jax.report.diagnosis import write_diagnosis
 
-        write_diagnosis(Path(out), report, evidence)
+        folder = output_folder(out)
+        if result is not None:
+            model = result.found.final if result.verdict.named else result.found.base
+            told = {key: report[key] for key in ("verdict", "message")} | {"data": recording.path} | report["run"]
+            write_model(folder / "model.toml", fitted_model(result.problem, model, told))
+        write_diagnosis(folder, report, evidence)
     return report

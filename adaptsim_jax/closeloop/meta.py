@@ -91,7 +91,8 @@ def read_meta(path: str | Path) -> Meta:
     for key in TEXT_KEYS:
         _choice(path, raw, key, None)
     model, model_file = _model(path, raw)
-    geometry, notes = _geometry(path, raw.get("geometry", {}), model)
+    given = load_toml(Path(model_file)).get("geometry", {}) if model_file else {}
+    geometry, notes = _geometry(path, given | raw.get("geometry", {}) if isinstance(given, dict) else {}, model)
     return Meta(
         task=_choice(path, raw, "task", ("pendulum",)) or "",
         model=model,

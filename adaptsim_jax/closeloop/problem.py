@@ -48,8 +48,11 @@ class Problem:
         low, high = self.model.layout.bounds(self.reach)
         if self.eff0 is None:
             return low, high
-        room = 2.0 * self.eff0  # another recording may have larger torques than this one
-        return np.minimum(low, np.minimum(room, self.eff0)), np.maximum(high, np.maximum(room, self.eff0))
+        layout, room = self.model.layout, 2.0 * self.eff0  # what it has may be large for the torques of this recording
+        for name, where in self.base:
+            at = layout.instances[layout.index(name, where)].at
+            low[at], high[at] = np.minimum(low[at], room[at]), np.maximum(high[at], room[at])
+        return low, high
 
     @property
     def torque_rms(self) -> np.ndarray:

@@ -26,7 +26,7 @@ def report_of(
     last = found.final if verdict.named else found.base
     report = new_report(
         recording.task, recording.model, verdict.name, verdict.message, data,
-        effects=[_effect(problem, found, e) for e in found.final.active] if verdict.named else [],
+        effects=[_effect(problem, found, e) for e in found.added] if verdict.named else [],
         error=_error(problem, found, error_before, error_after if verdict.named else None, rng),
         candidates=_candidates(found, verdict, settings),
         declared={"before": _declared(problem, found.base), "after": _declared(problem, last)},
@@ -75,12 +75,24 @@ def _declared(problem: Problem, model: Fitted) -> dict[str, Any]:
         else:
             value = float(model.candidate.theta[k])
             out[name] = _number(value, 0.0, unit) | {"identifiable": False, "note": "known, not fitted"}
+    for name, where in problem.base:  # a mended model that was declared: its effects are declared parameters
+        for parameter, (value, error) in model.candidate.parameters(name, where).items():
+            unit = _unit(problem, name, where, parameter)
+            out[f"{name} {where} {parameter}"] = _number(value, error, unit) | {
+                "identifiable": bool(error < abs(value))
+            }
     for name, physical in problem.plant.physical(model.candidate.theta, problem.recording.known).items():
         if name not in out:
             value = None if physical.value is None else float(physical.value)
             out[name] = {"value": value, "low": None, "high": None, "unit": physical.unit}
             out[name] |= {"identifiable": bool(physical.identifiable)}
     return out
+
+
+def _unit(problem: Problem, effect: str, where: str, parameter: str) -> str:
+    layout = problem.model.layout
+    chosen = layout.instances[layout.index(effect, where)].effect
+    return next(p.unit for p in chosen.parameters if p.name == parameter)
 
 
 def _error(problem: Problem, found: Found, before: HeldOut, after: HeldOut | None, rng) -> dict[str, Any]:
@@ -122,7 +134,7 @@ def _candidates(found: Found, verdict: Verdict, settings: Settings) -> list[dict
 
 
 def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, settings: Settings, count: int):
-    accepted = verdict.named and r.instance in found.final.active
+    accepted = verdict.named and r.instance in found.added
     alike = any(r.instance in rivals for rivals in found.classes.values())
     status, why = "rejected", ""
     if accepted:

@@ -89,6 +89,11 @@ class Found:
     last: list[Ranked] = field(default_factory=list)  # about the final model
     view: "View | None" = None  # of the final model
 
+    @property
+    def added(self) -> Active:
+        """What the search added to the effects that the base model has already."""
+        return tuple(a for a in self.final.active if a not in self.base.active)
+
 
 Progress = Callable[[str], None]
 
@@ -169,23 +174,23 @@ def started(problem: Problem, base: Fitted, ranked: Ranked) -> np.ndarray:
 
 def declared(problem: Problem, theta, eff, x0) -> tuple[Fitted, View]:
     """The declared model with its residual covariance, and all candidates scored about it."""
-    _, lin, _, result = survey(problem, (), theta, eff, x0)
-    base = fitted(problem, (), theta, result.eff, x0, disturbance.estimate(lin), lin)
+    _, lin, _, result = survey(problem, problem.base, theta, eff, x0)
+    base = fitted(problem, problem.base, theta, result.eff, x0, disturbance.estimate(lin), lin)
     return base, view(problem, base)
 
 
 def search(problem: Problem, base: Fitted, first: View, settings: Settings, say: Progress = lambda _: None) -> Found:
     """Add effects greedily while they earn their price, with one look back after each."""
-    ranked = first.ranked()
+    ranked = first.ranked(exclude=base.active)
     found = Found(base, base, ranked, last=ranked, view=first)
     seen, current = first, base
-    while len(found.final.active) < settings.most_effects:
+    while len(found.added) < settings.most_effects:
         leaders = _leaders(found.last, settings)
         if not leaders:
             break
         trials = [extend(problem, current, r, seen, say) for r in leaders]
         found.tried += trials
-        best = max((t for t in trials if _plausible(t)), key=lambda t: t.merit(settings.price), default=None)
+        best = max((t for t in trials if _plausible(t, base)), key=lambda t: t.merit(settings.price), default=None)
         if best is None or not _earns(best, current, settings):
             break
         new = _new(best, current)
@@ -195,7 +200,7 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
         found.final = current
         seen = found.view = view(problem, current)
         found.last = seen.ranked(exclude=current.active)
-    found.classes = {e: _class_of(e, found, settings) for e in found.final.active}
+    found.classes = {e: _class_of(e, found, settings) for e in found.added}
     return found
 
 
@@ -217,9 +222,10 @@ def _new(best: Fitted, current: Fitted) -> Instance:
     return next(a for a in best.active if a not in current.active)
 
 
-def _plausible(model: Fitted) -> bool:
-    """No amplitude of the wrong sign or beyond what the effect may be."""
-    return not model.at_bound()
+def _plausible(model: Fitted, base: Fitted) -> bool:
+    """No amplitude of the wrong sign or beyond what the effect may be; what the base model has is not judged."""
+    given = {f"{e}/{w}" for e, w in base.active}
+    return all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
 
 
 def _earns(new: Fitted, old: Fitted, settings: Settings) -> bool:
@@ -249,7 +255,7 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
             c = current.candidate
             swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.lin)
             found.tried.append(swapped)
-            if _plausible(swapped) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
+            if _plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
                 found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
                 current, old = swapped, instance
     return current
@@ -270,7 +276,11 @@ def _class_of(effect: Instance, found: Found, settings: Settings) -> list[Instan
     rest = [a for a in final.active if a != effect]
     for other in found.tried:
         extra = [a for a in other.active if a not in final.active]
-        if len(extra) != 1 or sorted(a for a in other.active if a != extra[0]) != sorted(rest) or not _plausible(other):
+        if (
+            len(extra) != 1
+            or sorted(a for a in other.active if a != extra[0]) != sorted(rest)
+            or not _plausible(other, found.base)
+        ):
             continue
         if _close(final, other, settings) and extra[0] not in out:
             out.append(extra[0])

@@ -20,7 +20,7 @@ LEFT_TOO_MUCH = 0.35  # of the unexplained force: more than this left over, and 
 
 def decide(found: Found, before: Leftover, after: Leftover, settings: Settings, powered: bool) -> Verdict:
     """The verdict. `before`, `after`: the generic dictionary about the declared and the final model."""
-    active = found.final.active
+    active = found.added
     structured = _structured(found, before, settings)
     if not active:
         if structured:

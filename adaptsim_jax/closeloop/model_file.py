@@ -1,0 +1,96 @@
+"""The mended model of a diagnosis, written as `model.toml`, and a recording's own mended model taken as the declared one.
+
+`models/model_file.py` says what stands in the file and reads it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from adaptsim_jax import __version__, config
+from adaptsim_jax.closeloop.trial import Recording
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.files import write_bytes
+from adaptsim_jax.models.effects import Effect
+from adaptsim_jax.models.model_file import SCHEMA, AddedEffect, ModelFile, Value, read_model
+
+if TYPE_CHECKING:
+    from adaptsim_jax.closeloop.problem import Problem
+    from adaptsim_jax.closeloop.search import Fitted
+
+__all__ = ["ModelFile", "declared_model", "fitted_model", "read_model", "write_model"]
+
+NINETY = 1.6449
+
+
+def declared_model(recording: Recording, effects: Sequence[Effect] | None = None) -> ModelFile | None:
+    """The mended model that a recording's `meta.toml` names, or None.
+
+    Raises BadInput where the file is bad or is of another rig than the recording says.
+    """
+    if recording.model_file is None:
+        return None
+    given = read_model(recording.model_file, effects)
+    for key in ("task", "model", "angle_zero"):
+        there, here = getattr(given, key), getattr(recording, key)
+        if there != here:
+            raise BadInput(f"{given.path}: {key} = {there!r}, but meta.toml of the recording says {here!r}; mend one")
+    for key in set(given.geometry) & set(recording.geometry):
+        if abs(given.geometry[key] - recording.geometry[key]) > 1e-9 * abs(given.geometry[key]):
+            raise BadInput(
+                f"{given.path}: geometry.{key} = {given.geometry[key]:g}, but the recording has "
+                f"{recording.geometry[key]:g}; a mended model is of one rig: mend one of them"
+            )
+    return given
+
+
+def fitted_model(problem: "Problem", model: "Fitted", provenance: dict[str, Any] | None = None) -> ModelFile:
+    """A fitted model, with its effects if it has any, as `model.toml` will hold it."""
+    recording, plant, layout = problem.recording, problem.plant, problem.model.layout
+    c = model.candidate
+    spread = dict(zip(c.names, np.sqrt(np.diag(c.refit.covariance)), strict=True))
+
+    def number(name: str, value: float, unit: str) -> Value:
+        half = NINETY * float(spread.get(name, 0.0))
+        return Value(float(value), float(value) - half, float(value) + half, unit, name in spread)
+
+    declared = {n: number(n, x, u) for n, x, u in zip(plant.theta_names, c.theta, plant.theta_units, strict=True)}
+    effects = []
+    for name, where in c.active:
+        instance = layout.instances[layout.index(name, where)]
+        numbers = zip(instance.effect.parameters, c.eff[instance.at], strict=True)
+        effects.append(
+            AddedEffect(name, where, {p.name: number(f"{name}/{where}/{p.name}", x, p.unit) for p, x in numbers})
+        )
+    known = {k: float(v) for k, v in recording.known.items()}
+    geometry = {k: float(v) for k, v in recording.geometry.items()}
+    return ModelFile(
+        recording.task, recording.model, recording.angle_zero, geometry, declared, tuple(effects), known, c.names,
+        c.refit.covariance, dict(provenance or {}),
+    )  # fmt: skip
+
+
+def write_model(path: str | Path, model: ModelFile) -> ModelFile:
+    """Write `model.toml`, whole or not at all; returns the same with its path. Raises BadInput where it cannot."""
+    write_bytes(path, text_of(model).encode())
+    return replace(model, path=str(path))
+
+
+def text_of(model: ModelFile) -> str:
+    """The TOML text of a model."""
+    head = {"schema": SCHEMA, "task": model.task, "model": model.model, "angle_zero": model.angle_zero}
+    head |= {"geometry": model.geometry, "known": model.known} if model.known else {"geometry": model.geometry}
+    head["declared"] = {name: asdict(value) for name, value in model.declared.items()}
+    parts = ['# A model fitted by `adaptsim diagnose`; give it to diagnose (meta.toml: model = "..."), train or adapt.']
+    parts.append(config.dumps(head))
+    for effect in model.effects:
+        parts.append("[[effects]]\n" + config.dumps({"name": effect.name, "where": effect.where}))
+        for name, value in effect.parameters.items():
+            parts.append(f"[effects.parameters.{name}]\n" + config.dumps(asdict(value)))
+    covariance = {"names": list(model.names), "matrix": np.asarray(model.covariance).tolist()}
+    provenance = {"package": f"adaptsim_jax {__version__}"} | model.provenance
+    parts.append(config.dumps({"covariance": covariance, "provenance": provenance}))
+    return "\n".join(parts)
