@@ -32,12 +32,12 @@ class Phase1Config:
     transitions; archive: size of S_E, distributions; warmup: rounds before the first update.
     """
 
-    trajectories: int = 10_000
-    parallel: int = 50
+    trajectories: int = 20_000
+    parallel: int = 100
     horizon: int = 10
-    updates: int = 60
+    updates: int = 480
     batch: int = 64
-    capacity: int = 10_000
+    capacity: int = 200_000
     archive: int = 20_000
     warmup: int = 1
     hidden: tuple[int, ...] = (128, 128)
@@ -67,17 +67,17 @@ class Phase1Hyper:
 
     learner: BDQHyper = field(default_factory=BDQHyper)
     delta: float = 0.1
-    threshold: float = 0.95
-    gain: float = 1.0
-    soft: float = 0.0
+    threshold: float = -1e9
+    gain: float = 10.0
+    soft: float = 1.0
     epsilon_start: float = 1.0
     epsilon_end: float = 0.1
-    epsilon_share: float = 0.75
-    rate_end: float = 1.0
+    epsilon_share: float = 0.5
+    rate_end: float = 0.02
     obs_noise: float = 0.0
-    independent: float = 0.0
-    inside: float = 0.0
-    terminal: float = 1.0
+    independent: float = 1.0
+    inside: float = 0.5
+    terminal: float = 0.0
 
 
 class Archive(NamedTuple):

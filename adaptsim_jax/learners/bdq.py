@@ -48,8 +48,8 @@ class BDQHyper:
     update; max_grad_norm: the gradient is scaled down to this global norm.
     """
 
-    learning_rate: float = 3e-4
-    discount: float = 0.9
+    learning_rate: float = 2e-3
+    discount: float = 0.7
     tau: float = 0.01
     max_grad_norm: float = 1.0
 

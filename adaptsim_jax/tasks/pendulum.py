@@ -42,11 +42,11 @@ class PendulumConfig:
     """
 
     observation: Literal["full", "late"] = "full"
-    scaling: Literal["paper", "whitened"] = "paper"
+    scaling: Literal["paper", "whitened"] = "whitened"
     components: int = 12
-    reference: Literal["optimum", "omega"] = "optimum"
+    reference: Literal["optimum", "omega"] = "omega"
     reward_gain: float = 10.0
-    targets: Literal["omega", "wide"] = "omega"
+    targets: Literal["omega", "wide"] = "wide"
     m1: tuple[float, float] = (1.0, 2.0)
     m2: tuple[float, float] = (1.0, 2.0)
     b1: tuple[float, float] = (1.0, 2.0)

@@ -10,11 +10,13 @@ import pytest
 
 from adaptsim_jax.adapt.phase1 import Phase1Config, Phase1Hyper, make_phase1, shape_reward
 from adaptsim_jax.adapt.phase2 import adapt, best_of, draw_starts
+from adaptsim_jax.adapt.presets import paper_pendulum
 from adaptsim_jax.adapt.training import archive_size, traced
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQHyper
 from tests.adapt.toy import make_toy
 
+PLAIN = replace(paper_pendulum().hyper, threshold=0.0)
 SMALL = Phase1Config(
     trajectories=60, parallel=10, horizon=4, updates=3, batch=16, capacity=80, archive=120, hidden=(16,)
 )
@@ -33,7 +35,7 @@ def _bits(tree):
 
 def test_cut_anywhere_it_ends_with_the_same_bits(small):
     _, init, run = small
-    hyper = traced(Phase1Hyper(threshold=0.0))
+    hyper = traced(PLAIN)
     whole, _ = run(init(jax.random.key(3)), hyper, jnp.arange(6))
     state = init(jax.random.key(3))
     for numbers in (jnp.arange(0, 2), jnp.arange(2, 3), jnp.arange(3, 6)):
@@ -59,7 +61,7 @@ def test_one_trace_for_a_sweep_of_every_hyper_parameter():
 def test_vmap_over_seeds_and_rates_is_the_single_runs(small):
     phase1, init, run = small
     keys = jax.random.split(jax.random.key(0), 2)
-    hypers = [traced(Phase1Hyper(learner=BDQHyper(learning_rate=r), threshold=0.0)) for r in (1e-3, 1e-2)]
+    hypers = [traced(replace(PLAIN, learner=BDQHyper(learning_rate=r))) for r in (1e-3, 1e-2)]
     both = jax.tree.map(lambda *x: jnp.stack(x), *hypers)
     many = jax.jit(lambda k, h: jax.vmap(lambda k, h: phase1.run(phase1.init(k), h, jnp.arange(6)))(k, h))
     _, info = many(keys, both)
@@ -71,7 +73,7 @@ def test_vmap_over_seeds_and_rates_is_the_single_runs(small):
 
 def test_replay_and_archive_hold_what_happened(small):
     phase1, init, run = small
-    state, _ = run(init(jax.random.key(1)), traced(Phase1Hyper(threshold=0.0, delta=0.25)), jnp.arange(6))
+    state, _ = run(init(jax.random.key(1)), traced(replace(PLAIN, delta=0.25)), jnp.arange(6))
     obs, after = np.asarray(state.replay.obs), np.asarray(state.replay.next_obs)
     move = np.array([-0.25, 0.25, 0.0])[np.asarray(state.replay.action)]
     mean = (obs[:, :2] + 1) / 2
@@ -90,17 +92,17 @@ def test_no_learning_during_warmup():
     phase1 = make_phase1(make_toy(), replace(SMALL, warmup=2))
     init, run = jax.jit(phase1.init), jax.jit(phase1.run)
     start = init(jax.random.key(0))
-    state, _ = run(start, traced(Phase1Hyper(threshold=0.0)), jnp.arange(2))
+    state, _ = run(start, traced(PLAIN), jnp.arange(2))
     np.testing.assert_array_equal(state.learner.online, start.learner.online)
-    state, _ = run(state, traced(Phase1Hyper(threshold=0.0)), jnp.arange(2, 4))
+    state, _ = run(state, traced(PLAIN), jnp.arange(2, 4))
     assert np.any(state.learner.online != start.learner.online)
 
 
 def test_shaped_reward_by_hand():
     reward = jnp.array([1.0, 0.96, 0.94, -3.0, jnp.nan, -jnp.inf])
-    sparse = shape_reward(reward, Phase1Hyper(threshold=0.95))
+    sparse = shape_reward(reward, paper_pendulum().hyper)
     np.testing.assert_allclose(sparse, [1.0, 0.96, 0.0, 0.0, 0.0, 0.0], rtol=1e-6)
-    sharp = shape_reward(reward, Phase1Hyper(threshold=-9.0, gain=10.0))
+    sharp = shape_reward(reward, Phase1Hyper(threshold=-9.0, gain=10.0, soft=0.0))
     np.testing.assert_allclose(sharp, [1.0, 0.6, 0.4, 0.0, 0.0, 0.0], rtol=1e-5)
     soft = shape_reward(reward, Phase1Hyper(threshold=-1e9, gain=10.0, soft=1.0))
     np.testing.assert_allclose(soft, [1.0, 1 / 1.4, 1 / 1.6, 1 / 41, 0.0, 0.0], rtol=1e-5)
@@ -110,9 +112,7 @@ def test_it_learns_to_reach_the_target():
     """The known answer: every parameter within half a step (0.05) of the target after at most ten steps."""
     task = make_toy(2)
     phase1 = make_phase1(task, Phase1Config(trajectories=3000, parallel=50, updates=60, capacity=20_000))
-    hyper = traced(
-        Phase1Hyper(BDQHyper(learning_rate=1e-3, discount=0.7), threshold=-9.0, gain=2.0, soft=1.0, terminal=0.0)
-    )
+    hyper = traced(Phase1Hyper(gain=2.0))
     run = jax.jit(lambda k: phase1.run(phase1.init(k), hyper, jnp.arange(phase1.config.rounds))[0])
     state = run(jax.random.key(0))
     targets = task.space.physical(task.space.sample(jax.random.key(1), (200,)))

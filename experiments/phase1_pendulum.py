@@ -1,0 +1,130 @@
+"""Table 1's AdaptSim row for the pendulum: one Phase 1 for each seed, then Phase 2 in the five settings.
+
+    python experiments/phase1_pendulum.py train --out DIR [--seeds 20] [--config recommended|paper-pendulum]
+    python experiments/phase1_pendulum.py score --out DIR
+
+`train` can be stopped and run again: finished seeds are kept. `score` prints the tables and writes `scores.json` into DIR.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax import config as configs
+from adaptsim_jax.adapt.phase1 import Archive, make_phase1
+from adaptsim_jax.adapt.presets import PRESETS
+from adaptsim_jax.adapt.sweep import TrainedMany, stack, starts_of, train_many
+from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.progress import progress
+from adaptsim_jax.tasks.registry import make_task
+
+STARTS, ITERATIONS = 2, 10
+
+
+def config_of(name: str) -> TrainConfig:
+    return TrainConfig() if name == "recommended" else PRESETS[name]()
+
+
+def phase1_of(config: TrainConfig):
+    return make_phase1(make_task("pendulum", config.task), config.phase1)
+
+
+def train(out: Path, name: str, count: int) -> None:
+    """One file a seed: weights, the starts drawn from its S_E, and its learning curve."""
+    config = config_of(name)
+    phase1 = phase1_of(config)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "config.json").write_text(json.dumps({"name": name, **configs.to_table(config)}))
+    seeds = np.array([s for s in range(count) if not (out / f"seed-{s}.npz").exists()])
+    if not len(seeds):
+        return
+    with progress(f"{name}, {len(seeds)} seeds") as report:
+        train_many(phase1, stack([config.hyper] * len(seeds)), seeds, progress=report, keep=_keeper(phase1, out))
+
+
+def _keeper(phase1, out: Path):
+    def keep(seeds, part: TrainedMany):
+        starts = starts_of(phase1, part, seeds, STARTS)
+        for i, seed in enumerate(seeds):
+            np.savez(
+                out / f"seed-{seed}.npz",
+                weights=part.weights[i],
+                starts=starts.mean[i],
+                reward=part.info.final_reward[i],
+            )
+
+    return keep
+
+
+def load(out: Path):
+    """Phase 1, its config, and the runs that are there, as `adapt_many` takes them."""
+    table = json.loads((out / "config.json").read_text())
+    name = table.pop("name")
+    config = configs.from_table(TrainConfig, table, str(out / "config.json"))
+    phase1 = phase1_of(config)
+    files = sorted(out.glob("seed-*.npz"), key=lambda f: int(f.stem.split("-")[1]))
+    runs = [dict(np.load(f)) for f in files]
+    means = jnp.asarray(np.stack([r["starts"] for r in runs]))
+    weights = jnp.asarray(np.stack([r["weights"] for r in runs]))
+    hyper = stack([config.hyper] * len(runs))
+    return name, phase1, TrainedMany(hyper, weights, None, None), with_policies(phase1, means)
+
+
+def with_policies(phase1, means: jax.Array) -> Archive:
+    """Starts `[S, N, D]` with blank task policies: the pendulum's are solved anew at each visit."""
+    blank = phase1.task.init_policy(jax.random.key(0))
+    return Archive(means, jax.tree.map(lambda x: jnp.broadcast_to(x, (*means.shape[:2], *x.shape)), blank))
+
+
+def step_grid_ceiling(cost_of, start: np.ndarray, steps: int, delta: float) -> float:
+    """The least cost that `steps` moves of {-delta, 0, delta} in each parameter can reach from `start [D]`.
+
+    Parameters move independently, so what is reachable is a product of sets. Masses and dampings are searched in
+    turn, each pair exhaustively, from three settings of the other pair, until nothing improves.
+    """
+    sides = [np.array(sorted(_reachable(float(x), steps, delta))) for x in start]
+    best = np.inf
+    for other in (0.0, 0.5, 1.0):
+        u = np.array([s[np.argmin(np.abs(s - v))] for s, v in zip(sides, (0.5, 0.5, other, 1 - other), strict=True)])
+        value, last = np.inf, np.inf
+        while value == np.inf or value < last * (1 - 1e-7):
+            last = value
+            for pair in ((0, 1), (2, 3)):
+                grid = np.stack(np.meshgrid(*[sides[p] for p in pair], indexing="ij"), -1).reshape(-1, 2)
+                tries = np.repeat(u[None], len(grid), 0)
+                tries[:, pair] = grid
+                costs = cost_of(tries)
+                u, value = tries[np.argmin(costs)], float(costs.min())
+        best = min(best, value)
+    return best
+
+
+def _reachable(x: float, steps: int, delta: float) -> set[float]:
+    found = frontier = {round(x, 6)}
+    for _ in range(steps):
+        frontier = {round(min(max(v + s, 0.0), 1.0), 6) for v in frontier for s in (-delta, delta)} - found
+        found = found | frontier
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["train", "score"])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--config", default="recommended", choices=["recommended", *PRESETS])
+    args = parser.parse_args()
+    if args.what == "train":
+        train(args.out, args.config, args.seeds)
+    else:
+        from phase1_pendulum_score import score
+
+        score(args.out)
+
+
+if __name__ == "__main__":
+    main()
