@@ -33,7 +33,6 @@ _MESSAGES = {
     NOT_STABILISING: "no stabilising solution found: is (A, B) stabilisable and (A, Q) detectable?",
     NOT_FINITE: "not finite: the input or an intermediate value is NaN or overflowed",
 }
-_MAX_DOUBLINGS = 40
 
 
 class RiccatiSolution(NamedTuple):
@@ -79,7 +78,7 @@ def dare_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
 
 
 def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array, refine: int) -> RiccatiSolution:
-    A, B, Q, R = (jnp.asarray(x, jnp.result_type(A, B, Q, R, jnp.float32)) for x in (A, B, Q, R))
+    A, B, Q, R = (jnp.asarray(x, jnp.result_type(A, B, Q, R, float)) for x in (A, B, Q, R))
     P, residual, code = solver(refine, A, B, symmetric(Q), symmetric(R))
     return RiccatiSolution(P, residual, code.astype(jnp.int32))
 
@@ -94,6 +93,11 @@ def _double(A: Array, G: Array, H: Array) -> tuple[Array, Array, Array]:
     X = solve(W, jnp.concatenate([A, G], axis=1))
     AX, AY = mm(A, X[:, :n]), mm(A, X[:, n:])
     return AX, symmetric(G + mm(AY, transpose(A))), symmetric(H + mm(mm(transpose(A), H), X[:, :n]))
+
+
+def _most_doublings(dtype: Any) -> int:
+    """How slow a mode may be: with more doublings than this, it cannot be told from a marginal one by its digits."""
+    return jnp.finfo(dtype).nmant - 5
 
 
 def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
@@ -113,7 +117,7 @@ def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
 
     def going(carry: Any) -> Array:
         k, settled, dead = carry[3:]
-        return (k < _MAX_DOUBLINGS) & ~jnp.all(settled | dead)
+        return (k < _most_doublings(H.dtype)) & ~jnp.all(settled | dead)
 
     no = jnp.zeros(A.shape[2:], bool)
     _, _, H, _, settled, _ = lax.while_loop(going, step, (A, G, H, 0, no, no))
@@ -130,7 +134,7 @@ def _stein(A: Array, S: Array) -> Array:
         return mm(A, A), X + more, k + 1, going
 
     carry = (A, S, 0, jnp.asarray(True))
-    return lax.while_loop(lambda c: (c[2] < _MAX_DOUBLINGS) & c[3], step, carry)[1]
+    return lax.while_loop(lambda c: (c[2] < _most_doublings(A.dtype)) & c[3], step, carry)[1]
 
 
 def _cayley(A: Array, G: Array, Q: Array) -> tuple[Array, Array, Array]:
@@ -224,7 +228,7 @@ def _care(refine: int, A: Array, B: Array, Q: Array, R: Array) -> Any:
 def _care_jvp(refine: int, primals: Any, tangents: Any) -> Any:
     A, B, Q, R = primals
     P, residual, code = _care(refine, A, B, Q, R)
-    _, S = jax.jvp(lambda *abqr: care_residual(*abqr, P), primals, tangents)
+    _, S = jax.jvp(lambda a, b, q, r: care_residual(a, b, q, r, P), primals, tangents)
     closed = A - mm(B, solve(R, mm(transpose(B), P)))
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
     operator = jnp.kron(closed.T, eye) + jnp.kron(eye, closed.T)
@@ -241,7 +245,7 @@ def _dare(refine: int, A: Array, B: Array, Q: Array, R: Array) -> Any:
 def _dare_jvp(refine: int, primals: Any, tangents: Any) -> Any:
     A, B, Q, R = primals
     P, residual, code = _dare(refine, A, B, Q, R)
-    _, S = jax.jvp(lambda *abqr: dare_residual(*abqr, P), primals, tangents)
+    _, S = jax.jvp(lambda a, b, q, r: dare_residual(a, b, q, r, P), primals, tangents)
     PB = mm(P, B)
     closed = A - mm(B, solve(R + mm(transpose(B), PB), mm(transpose(PB), A)))
     operator = jnp.eye(A.size, dtype=A.dtype) - jnp.kron(closed.T, closed.T)

@@ -34,9 +34,7 @@ BASE_NAMES = ("p1", "p3", "h1", "h2", "b1", "b2")
 BASE_UNITS = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
 
 
-@partial(
-    jax.tree_util.register_dataclass, data_fields=["l1", "gravity", "coupling"], meta_fields=["angle_zero"]
-)
+@partial(jax.tree_util.register_dataclass, data_fields=["l1", "gravity", "coupling"], meta_fields=["angle_zero"])
 @dataclass(frozen=True)
 class Geometry:
     """What base-parameter dynamics must know besides theta: `l1` m, `gravity` m/s^2, `coupling` kg m^2."""
@@ -106,9 +104,7 @@ def rigid_pendulum(
             raise BadInput(f"{name}: needs one finite number for each of the two links, got {values!r}")
         strict = name in ("mass", "length")
         if name in least and np.any(array <= 0 if strict else array < least[name]):
-            raise BadInput(
-                f"{name}: {values!r} is not physical; it must {'exceed' if strict else 'be at least'} 0"
-            )
+            raise BadInput(f"{name}: {values!r} is not physical; it must {'exceed' if strict else 'be at least'} 0")
     if not np.isfinite(gravity):
         raise BadInput(f"gravity: {gravity!r} is not a number; give it in m/s^2, such as 9.81")
     arrays = {name: jnp.asarray(values, float) for name, values in given.items()}
@@ -269,7 +265,8 @@ def simulate(p: RigidPendulum, q0: Array, v0: Array, tau: Array, dt: Array, subs
         qv = base_step(theta, geometry, *qv, *row, substeps)
         return qv, qv
 
-    start = tuple(jnp.asarray(x, jnp.result_type(theta, float)) for x in (q0, v0))
+    dtype = jnp.result_type(theta, float)
+    start = (jnp.asarray(q0, dtype), jnp.asarray(v0, dtype))
     _, (q, v) = lax.scan(advance, start, (tau, jnp.broadcast_to(dt, tau.shape[:1])))
-    q, v = (jnp.concatenate([first[None], rest]) for first, rest in zip(start, (q, v), strict=True))
+    q, v = jnp.concatenate([start[0][None], q]), jnp.concatenate([start[1][None], v])
     return Simulated(q, v, jnp.where(jnp.all(jnp.isfinite(q) & jnp.isfinite(v)), 0, 1))
