@@ -1,6 +1,6 @@
 """Table 1's AdaptSim row for the pendulum: one Phase 1 for each seed, then Phase 2 in the five settings.
 
-    python experiments/phase1_pendulum.py train --out DIR [--seeds 20] [--config recommended|paper-pendulum]
+    python experiments/phase1_pendulum.py train --out DIR [--first 0] [--seeds 20] [--config recommended|paper-pendulum]
     python experiments/phase1_pendulum.py score --out DIR
 
 `train` can be stopped and run again: finished seeds are kept. `score` prints the tables and writes `scores.json` into DIR.
@@ -33,13 +33,13 @@ def phase1_of(config: TrainConfig):
     return make_phase1(make_task("pendulum", config.task), config.phase1)
 
 
-def train(out: Path, name: str, count: int) -> None:
+def train(out: Path, name: str, wanted: range) -> None:
     """One file a seed: weights, the starts drawn from its S_E, and its learning curve."""
     config = config_of(name)
     phase1 = phase1_of(config)
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.json").write_text(json.dumps({"name": name, **configs.to_table(config)}))
-    seeds = np.array([s for s in range(count) if not (out / f"seed-{s}.npz").exists()])
+    seeds = np.array([s for s in wanted if not (out / f"seed-{s}.npz").exists()])
     if not len(seeds):
         return
     with progress(f"{name}, {len(seeds)} seeds") as report:
@@ -80,46 +80,16 @@ def with_policies(phase1, means: jax.Array) -> Archive:
     return Archive(means, jax.tree.map(lambda x: jnp.broadcast_to(x, (*means.shape[:2], *x.shape)), blank))
 
 
-def step_grid_ceiling(cost_of, start: np.ndarray, steps: int, delta: float) -> float:
-    """The least cost that `steps` moves of {-delta, 0, delta} in each parameter can reach from `start [D]`.
-
-    Parameters move independently, so what is reachable is a product of sets. Masses and dampings are searched in
-    turn, each pair exhaustively, from three settings of the other pair, until nothing improves.
-    """
-    sides = [np.array(sorted(_reachable(float(x), steps, delta))) for x in start]
-    best = np.inf
-    for other in (0.0, 0.5, 1.0):
-        u = np.array([s[np.argmin(np.abs(s - v))] for s, v in zip(sides, (0.5, 0.5, other, 1 - other), strict=True)])
-        value, last = np.inf, np.inf
-        while value == np.inf or value < last * (1 - 1e-7):
-            last = value
-            for pair in ((0, 1), (2, 3)):
-                grid = np.stack(np.meshgrid(*[sides[p] for p in pair], indexing="ij"), -1).reshape(-1, 2)
-                tries = np.repeat(u[None], len(grid), 0)
-                tries[:, pair] = grid
-                costs = cost_of(tries)
-                u, value = tries[np.argmin(costs)], float(costs.min())
-        best = min(best, value)
-    return best
-
-
-def _reachable(x: float, steps: int, delta: float) -> set[float]:
-    found = frontier = {round(x, 6)}
-    for _ in range(steps):
-        frontier = {round(min(max(v + s, 0.0), 1.0), 6) for v in frontier for s in (-delta, delta)} - found
-        found = found | frontier
-    return found
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["train", "score"])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="the first seed, to share the work among processes")
     parser.add_argument("--config", default="recommended", choices=["recommended", *PRESETS])
     args = parser.parse_args()
     if args.what == "train":
-        train(args.out, args.config, args.seeds)
+        train(args.out, args.config, range(args.first, args.seeds))
     else:
         from phase1_pendulum_score import score
 

@@ -6,11 +6,12 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from phase1_pendulum import ITERATIONS, load, step_grid_ceiling, with_policies
+from phase1_pendulum import ITERATIONS, load, with_policies
 
 from adaptsim_jax.adapt.sweep import adapt_many
 from adaptsim_jax.baselines.best_in_omega import best_in_omega
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
+from adaptsim_jax.baselines.reachable import ceiling
 from adaptsim_jax.baselines.udr import udr
 
 
@@ -39,13 +40,19 @@ def score(out: Path) -> None:
     targets = np.concatenate([five, tuning])
     history = adapt_many(phase1, trained, starts, targets, iterations=ITERATIONS)
     means = np.moveaxis(np.asarray(history.mean), 1, 0)  # [T, S, N, I + 1, D]
-    normal = _normalised(problem, means, targets, costs(problem, means, targets))
+    low, top = _bounds(problem, targets)
+
+    def scaled(cost):  # [T, ...]
+        column = lambda x: x[: len(cost)].reshape(-1, *[1] * (cost.ndim - 1))
+        return (column(low) - cost) / (column(low) - column(top.cost))
+
+    normal = scaled(costs(problem, means, targets))
     best, final = normal.max((2, 3)), normal[..., -1]
-    ceiling = _ceiling(problem, means[:5, :, :, 0], five, normal)
+    grid = scaled(_grid_costs(problem, means[:5, :, :, 0], five, top.mean))
     result = {
         "config": name,
         "seeds": len(starts.mean),
-        "settings": {setting: _summary(best[i], final[i], ceiling[i]) for i, setting in enumerate(task.settings)},
+        "settings": {setting: _summary(best[i], final[i], grid[i]) for i, setting in enumerate(task.settings)},
         "tuning": {
             "outside": {"best": float(best[5:69].mean()), "final_best_start": float(final[5:69].max(-1).mean())},
             "inside": {"best": float(best[69:].mean()), "final_best_start": float(final[69:].max(-1).mean())},
@@ -56,36 +63,27 @@ def score(out: Path) -> None:
     print(json.dumps(result, indent=1))
 
 
-def _normalised(problem, means, targets, cost):
-    """Table 1's normalisation: 0 is UDR, 1 the best that a policy from Omega reaches in that target."""
-    bound = udr(problem).policy
+def _bounds(problem, targets):
+    """Costs `[T]` that Table 1 maps to 0 (UDR) and to 1 (the best that a policy from Omega reaches in that target)."""
+    policy = udr(problem).policy
     with jax.enable_x64(True):
-        low = np.asarray(jax.vmap(lambda t: problem.cost(t, jnp.asarray(bound)))(jnp.asarray(targets)))
-    high = best_in_omega(problem, targets).cost
-    _normalised.bounds = low, high
-    shape = (-1,) + (1,) * (cost.ndim - 1)
-    return (low.reshape(shape) - cost) / (low - high).reshape(shape)
+        low = np.asarray(jax.vmap(lambda t: problem.cost(t, jnp.asarray(policy)))(jnp.asarray(targets)))
+    return low, best_in_omega(problem, targets)
 
 
-def _ceiling(problem, firsts, five, normal):
-    """For each setting and seed, the best of the step grid from the same starts, normalised: `[5, S]`."""
-    low, high = (b[:5] for b in _normalised.bounds)
-    cheap = jax.jit(jax.vmap(problem.cost_at, (0, None)))
-    out = np.zeros(firsts.shape[:2])
-    for t, s in np.ndindex(*out.shape):
-        cost_of = lambda u, t=t: np.asarray(
-            cheap(jnp.asarray(_padded(u), jnp.float32), jnp.asarray(five[t], jnp.float32))
-        )[: len(u)]
-        least = min(step_grid_ceiling(cost_of, start, ITERATIONS, 0.1) for start in firsts[t, s])
-        out[t, s] = (low[t] - least) / (low[t] - high[t])
-    return np.maximum(out, normal[:5].max((2, 3)))
+def _grid_costs(problem, starts, targets, goals):
+    """The least cost that the step grid reaches from the two starts of each seed: `[T, S, N, D] -> [T, S]`."""
+    return np.array(
+        [
+            ceiling(problem, s.reshape(-1, s.shape[-1]), t, g, delta=0.1, steps=ITERATIONS)[1]
+            .reshape(s.shape[:2])
+            .min(-1)
+            for s, t, g in zip(starts, targets, goals, strict=True)
+        ]
+    )
 
 
-def _padded(u, size=1024):
-    return np.concatenate([u, np.repeat(u[:1], size - len(u), 0)])
-
-
-def _summary(best, final, ceiling):
+def _summary(best, final, grid):
     rng = np.random.default_rng(0)
     draws = best[rng.integers(len(best), size=(10_000, len(best)))].mean(1)
     return {
@@ -97,7 +95,7 @@ def _summary(best, final, ceiling):
         "q75": float(np.quantile(best, 0.75)),
         "final_best_start": float(final.max(-1).mean()),
         "final_mean_start": float(final.mean()),
-        "ceiling": float(ceiling.mean()),
+        "ceiling": float(grid.mean()),
         "per_seed": [round(float(x), 4) for x in best],
     }
 

@@ -152,7 +152,7 @@ def best_in_space(space: Space, halvings: int = 4):
             return jax.tree.map(lambda a, b: jnp.where(costs[k] < best[1], a, b), (us[k], costs[k]), best)
 
         def refine(best, size):
-            us = jnp.clip(best[0] + moves * size, 0.0, 1.0)
+            us = jnp.clip(best[0][None] + moves * size, 0.0, 1.0)
             return better_of(best, us, cost(jax.vmap(solve)(us))), None
 
         clipped = jnp.clip(space.unit(params), 0.0, 1.0)[None]

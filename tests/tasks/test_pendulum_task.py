@@ -55,8 +55,8 @@ def test_reward_and_observation_against_scipy(name):
     _, best = _simulate(target, _gain(target))
     points = states[81:973:81, :2]
     want = np.stack([(points[:, 0] + np.pi) / np.pi, points[:, 1]], -1).reshape(-1)
-    # single precision against double: 1000 summed samples, a gain of norm 100
-    np.testing.assert_allclose(score, -cost, rtol=2e-5)
+    # single precision against double through a gain of norm 100: the reward's gain of 10 makes 1e-4 here 1e-3 there
+    np.testing.assert_allclose(score, -cost, rtol=1e-4)
     np.testing.assert_allclose(obs, want, atol=2e-4)
     np.testing.assert_allclose(reward, 1 - 10 * (cost / best - 1), atol=2e-3)
 
@@ -107,7 +107,10 @@ def test_whitened_observations_have_unit_spread_before_compression(observation):
 
     seen = np.asarray(observe(sims, targets))
     plain = np.sign(seen) * np.expm1(np.abs(seen))
-    np.testing.assert_allclose(plain.std(0), 1.0, atol=0.1)
+    # both this sample of 2000 and the 4000 that the scale came from; late points have heavy tails, so by their kurtosis
+    kurtosis = np.mean((plain - plain.mean(0)) ** 4, 0) / plain.var(0) ** 2
+    error = np.sqrt((kurtosis - 1) / 4 * (1 / 2000 + 1 / 4000))
+    assert np.all(np.abs(plain.std(0) - 1) < 5 * error) and np.all(error < 0.1)
     np.testing.assert_allclose(np.corrcoef(plain.T), np.eye(8), atol=0.15)
 
 
