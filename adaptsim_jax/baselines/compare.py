@@ -48,7 +48,7 @@ def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callab
     problem = PROBLEMS[task](made.space)
     progress(0, len(methods) + 1, "bounds")
     bounds = find_bounds(problem, targets)
-    keys = jax.random.split(jax.random.key(config.seed), config.seeds)
+    seeds = np.arange(config.seed, config.seed + config.seeds)
     rows, total = [], len(methods) + 1
     for i, method in enumerate(methods):
 
@@ -57,7 +57,7 @@ def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callab
 
         report(0, 1)
         if method in VISITING:
-            run = Run(task, config.train.task, config, problem, targets, keys, report)
+            run = Run(task, config.train.task, config, problem, targets, seeds, report)
             rows += visiting_rows(method, names, problem, targets, bounds, VISITING[method](run))
         else:
             rows += bound_rows(method, names, bounds, config.seeds)

@@ -11,7 +11,7 @@ import numpy as np
 from adaptsim_jax import config as configs
 from adaptsim_jax.adapt.training import TrainConfig
 from adaptsim_jax.baselines import gradient
-from adaptsim_jax.baselines.adaptsim_row import adapt_seeds, train_seeds
+from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
 from adaptsim_jax.baselines.problem import Problem
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
@@ -48,14 +48,14 @@ class CompareConfig:
 
 
 class Run(NamedTuple):
-    """What a method is given: the comparison's config, the targets `[T, D]` (physical), keys `[S]`, and a report."""
+    """What a method is given: the comparison's config, the targets `[T, D]` (physical), seeds `[S]`, and a report."""
 
     task_name: str
     task_options: dict
     config: CompareConfig
     problem: Problem
     targets: np.ndarray
-    keys: jax.Array
+    seeds: np.ndarray
     report: Callable = silent
 
 
@@ -74,10 +74,17 @@ def task_of(run: Run, late: bool) -> Task:
 def adaptsim(run: Run, late: bool = False) -> Visits:
     """Phase 1 from scratch for every seed, Phase 2 in every target."""
     config = run.config
-    train_keys, adapt_keys = _two(run.keys)
-    trained = train_seeds(task_of(run, late), config.train, train_keys, report=run.report)
-    means = adapt_seeds(trained, adapt_keys, run.targets, starts=config.starts, iterations=config.iterations)
-    return Visits(means, config.starts * (config.iterations + 1))
+    means = adaptsim_means(
+        task_of(run, late),
+        config.train.phase1,
+        [config.train.hyper],
+        run.seeds,
+        run.targets,
+        starts=config.starts,
+        iterations=config.iterations,
+        report=run.report,
+    )
+    return Visits(means[0], config.starts * (config.iterations + 1))
 
 
 def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
@@ -88,7 +95,7 @@ def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
     adapt = jax.jit(jax.vmap(make(task, config), in_axes=(0, None)))
     out = []
     for i, target in enumerate(run.targets):
-        keys = jax.vmap(lambda k, i=i: jax.random.fold_in(k, i))(run.keys)
+        keys = jax.vmap(lambda s, i=i: jax.random.fold_in(jax.random.key(s), i))(run.seeds)
         out.append(np.asarray(adapt(keys, jnp.asarray(target, jnp.float32)).means))
         run.report(i + 1, len(run.targets))
     return Visits(np.stack(out)[:, :, None], config.iterations + 1)
@@ -98,7 +105,7 @@ def descend(run: Run) -> Visits:
     """Gradient descent from as many random starts as AdaptSim has. Its trials are gradients of the target's cost."""
     N, D = run.config.starts, run.problem.space.dim
     with jax.enable_x64(True):
-        starts = jax.vmap(lambda k: jax.random.uniform(k, (N, D), jnp.float64))(run.keys)
+        starts = jax.vmap(lambda s: jax.random.uniform(jax.random.key(s), (N, D), jnp.float64))(run.seeds)
 
         def one(u, target):
             return gradient.descend(run.problem.slope, u, target, run.config.iterations).u
@@ -106,11 +113,6 @@ def descend(run: Run) -> Visits:
         over = jax.jit(jax.vmap(jax.vmap(jax.vmap(one, (0, None)), (0, None)), (None, 0)))
         means = np.asarray(over(starts, jnp.asarray(run.targets, jnp.float64)))
     return Visits(means, N * (run.config.iterations + 1))
-
-
-def _two(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
-    pairs = jax.vmap(jax.random.split)(keys)
-    return pairs[:, 0], pairs[:, 1]
 
 
 # Visiting methods; the bounds `udr` and `best_in_omega` are computed for every comparison anyway.

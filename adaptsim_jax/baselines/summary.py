@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 
+FAILED = 1e30  # stands for an infinitely bad reward, so that quantiles stay defined; shown as None
+
 
 def normalised(costs: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Rewards `[T, ...]` from `costs [T, ...]`: 0 at UDR's cost `lower [T]`, 1 at the best in Omega `upper [T]`.
@@ -33,6 +35,7 @@ def row(
     mean, median, q25, q75, low, high and per_seed are of each seed's best iteration, as Table 1; `final_mean` is of the
     last iteration; `best_iteration_mean` is the largest over iterations of the mean over seeds.
     """
+    curves = np.maximum(curves, -FAILED)
     best = curves.max(axis=1)
     low, high = bootstrap_interval(best)
     q25, median, q75 = np.percentile(best, [25, 50, 75])
@@ -63,7 +66,7 @@ def row(
 
 
 def plain(value: Any) -> Any:
-    """The same as Python numbers, lists and dicts; a number that is not finite becomes None, for JSON has none."""
+    """The same as Python numbers, lists and dicts; what is not finite, or fails, becomes None."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -71,5 +74,5 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
+        return float(value) if abs(value) < 1e-6 * FAILED else None
     return int(value) if isinstance(value, np.integer) else value

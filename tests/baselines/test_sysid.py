@@ -32,7 +32,9 @@ def outcome(request):
 
 
 def test_the_target_is_identified(outcome):
-    np.testing.assert_allclose(outcome.means[0, :, -1], np.tile([0.3, 0.8], (3, 1)), atol=0.03)  # three times the held-out error of either network
+    np.testing.assert_allclose(
+        outcome.means[0, :, -1], np.tile([0.3, 0.8], (3, 1)), atol=0.03
+    )  # three times the held-out error of either network
 
 
 def test_starts_at_the_centre_and_visits_one_more_than_iterations(outcome):
