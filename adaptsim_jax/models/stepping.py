@@ -1,0 +1,161 @@
+"""Time stepping of a plant with effects: forces, dry friction by its mean over a step, memories relaxed exactly.
+
+Any axes of a batch lie last. Effects are evaluated once for all joints and the four Runge-Kutta stages are a loop, so
+the graph stays small and vectorises.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.models.effects import Dry, Layout, Motion, Relaxation
+from adaptsim_jax.models.plant import Plant, solve_mass
+
+
+@dataclass(frozen=True)
+class Model:
+    """A plant and the effects that may act on it."""
+
+    plant: Plant
+    layout: Layout
+
+
+jax.tree_util.register_dataclass(Model, data_fields=["plant"], meta_fields=["layout"])
+
+
+class Push(NamedTuple):
+    """Constant additions over a row, for sensitivities: `force [n, ...]` N m, `inertia [n, ...]` kg m^2."""
+
+    force: jax.Array
+    inertia: jax.Array
+
+
+def make_model(plant: Plant, effects: tuple) -> Model:
+    """A model with all instances of `effects` on the plant's joints."""
+    return Model(plant, Layout(tuple(effects), plant.joints))
+
+
+def motion_of(model: Model, theta, q, v, u, t, memory) -> Motion:
+    return Motion(q, v, u, t, memory, lambda q: model.plant.gravity_force(theta, q))
+
+
+def relax(answer: Relaxation, w, h):
+    return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h)
+
+
+class Acting(NamedTuple):
+    """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2)."""
+
+    force: jax.Array
+    level: jax.Array
+    inertia: jax.Array
+
+
+def acting(model: Model, theta, eff, memory, x, u, t) -> Acting:
+    """What the force effects do at `x: [S, ...]`."""
+    n = model.plant.joint_dim
+    q, v = x[:n], x[n:]
+    force, level, inertia = jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
+    memories = iter(memory)
+    for effect in model.layout.placed("force"):
+        p = model.layout.params(effect, eff, q.ndim - 1)
+        if effect.inertia:
+            inertia = inertia + effect.apply(p)
+            continue
+        w = next(memories) if effect.memory else jnp.zeros_like(q)
+        answer = effect.apply(p, motion_of(model, theta, q, v, u, t, w))
+        if isinstance(answer, Dry):
+            level = level + answer.level
+        force = force + (answer.force if isinstance(answer, (Dry, Relaxation)) else answer)
+    return Acting(force, level, inertia)
+
+
+def remember(model: Model, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
+    n = model.plant.joint_dim
+    effects = [e for e in model.layout.placed("force") if e.memory]
+    out = []
+    for effect, w in zip(effects, memory, strict=True):
+        p = model.layout.params(effect, eff, 1)
+        out.append(relax(effect.apply(p, motion_of(model, theta, x[:n], x[n:], u, t, w)), w, h))
+    return tuple(out)
+
+
+def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int):
+    """State and memories after a row of `dt: [W]` s from `x: [S, W]`: Runge-Kutta 4, memories relaxed exactly by half a
+    substep on each side of it (Strang splitting)."""
+    h = dt / substeps
+    stages = (jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype), jnp.array([1.0, 2.0, 2.0, 1.0], x.dtype) / 6.0)
+
+    def substep(carry, i):
+        x, memory = carry
+        now = t + i * h
+        memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h)
+
+        rub = _dry_force(model, theta, eff, memory, x, u, now, h, push)
+
+        def stage(inner, ab):
+            slope, total = inner
+            a, b = ab
+            at = x + a * h * slope
+            act = acting(model, theta, eff, memory, at, u, now + a * h)
+            slope = model.plant.deriv(theta, at, u, act.force + rub + push.force, act.inertia + push.inertia)
+            return (slope, total + b * slope), None
+
+        (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
+        x = x + h * total
+        memory = remember(model, theta, eff, memory, x, u, now + h, 0.5 * h)
+        return (x, memory), None
+
+    if substeps == 1:
+        return substep((x, memory), 0.0)[0]
+    return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=x.dtype))[0]
+
+
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
+    """Mean force `[n, W]` of dry friction over a step of `h: [W]` s.
+
+    Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
+    then held by just the force that holds it. So joints stick without creeping whatever the step, and nothing is stiff,
+    unlike with a smoothed sign. Joints act on each other through the inverse mass: two sweeps of Gauss-Seidel, from the
+    forces that would stop all of them at once.
+    """
+    n, plant = model.plant.joint_dim, model.plant
+    q, v = x[:n], x[n:]
+    act = acting(model, theta, eff, memory, x, u, t)
+    inertia = act.inertia + push.inertia
+    free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
+    mass = plant.mass(plant.constants, theta, q)
+    unit = jnp.eye(n, dtype=x.dtype)[:, :, None] + jnp.zeros_like(q)
+    answer = [solve_mass(mass, inertia, unit[j]) for j in range(n)]  # acceleration per force at each joint
+    ahead = jnp.concatenate([q, _halfway(v, free, h)])
+    level = acting(model, theta, eff, memory, ahead, u, t + 0.5 * h).level
+    stop = free + v / jnp.where(h > 0, h, 1.0)
+    hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
+    force = [_within(hold[j], level[j]) for j in range(n)]
+    for j in [*range(n), *range(n)]:
+        others = sum((answer[k][j] * force[k] for k in range(n) if k != j), jnp.zeros_like(free[j]))
+        force[j] = _mean_friction(v[j], (free[j] + others) / answer[j][j], level[j], 1.0 / answer[j][j], h)
+    return jnp.stack(force)
+
+
+def _halfway(v, accel, h):
+    """Speed half a step on, zero if it would have turned."""
+    ahead = v + 0.5 * h * accel
+    return jnp.where(ahead * v > 0, ahead, 0.0)
+
+
+def _within(force, level):
+    """`force` limited to `level`, with the right slope where the level is zero."""
+    return level * jnp.clip(force / jnp.maximum(level, 1e-9), -1.0, 1.0)
+
+
+def _mean_friction(v, torque, level, inertia, h):
+    """Mean friction on one joint that moves at `v` under a constant other `torque`: sliding for a part of the step,
+    then holding, or sliding the other way."""
+    way = jnp.sign(v)
+    slow = level - way * torque  # what brakes it
+    share = jnp.abs(v) * inertia / (jnp.where(h > 0, h, 1.0) * jnp.maximum(slow, 1e-9))
+    share = jnp.where((slow > 0) & (level >= 0), jnp.minimum(share, 1.0), 1.0)  # a fit may try a negative level
+    return -level * way * share + (1.0 - share) * _within(-torque, level)
