@@ -90,7 +90,8 @@ def adaptsim(run: Run, late: bool = False) -> Visits:
 def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
     """One SysID baseline; the observation is the plain one of the paper, standardised by the baseline itself."""
     options = {k: v for k, v in run.task_options.items() if k in run.problem.space.names}
-    task = make_task(run.task_name, {**options, "observation": "late" if late else "full"})
+    plain = {"scaling": "paper", "reference": "optimum", "observation": "late" if late else "full"}
+    task = make_task(run.task_name, options | plain)
     config = replace(run.config.sysid, iterations=run.config.iterations)
     adapt = jax.jit(jax.vmap(make(task, config), in_axes=(0, None)))
     out = []
