@@ -100,9 +100,9 @@ def examine(
     powers = power(problem, found.view or first, settings)
     verdict = decide(found, before, after, settings, powered(powers))
     say(6, STAGES, "held-out trials, declared model")
-    error_before = held_out(problem, base)
+    error_before = held_out(problem, base, first)
     say(7, STAGES, "held-out trials, mended model")
-    error_after = held_out(problem, found.final) if verdict.named else error_before
+    error_after = held_out(problem, found.final, found.view) if verdict.named else error_before
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)

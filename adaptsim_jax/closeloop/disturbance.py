@@ -67,48 +67,35 @@ class Whitened:
     rows: np.ndarray  # [W] effective number of rows
 
 
-def null_basis(jac_state: np.ndarray) -> np.ndarray:
-    """Orthonormal basis `[W, M, M-S]` of what no initial state can produce."""
-    q, _ = np.linalg.qr(jac_state, mode="complete")
-    return q[:, :, jac_state.shape[2] :]
+@dataclass(frozen=True)
+class Kernels:
+    """Response covariances of unit-variance forces, joint by joint and correlation time by correlation time.
+
+    force: `[n * taus, W, M, M]`. They follow from the impulse responses alone, which hardly move between rival models of
+    one recording: computed once, they serve all of them.
+    """
+
+    force: np.ndarray
+
+    def covariance(self, lin: Linearised, parts: "Components", windows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Residual covariance `[W', M, M]`. Rows that are not there get unit variance: they add nothing to any likelihood."""
+        cov = np.tensordot(parts.force.ravel(), self.force[:, windows], 1)
+        diagonal = np.where(lin.used[windows], parts.sensor[lin.channel][None], 1.0)
+        index = np.arange(cov.shape[1])
+        cov[:, index, index] += diagonal
+        return cov
 
 
-def _force_kernels(lin: Linearised, basis: np.ndarray, windows: np.ndarray) -> np.ndarray:
-    """Projected response covariances of unit-variance forces: `[n * taus, W', m, m]`."""
-    impulse = np.swapaxes(basis[windows], 1, 2)[:, None] @ np.moveaxis(lin.impulse[windows], 2, 1)  # [W', n, m, L]
-    time = np.cumsum(lin.dt[windows], axis=1)
+def force_kernels(lin: Linearised) -> Kernels:
+    """Kernels of one linearisation, from its impulse responses."""
+    time = np.cumsum(lin.dt, axis=1)
     gap = np.abs(time[:, :, None] - time[:, None, :])
-    kernels = []
-    for joint in range(impulse.shape[1]):
+    out = []
+    for joint in range(lin.impulse.shape[2]):
+        h = np.ascontiguousarray(lin.impulse[:, :, joint])
         for tau in CORRELATION_TIMES:
-            h = impulse[:, joint]
-            kernels.append(h @ np.exp(-gap / tau) @ np.swapaxes(h, 1, 2))
-    return np.stack(kernels)
-
-
-def _sensor_kernels(lin: Linearised, basis: np.ndarray, windows: np.ndarray) -> np.ndarray:
-    b = basis[windows]
-    return np.stack(
-        [
-            np.einsum("wmi,wm,wmj->wij", b, lin.used[windows] * (lin.channel == c)[None], b)
-            for c in np.unique(lin.channel)
-        ]
-    )
-
-
-def _covariance(lin: Linearised, basis: np.ndarray, windows: np.ndarray, parts: Components) -> np.ndarray:
-    sensor, force = _sensor_kernels(lin, basis, windows), _force_kernels(lin, basis, windows)
-    return (
-        np.tensordot(parts.sensor, sensor, 1)
-        + np.tensordot(parts.force.ravel(), force, 1)
-        + _padding(lin, basis, windows)
-    )
-
-
-def _padding(lin: Linearised, basis: np.ndarray, windows: np.ndarray) -> np.ndarray:
-    """Unit variance for rows that are not there: they carry zero residual and add nothing to any likelihood."""
-    b = basis[windows]
-    return np.einsum("wmi,wm,wmj->wij", b, ~lin.used[windows], b)
+            out.append(h @ np.exp(-gap / tau).astype(h.dtype) @ np.swapaxes(h, 1, 2))
+    return Kernels(np.stack(out).astype(np.float64))
 
 
 def _spread(windows: np.ndarray, most: int) -> np.ndarray:
@@ -118,53 +105,53 @@ def _spread(windows: np.ndarray, most: int) -> np.ndarray:
     return windows[np.linspace(0, len(windows) - 1, most).round().astype(int)]
 
 
-def estimate(lin: Linearised, *, most_windows: int = 32, start: Components | None = None) -> Components:
-    """Restricted maximum likelihood of the variance components from the residuals `[W, M]`."""
-    full = np.flatnonzero(lin.used.any(1))
-    windows = _spread(full, most_windows)
-    basis = null_basis(lin.jac_state)
-    kernels = np.concatenate([_sensor_kernels(lin, basis, windows), _force_kernels(lin, basis, windows)])
-    pad = _padding(lin, basis, windows)
-    resid = np.einsum("wmi,wm->wi", basis[windows], lin.residual[windows])
+def estimate(
+    lin: Linearised, kernels: Kernels | None = None, *, most_windows: int = 32, start: Components | None = None
+) -> Components:
+    """Restricted maximum likelihood of the variance components from the residuals `[W, M]`, by their exact gradient."""
+    kernels = kernels or force_kernels(lin)
+    at = _spread(np.flatnonzero(lin.used.any(1)), most_windows)
+    resid, jac, used = lin.residual[at], lin.jac_state[at], lin.used[at]
+    count, rows = resid.shape
+    force = kernels.force[:, at]
     n_sensor = len(np.unique(lin.channel))
-    scale = np.concatenate(
-        [
-            np.ones(n_sensor),
-            [max(k.trace(axis1=1, axis2=2).mean() / k.shape[1], 1e-30) for k in kernels[n_sensor:]],
-        ]
-    )
-    scaled = kernels / scale[:, None, None, None]
+    trace = np.trace(force, axis1=2, axis2=3).mean(1) / rows
+    scale = np.concatenate([np.ones(n_sensor), np.maximum(trace, 1e-30)])
+    flat = (force / scale[n_sensor:, None, None, None]).reshape(len(force), -1)
+    sensor = np.stack([used * (lin.channel == c) for c in range(n_sensor)]).astype(float)  # [Y, W', M]
+    index = np.arange(rows)
 
     def objective(log_a: np.ndarray) -> tuple[float, np.ndarray]:
         a = np.exp(log_a)
-        cov = np.tensordot(a, scaled, 1) + pad
+        cov = (a[n_sensor:] @ flat).reshape(count, rows, rows)
+        cov[:, index, index] += np.tensordot(a[:n_sensor], sensor, 1) + ~used
         inverse = np.linalg.inv(cov)
-        logdet = np.linalg.slogdet(cov)[1].sum()
-        weighted = np.einsum("wij,wj->wi", inverse, resid)
-        traces = np.einsum("qwij,wji->q", scaled, inverse, optimize=True)
-        quads = np.einsum("wi,qwij,wj->q", weighted, scaled, weighted, optimize=True)
+        seen = inverse @ jac
+        info = np.swapaxes(jac, 1, 2) @ seen
+        project = inverse - seen @ np.linalg.solve(info, np.swapaxes(seen, 1, 2))
+        weighted = (project @ resid[..., None])[..., 0]
+        logdet = np.linalg.slogdet(cov)[1].sum() + np.linalg.slogdet(info)[1].sum()
+        change = project - weighted[:, :, None] * weighted[:, None, :]
+        slope = np.concatenate([np.tensordot(sensor, change[:, index, index], 2), flat @ change.ravel()])
         # a weak prior keeps each sensor's variance within a factor of about two of what was declared or estimated
-        prior = 0.5 * np.sum((log_a[:n_sensor] / 0.7) ** 2)
-        slope = 0.5 * a * (traces - quads)
+        slope = 0.5 * a * slope
         slope[:n_sensor] += log_a[:n_sensor] / 0.49
-        return 0.5 * (logdet + np.sum(resid * weighted)) + prior, slope
+        return 0.5 * (logdet + np.sum(resid * weighted)) + 0.5 * np.sum((log_a[:n_sensor] / 0.7) ** 2), slope
 
-    first = np.log(np.full(len(scale), 1e-2))
-    first[:n_sensor] = 0.0
+    first = np.log(np.concatenate([np.ones(n_sensor), np.full(len(force), 1e-2)]))
     if start is not None:
         first = np.log(np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12))
-    bounds = [(np.log(0.05), np.log(50.0))] * n_sensor + [(np.log(1e-8), np.log(1e12))] * (len(scale) - n_sensor)
-    found = minimize(
-        objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40, "ftol": 1e-9}
-    )
+    bounds = [(np.log(0.05), np.log(50.0))] * n_sensor + [(np.log(1e-8), np.log(1e12))] * len(force)
+    options = {"maxiter": 40, "ftol": 1e-8}
+    found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     a = np.exp(found.x) / scale
     return Components(a[:n_sensor], a[n_sensor:].reshape(lin.impulse.shape[2], len(CORRELATION_TIMES)))
 
 
-def whitener(lin: Linearised, parts: Components) -> np.ndarray:
+def whitener(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
     """Inverse Cholesky factor `[W, M, M]` of each window's residual covariance."""
-    eye = np.broadcast_to(np.eye(lin.residual.shape[1]), (len(lin.residual), *[lin.residual.shape[1]] * 2))
-    lower = np.linalg.cholesky(_covariance(lin, eye, np.arange(len(lin.residual)), parts))
+    lower = np.linalg.cholesky((kernels or force_kernels(lin)).covariance(lin, parts))
+    eye = np.broadcast_to(np.eye(lower.shape[1]), lower.shape)
     return solve_triangular(lower, eye, lower=True)
 
 
@@ -183,30 +170,33 @@ def whiten(lin: Linearised, factor: np.ndarray) -> Whitened:
 def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, np.ndarray]:
     """The force that the residual points to: posterior mean and standard deviation `[W, n, L]` N m.
 
-    The Wiener estimate under the components: prior covariance times impulse response times inverse covariance.
+    The Wiener estimate under the components: prior covariance times impulse response times inverse covariance, the
+    initial states unknown.
     """
-    basis = null_basis(lin.jac_state)
-    every = np.arange(len(lin.residual))
-    inverse = np.linalg.inv(_covariance(lin, basis, every, parts))
-    resid = np.einsum("wmi,wm->wi", basis, lin.residual)
+    inverse = np.linalg.inv(force_kernels(lin).covariance(lin, parts))
+    seen = inverse @ lin.jac_state
+    info = np.swapaxes(lin.jac_state, 1, 2) @ seen
+    project = inverse - seen @ np.linalg.pinv(info, rcond=1e-12, hermitian=True) @ np.swapaxes(seen, 1, 2)
     time = np.cumsum(lin.dt, axis=1)
     gap = np.abs(time[:, :, None] - time[:, None, :])
     mean, std = [], []
     for joint in range(lin.impulse.shape[2]):
         prior = sum(a * np.exp(-gap / tau) for a, tau in zip(parts.force[joint], CORRELATION_TIMES, strict=True))
-        cross = prior @ np.swapaxes(lin.impulse[:, :, joint], 1, 2) @ basis  # [W, L, m]
-        mean.append(np.einsum("wlm,wmk,wk->wl", cross, inverse, resid, optimize=True))
-        explained = np.einsum("wlm,wmk,wlk->wl", cross, inverse, cross, optimize=True)
-        std.append(np.sqrt(np.maximum(parts.force[joint].sum() - explained, 0.0)))
+        cross = prior @ np.swapaxes(lin.impulse[:, :, joint], 1, 2)  # [W, L, M]
+        gain = cross @ project
+        mean.append((gain @ lin.residual[..., None])[..., 0])
+        std.append(np.sqrt(np.maximum(parts.force[joint].sum() - np.sum(gain * cross, -1), 0.0)))
     return np.stack(mean, 1), np.stack(std, 1)
 
 
-def log_likelihood(lin: Linearised, parts: Components) -> np.ndarray:
+def log_likelihood(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
     """Restricted log-likelihood of each window `[W]`, initial states integrated out; constants left out."""
-    basis = null_basis(lin.jac_state)
-    cov = _covariance(lin, basis, np.arange(len(lin.residual)), parts)
-    resid = np.einsum("wmi,wm->wi", basis, lin.residual)
-    lower = np.linalg.cholesky(cov)
-    logdet = 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(1)
-    white = solve_triangular(lower, resid[..., None], lower=True)[..., 0]
-    return -0.5 * (logdet + np.sum(white**2, axis=1))
+    lower = np.linalg.cholesky((kernels or force_kernels(lin)).covariance(lin, parts))
+    both = solve_triangular(lower, np.concatenate([lin.jac_state, lin.residual[..., None]], -1), lower=True)
+    q, r = np.linalg.qr(both[..., :-1])
+    white = both[..., -1:] - q @ (np.swapaxes(q, 1, 2) @ both[..., -1:])
+    plain = np.linalg.qr(lin.jac_state, mode="r")
+    diagonal = lambda z: 2.0 * np.log(np.abs(np.diagonal(z, axis1=1, axis2=2)) + 1e-300).sum(1)
+    logdet = diagonal(lower) + diagonal(r) - diagonal(plain)
+    live = lin.used.any(1)
+    return np.where(live, -0.5 * (logdet + np.sum(white[..., 0] ** 2, axis=1)), 0.0)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.problem import Problem, at_point, refit_candidate
+from adaptsim_jax.closeloop.problem import Problem, at_point, refit_more
 from adaptsim_jax.closeloop.score import folds
-from adaptsim_jax.closeloop.search import Fitted
+from adaptsim_jax.closeloop.search import Fitted, View
 
 
 @dataclass(frozen=True)
@@ -44,20 +44,20 @@ class HeldOut:
         return [float(x) for x in np.quantile(rms, [0.5 - level / 2, 0.5 + level / 2])]
 
 
-def held_out(problem: Problem, model: Fitted, *, most_folds: int = 6) -> HeldOut:
+def held_out(problem: Problem, model: Fitted, view: View, *, most_folds: int = 6) -> HeldOut:
     """Simulate every trial by a model fitted to the others."""
     windows = problem.windows
     trial = np.asarray(windows.trial)
     fold = folds(trial, windows.real.astype(float))
     fold = np.where(fold >= 0, fold % most_folds, -1)
     c = model.candidate
-    factor = disturbance.whitener(_impulse(problem, model), model.parts)
+    factor = disturbance.whitener(view.lin, model.parts, view.response.kernels)
+    start = refit_more(problem, c, factor, iterations=0)
     measured = np.asarray(windows.measured)
     simulated = np.full_like(measured, np.nan)
     for f in np.unique(fold[fold >= 0]):
         keep = (fold >= 0) & (fold != f)
-        x0 = c.refit.point.x0
-        part = refit_candidate(problem, c.active, c.theta, c.eff, x0, factor, keep=keep, iterations=3)
+        part = refit_more(problem, start, factor, keep=keep)
         result = at_point(problem, c.active, part.theta, part.eff, part.refit.point.x0)
         weight = np.asarray(windows.weight)
         error = result.residual / np.where(weight > 0, weight, 1.0)
@@ -65,11 +65,3 @@ def held_out(problem: Problem, model: Fitted, *, most_folds: int = 6) -> HeldOut
         simulated[here] = np.where(weight > 0, measured - error, np.nan)[here]
     gap = np.where(np.isnan(simulated), 0.0, measured - simulated)
     return HeldOut(simulated, (gap**2).sum(1), (~np.isnan(simulated)).sum(1), trial, fold)
-
-
-def _impulse(problem: Problem, model: Fitted):
-    """A linearisation with force responses at the model; initial states hardly move it."""
-    from adaptsim_jax.closeloop.problem import survey
-
-    c = model.candidate
-    return survey(problem, c.active, c.theta, c.eff, c.refit.point.x0)[1]

@@ -149,32 +149,36 @@ class Candidate:
 
 
 def refit_candidate(
-    problem: Problem,
-    active: Active,
-    theta: np.ndarray,
-    eff: np.ndarray,
-    x0: np.ndarray,
-    factor: np.ndarray,
-    *,
-    keep: np.ndarray | None = None,
-    iterations: int = 6,
+    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray, factor: np.ndarray
 ) -> Candidate:
     """Refit declared parameters and the active effects' parameters under the covariance behind `factor`."""
     first = at_point(problem, active, theta, eff, x0)
-    names = first.names
-    split = _Split(problem, names, first.theta, first.eff)
+    return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, 6)
+
+
+def refit_more(
+    problem: Problem, start: Candidate, factor: np.ndarray, *, keep: np.ndarray | None = None, iterations: int = 2
+) -> Candidate:
+    """Refit a candidate from where it stands, under another covariance or on other windows (`keep [W]`)."""
+    known, x0 = start.refit.linearised, start.refit.point.x0
+    return _refit(problem, start.active, start.names, start.theta, start.eff, x0, known, factor, keep, iterations)
+
+
+def _refit(
+    problem, active, names, theta, eff, x0, known: FitResult | Linearised, factor, keep, iterations
+) -> Candidate:
+    split = _Split(problem, names, theta, eff)
 
     def linearise(point: Point) -> Linearised:
         result = at_point(problem, active, *split.full(point.z), point.x0)
         return compressed(problem, linearised(problem, result))
 
-    low, high = split.bounds()
-    done = refit(
-        linearise, Point(split.pick(first.theta, first.eff), first.x0), factor, low, high,
-        np.ones(len(names), bool), keep=keep, iterations=iterations,
-    )  # fmt: skip
-    theta, eff = split.full(done.point.z)
-    return Candidate(active, theta, eff, names, done)
+    if isinstance(known, FitResult):
+        known = compressed(problem, linearised(problem, known))
+    start = Point(split.pick(theta, eff), x0)
+    free = np.ones(len(names), bool)
+    done = refit(linearise, start, factor, *split.bounds(), free, keep=keep, iterations=iterations, known=known)
+    return Candidate(active, *split.full(done.point.z), names, done)
 
 
 class _Split:

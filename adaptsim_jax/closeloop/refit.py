@@ -52,17 +52,18 @@ def refit(
     *,
     keep: np.ndarray | None = None,
     iterations: int = 8,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.02,
+    known: Linearised | None = None,
 ) -> Refit:
     """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
 
     factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
-    states, so that their cost is a held-out one. Stops when a step lowers the cost by less than `tolerance` (absolute
-    plus relative 1e-7): below what any test could see.
+    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. Stops when a step lowers the cost by less than `tolerance` (absolute
+    plus relative 1e-5): below what any test could see.
     """
     keep = np.ones(len(start.x0), bool) if keep is None else keep
     point = Point(np.clip(start.z, low, high), start.x0)
-    lin = linearise(point)
+    lin = linearise(point) if known is None else known
     white = whiten(lin, factor)
     damping, done = 1e-6, 0
     for done in range(1, iterations + 1):  # noqa: B007  (its last value is reported)
@@ -73,7 +74,7 @@ def refit(
         new = float(np.sum(trial_white.residual[keep] ** 2))
         if np.isfinite(new) and new <= old:
             point, lin, white, damping = trial, trial_lin, trial_white, max(damping * 0.1, 1e-9)
-            if old - new < tolerance + 1e-7 * old:
+            if old - new < tolerance + 1e-5 * old:
                 break
         else:
             damping = max(damping * 30.0, 1e-4)

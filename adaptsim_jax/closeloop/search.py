@@ -6,14 +6,16 @@ stops) the refits put right. Rivals that stay within the scatter of the windows 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.disturbance import Components, Linearised
-from adaptsim_jax.closeloop.problem import Active, Candidate, Problem, refit_candidate, survey
+from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
+from adaptsim_jax.closeloop.problem import Active, Candidate, Problem, refit_candidate, refit_more, survey
 from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
+from adaptsim_jax.closeloop.sensitivity import Path
+from adaptsim_jax.models.effects import Layout
 
 Instance = tuple[str, str]
 
@@ -98,23 +100,35 @@ class Found:
 Progress = Callable[[str], None]
 
 
+@dataclass(frozen=True)
+class Response:
+    """How outputs answer to forces, and what unexplained forces do to residuals; rivals share it."""
+
+    lin: Linearised
+    kernels: Kernels
+
+
+def respond(lin: Linearised) -> Response:
+    """The response of one linearisation."""
+    return Response(lin, disturbance.force_kernels(lin))
+
+
 def fitted(
-    problem: Problem, active: Active, theta, eff, x0, parts: Components, impulse: Linearised, *, rounds: int = 5
+    problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response, *, rounds: int = 4
 ) -> Fitted:
-    """Refit a model, estimate its residual covariance, and refit under that. `impulse`: a linearisation that has the
-    force responses (they hardly move between rivals)."""
+    """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
+    kernels = response.kernels
+    candidate = refit_candidate(problem, active, theta, eff, x0, disturbance.whitener(response.lin, parts, kernels))
     best = None
     for _ in range(rounds):
-        factor = disturbance.whitener(impulse, parts)
-        candidate = refit_candidate(problem, active, theta, eff, x0, factor)
-        theta, eff, x0 = candidate.theta, candidate.eff, candidate.refit.point.x0
-        lin = replace(candidate.refit.linearised, impulse=impulse.impulse)
-        parts = disturbance.estimate(lin, start=parts)
-        new = Fitted(candidate, parts, disturbance.log_likelihood(lin, parts))
+        lin = candidate.refit.linearised
+        parts = disturbance.estimate(lin, kernels, start=parts)
+        new = Fitted(candidate, parts, disturbance.log_likelihood(lin, parts, kernels))
         settled = best is not None and new.total < best.total + 1.0
         best = new if best is None or new.total > best.total else best
         if settled:
             break
+        candidate = refit_more(problem, candidate, disturbance.whitener(lin, parts, kernels))
     assert best is not None
     return best
 
@@ -125,9 +139,12 @@ class View:
 
     scorer: Scorer
     atoms: tuple[Atom, ...]
-    lin: Linearised
-    path: object
-    residual_white: np.ndarray
+    response: Response
+    path: Path
+
+    @property
+    def lin(self) -> Linearised:
+        return self.response.lin
 
     def generic(self) -> list[Atom]:
         return [a for a in self.atoms if a.effect == "generic"]
@@ -149,9 +166,9 @@ def view(problem: Problem, model: Fitted) -> View:
     """Linear scores of everything about a fitted model."""
     c = model.candidate
     atoms, lin, path, _ = survey(problem, c.active, c.theta, c.eff, c.refit.point.x0)
-    white = disturbance.whiten(lin, disturbance.whitener(lin, model.parts))
-    scorer = Scorer(white, folds(white.trial, white.rows))
-    return View(scorer, atoms, lin, path, white.residual)
+    response = respond(lin)
+    white = disturbance.whiten(lin, disturbance.whitener(lin, model.parts, response.kernels))
+    return View(Scorer(white, folds(white.trial, white.rows)), atoms, response, path)
 
 
 def started(problem: Problem, base: Fitted, ranked: Ranked) -> np.ndarray:
@@ -175,7 +192,9 @@ def started(problem: Problem, base: Fitted, ranked: Ranked) -> np.ndarray:
 def declared(problem: Problem, theta, eff, x0) -> tuple[Fitted, View]:
     """The declared model with its residual covariance, and all candidates scored about it."""
     _, lin, _, result = survey(problem, problem.base, theta, eff, x0)
-    base = fitted(problem, problem.base, theta, result.eff, x0, disturbance.estimate(lin), lin)
+    response = respond(lin)
+    parts = disturbance.estimate(lin, response.kernels)
+    base = fitted(problem, problem.base, theta, result.eff, x0, parts, response)
     return base, view(problem, base)
 
 
@@ -200,7 +219,7 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
         found.final = current
         seen = found.view = view(problem, current)
         found.last = seen.ranked(exclude=current.active)
-    found.classes = {e: _class_of(e, found, settings) for e in found.added}
+    found.classes = {e: _class_of(e, found, settings, problem.model.layout) for e in found.added}
     return found
 
 
@@ -215,7 +234,7 @@ def extend(problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: P
     say(f"refitting with {ranked.instance[0]} at {ranked.instance[1]}")
     c = current.candidate
     eff = started(problem, current, ranked)
-    return fitted(problem, (*c.active, ranked.instance), c.theta, eff, c.refit.point.x0, current.parts, seen.lin)
+    return fitted(problem, (*c.active, ranked.instance), c.theta, eff, c.refit.point.x0, current.parts, seen.response)
 
 
 def _new(best: Fitted, current: Fitted) -> Instance:
@@ -253,7 +272,7 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
             eff = _merged(problem, current.candidate.eff, rival.candidate.eff, instance)
             say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
             c = current.candidate
-            swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.lin)
+            swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
             found.tried.append(swapped)
             if _plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
                 found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
@@ -269,9 +288,10 @@ def _merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Inst
     return out
 
 
-def _class_of(effect: Instance, found: Found, settings: Settings) -> list[Instance]:
-    """Rivals that the data cannot tell from the accepted effect."""
+def _class_of(effect: Instance, found: Found, settings: Settings, layout: Layout) -> list[Instance]:
+    """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival."""
     final = found.final
+    wider = {i.effect.name for i in layout.instances if effect[0] in i.effect.contains}
     out = []
     rest = [a for a in final.active if a != effect]
     for other in found.tried:
@@ -280,6 +300,7 @@ def _class_of(effect: Instance, found: Found, settings: Settings) -> list[Instan
             len(extra) != 1
             or sorted(a for a in other.active if a != extra[0]) != sorted(rest)
             or not _plausible(other, found.base)
+            or extra[0] in {(name, effect[1]) for name in wider}
         ):
             continue
         if _close(final, other, settings) and extra[0] not in out:
