@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.closeloop.score import Atom
-from adaptsim_jax.closeloop.simulate import Model, gather_command, measure, trial_command
+from adaptsim_jax.closeloop.simulate import Model, first_angles, gather_command, mean_speed, measure, trial_command
 from adaptsim_jax.closeloop.windows import Windows
 from adaptsim_jax.models.effects import Dry, Effect, Layout, Motion, Reach
 from adaptsim_jax.models.plant import Plant
@@ -91,7 +91,7 @@ def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
     speed = np.maximum(np.quantile(np.abs(v), 0.9, axis=0), 0.05)
     low, high = np.quantile(q, [0.005, 0.995], axis=0)
     dt = float(np.median(windows.dt[windows.dt > 0]))
-    return Reach(torque, speed, low, high, float(windows.time.max()), dt, inertia)
+    return Reach(torque, u.max(0), speed, low, high, float(windows.time.max()), dt, inertia)
 
 
 def _named(effect: Effect, row) -> tuple[dict, dict]:
@@ -186,6 +186,7 @@ def _memory_rows(model: Model, theta, windows: Windows, effect: Effect):
     n = model.plant.joint_dim
     trial = lambda z: jnp.asarray(z).transpose(2, 1, 0)
     q, v, u = trial(windows.motion_q), trial(windows.motion_v), trial(windows.torque)
+    v = jnp.moveaxis(mean_speed(jnp.moveaxis(v, 1, 0)), 0, 1)
     time = jnp.asarray(windows.time).T
     h = jnp.concatenate([jnp.diff(time, axis=0), jnp.zeros_like(time[:1])])
     gravity = lambda q: model.plant.gravity_force(theta, q)
@@ -219,10 +220,11 @@ def _command_rows(model: Model, eff, mask, windows: Windows, drive, effect: Effe
     return one
 
 
-def measured_change(model: Model, eff, mask, drive, x, columns: Columns, weight):
+def measured_change(model: Model, eff, mask, windows: Windows, drive, x, columns: Columns, weight):
     """Weighted change of the outputs of every measurement column `[K, W, (L+1) Y]` (float32) per unit of size."""
     n, channels = model.plant.joint_dim, weight.shape[1]
-    now = measure(model, eff, mask, drive.time, x, 2 * n)
+    first = first_angles(windows, x[0])
+    now = measure(model, eff, mask, drive.time, x, first, 2 * n)
     out = []
     for joint, params, effect in zip(columns.joint, columns.params, columns.effects, strict=True):
         if effect.place != "measurement":
@@ -231,7 +233,7 @@ def measured_change(model: Model, eff, mask, drive, x, columns: Columns, weight)
         def one(jp, effect=effect):
             joint, row = jp
             q, v = now[:, joint], now[:, n + joint]
-            change = _change(effect, row, lambda p: effect.apply(p, drive.time, q, v))
+            change = _change(effect, row, lambda p: effect.apply(p, drive.time, q, v, first[joint]))
             own = jnp.arange(n) == joint
             dq, dv = (z[:, None] * own[None, :, None] for z in change)
             dy = jnp.concatenate([dq, dv], 1)[:, :channels] * weight

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.closeloop.simulate import Model, driven, measure, trajectory
+from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure, trajectory
 from adaptsim_jax.closeloop.windows import Windows
 
 CODES = ("converged", "reached the iteration limit", "no step lowers the cost", "diverged: cost is not finite")
@@ -115,7 +115,7 @@ def fit(
     """Fit theta, the parameters of the masked-in effects and all initial states, in float64.
 
     bounds: `[E]` low and high of the effect parameters (`Layout.bounds`); those with low == high stay, as do names in
-    `fixed` (a theta name, or `effect/where/parameter`). trial_weight `[N]`: 0 leaves a trial out of the shared
+    `fixed` (a theta name, or `effect/where/parameter`) and held shapes. trial_weight `[N]`: 0 leaves a trial out of the shared
     parameters, while its initial states are still fitted to it, so that its residual is a held-out one.
     """
     with jax.enable_x64(True):
@@ -128,7 +128,7 @@ def _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial
     layout, plant = model.layout, model.plant
     eff0 = layout.off() if eff0 is None else np.asarray(eff0, float)
     low, high = (np.full(layout.size, s) for s in (-np.inf, np.inf)) if bounds is None else bounds
-    held = np.array([f"{e}/{w}/{p}" in fixed for e, w, p in layout.names()] or np.zeros(0), bool)
+    held = layout.vector(lambda p, i: p.held or f"{i.effect.name}/{i.where}/{p.name}" in fixed).astype(bool)
     owner = np.array([k for k, i in enumerate(layout.instances) for _ in i.effect.parameters], int)
     free_eff = np.flatnonzero(np.asarray(mask, bool)[owner] & ~held & (low < high)) if layout.size else np.zeros(0, int)
     if len(free_eff) > MAX_ACTIVE:
@@ -162,7 +162,7 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
         on = model.layout.masked(eff, problem.mask)
         drive = driven(model, theta, on, problem.mask, windows)
         x, _ = trajectory(model, theta, on, drive, x0, windows.substeps)
-        return weight * measure(model, on, problem.mask, drive.time, x, measured.shape[1])
+        return weight * measure(model, on, problem.mask, drive.time, x, first_angles(windows, x0), measured.shape[1])
 
     tangents = _tangents(problem, theta, eff, x0)
     y, push = jax.linearize(simulated, theta, eff, x0)

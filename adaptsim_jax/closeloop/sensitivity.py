@@ -6,7 +6,8 @@ extra inertia as minus itself times the acceleration, and measurement effects ac
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from adaptsim_jax.closeloop.atoms import Columns, columns_of, force_rows, measur
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit import FitResult
 from adaptsim_jax.closeloop.score import Atom
-from adaptsim_jax.closeloop.simulate import Model, Push, driven, measure, row_step, trajectory
+from adaptsim_jax.closeloop.simulate import Model, Push, driven, first_angles, measure, row_step, trajectory
 from adaptsim_jax.closeloop.windows import Windows
 from adaptsim_jax.models.effects import Reach
 
@@ -50,33 +51,38 @@ def signatures(
     *,
     effects: Sequence[str] | None = None,
     basis: Callable[[Path], np.ndarray] | None = None,
+    compress: Callable[[Linearised], Linearised] | None = None,
 ) -> Signatures:
     """Linearise about `result` and give the signature of every instance at every shape on its grid.
 
     effects: names to include (all where None). basis: `path -> [K', W, n, L]` more force columns (`generic_forces`),
-    named `generic` and placed after the catalogue's. Effects already in the fit stay in it and are linearised about.
+    named `generic` and placed after the catalogue's. compress: a linear map of the rows (of all fields alike), applied
+    before the large product. Effects already in the fit stay in it and are linearised about.
     """
     columns = columns_of(model.layout, reach, effects)
     with jax.enable_x64(True):
         args = jax.tree.map(jnp.asarray, (windows, result.theta, result.eff, result.mask, result.x0))
         path, rows, change = _signatures(model, *args, columns)
     path = Path(*(np.asarray(z) for z in path))
-    parts = [_respond(path.impulse, group) for group in columns.trim(rows, False)]
-    parts += [np.moveaxis(group, 0, -1) for group in columns.trim(change, True)]
+    none = np.zeros((*path.impulse.shape[:2], 0), np.float32)
+    seen = np.concatenate([none, *(np.moveaxis(c, 0, -1) for c in columns.trim(change, True))], 2)
+    lin = _linearised(result, windows, path, seen)
+    lin = lin if compress is None else compress(lin)
+    parts = [_respond(lin.impulse, group) for group in columns.trim(rows, False)] + [lin.atoms]
     atoms = columns.atoms
     if basis is not None:
         extra = basis(path)
         first = sum(p.shape[2] for p in parts)
         atoms += tuple(Atom("generic", "", {"term": float(i)}, (first + i,)) for i in range(len(extra)))
-        parts.append(_respond(path.impulse, extra))
-    return Signatures(atoms, _linearised(result, windows, path, np.concatenate(parts, 2)), path)
+        parts.append(_respond(lin.impulse, extra))
+    return Signatures(atoms, replace(lin, atoms=np.concatenate(parts, 2)), path)
 
 
 def _respond(impulse: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Output change `[W, M, K]` of force rows `[K, W, n, L]`."""
     count, windows = rows.shape[:2]
     flat = np.ascontiguousarray(rows.reshape(count, windows, -1).transpose(1, 2, 0), np.float32)
-    return impulse.reshape(windows, impulse.shape[1], -1) @ flat
+    return impulse.astype(np.float32).reshape(windows, impulse.shape[1], -1) @ flat
 
 
 def _linearised(result: FitResult, windows: Windows, path: Path, atoms: np.ndarray) -> Linearised:
@@ -102,9 +108,10 @@ def _signatures(model: Model, windows: Windows, theta, eff, mask, x0, columns: C
     x, memory = trajectory(model, theta, eff, drive, x0.T, windows.substeps)
     weight = jnp.asarray(windows.weight).transpose(1, 2, 0)
     phi, gamma = _row_maps(model, theta, eff, drive, x, memory, windows.substeps)
-    impulse = _impulse(model, eff, mask, drive, x, phi, gamma, weight)
+    see = partial(_sensed, model, eff, mask, drive, x, first_angles(windows, x[0]))
+    impulse = _impulse(see, phi, gamma, weight)
     rows = force_rows(model, theta, eff, mask, windows, drive, x, columns)
-    change = measured_change(model, eff, mask, drive, x, columns, weight)
+    change = measured_change(model, eff, mask, windows, drive, x, columns, weight)
     first = lambda z: jnp.moveaxis(z, -1, 0)
     path = (drive.time.T, drive.dt.T, first(x), first(drive.u), impulse)
     return path, rows, change
@@ -133,7 +140,7 @@ def _row_maps(model: Model, theta, eff, drive, x, memory, substeps: int):
     return maps[:, :, :states], maps[:, :, states:]
 
 
-def _impulse(model: Model, eff, mask, drive, x, phi, gamma, weight):
+def _impulse(see, phi, gamma, weight):
     """Weighted response `[W, (L+1) Y, n, L]` (float32) to a unit force at each joint held over each row."""
     length, states, joints, windows = gamma.shape
     channels = weight.shape[1]
@@ -144,15 +151,15 @@ def _impulse(model: Model, eff, mask, drive, x, phi, gamma, weight):
         new = new + jnp.moveaxis(gamma, 2, 1)[..., None] * (jnp.arange(length) == i)
         return new, new
 
-    zero = jnp.zeros((states, windows, joints, length), x.dtype)
+    zero = jnp.zeros((states, windows, joints, length), phi.dtype)
     _, dx = jax.lax.scan(row, zero, (phi, gamma, jnp.arange(length)))
     dx = jnp.concatenate([zero[None], dx])  # [L+1, S, W, n, L]
-    dy = _sensed(model, eff, mask, drive, x, dx, channels)
+    dy = see(dx, channels)
     dy = dy * weight[:, :, :, None, None]
     return dy.transpose(2, 0, 1, 3, 4).reshape(windows, -1, joints, length).astype(jnp.float32)
 
 
-def _sensed(model: Model, eff, mask, drive, x, dx, channels: int):
+def _sensed(model: Model, eff, mask, drive, x, first, dx, channels: int):
     """What the sensors make of a change of state `[L+1, S, W, ...]`; linear, and the identity where none acts."""
     if not list(model.layout.placed("measurement")):
         return jax.vmap(model.plant.output)(dx)[:, :channels]
@@ -161,7 +168,7 @@ def _sensed(model: Model, eff, mask, drive, x, dx, channels: int):
     on = jnp.asarray(mask, bool)[
         jnp.array([i for i, k in enumerate(model.layout.instances) if k.effect.place == "measurement"])
     ].any()
-    see = lambda x: measure(model, eff, mask, drive.time, x, channels)
+    see = lambda x: measure(model, eff, mask, drive.time, x, first, channels)
     through = lambda d: jax.lax.map(lambda z: jax.jvp(see, (x,), (z,))[1], d, batch_size=32)
     plain = lambda d: jax.vmap(jax.vmap(model.plant.output))(d)[:, :, :channels]
     dy = jax.lax.cond(on, through, plain, flat)

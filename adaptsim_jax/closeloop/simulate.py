@@ -81,7 +81,7 @@ def _any(model: Model, effects: list, mask):
 def _warm_memory(model: Model, theta, eff, mask, windows: Windows) -> tuple[jax.Array, ...]:
     """Memories at the windows' starts, run along the measured motion of the whole trial."""
     q = jnp.asarray(windows.motion_q).transpose(1, 2, 0)  # [T, n, N]
-    v = jnp.asarray(windows.motion_v).transpose(1, 2, 0)
+    v = mean_speed(jnp.asarray(windows.motion_v).transpose(1, 2, 0))
     u = jnp.asarray(windows.torque).transpose(1, 2, 0)
     time = jnp.asarray(windows.time).T
     first = windows.rows[:, 0]

@@ -27,7 +27,8 @@ class Parameter:
     """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
 
     low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
-    serves a finger and an excavator. `sign` is +1 where only positive values are that effect.
+    serves a finger and an excavator. `sign` is +1 where only positive values are that effect. A `held` shape is chosen on
+    the grid and not fitted.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Parameter:
     off: float | None = 0.0
     sign: int = 0
     plausible: float | None = None
+    held: bool = False
 
     def bounds(self, torque: float) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m."""
@@ -77,9 +79,10 @@ class Relaxation(NamedTuple):
 
 @dataclass(frozen=True)
 class Reach:
-    """What the data cover, per joint `[n]`: from it shape grids and bounds are made (`torque` N m is a peak)."""
+    """What the data cover, per joint `[n]`: from it shape grids and bounds are made."""
 
-    torque: np.ndarray
+    torque: np.ndarray  # N m, exceeded by 0.2 % of the samples
+    peak: np.ndarray  # N m, the largest
     speed: np.ndarray  # rad/s, 90 % quantile of |v|
     q_low: np.ndarray
     q_high: np.ndarray
@@ -95,7 +98,8 @@ class Effect:
     - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to the next row;
     - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where `memory` is true; where
       `inertia` is true, `apply(p) -> kg m^2` added to the joint;
-    - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...]) -> (q', v')`: what the sensor of one joint says.
+    - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
+      says; `first` is the angle that it did say at the first time, for sensors that remember.
 
     `p` maps parameter names to arrays that broadcast. `grid(reach, joint) -> [{shape: value}, ...]` lists the fixed
     shapes at which the effect is scored; with `jump` the amplitude is on the grid too, as it does not act linearly.

@@ -19,8 +19,8 @@ def torque_gain(p, t, u):
 
 
 def saturation(p, t, u):
-    """Limit as a share of the peak: level = 1 - cut; written by the peak of |u| so that no cut changes nothing."""
-    level = (1.0 - p["cut"]) * jnp.max(jnp.abs(u), axis=0, keepdims=True)
+    """The limit is written as a share cut off the largest command, so that no cut changes nothing."""
+    level = (1.0 - p["cut"]) * p["peak"]
     return jnp.clip(u, -level, level)
 
 
@@ -75,7 +75,7 @@ def _lags(reach, joint):
 
 
 def _cuts(reach, joint):
-    return [{"cut": s} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
+    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
 
 
 def _widths(reach, joint):
@@ -89,7 +89,10 @@ COMMAND = (
         jump=True, grid=_delays,
     ),
     Effect(
-        "saturation", "command", (Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1),), saturation,
+        "saturation", "command", (
+            Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1),
+            Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True),
+        ), saturation,
         "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
         ("torque_gain",), smooth=False, jump=True, grid=_cuts,
     ),

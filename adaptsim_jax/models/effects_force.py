@@ -59,10 +59,12 @@ def load_friction(p, m: Motion):
 
 
 def presliding(p, m: Motion):
-    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the break-away deflection."""
+    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the break-away deflection.
+    With damping it is LuGre (Canudas de Wit et al., 1995): the bristle's rate resists too."""
     speed = jnp.abs(m.v)
-    rate = speed / p["deflection"]
-    return Relaxation(-p["level"] * m.memory, m.v / jnp.sqrt(speed**2 + 1e-12), rate)
+    rate = (m.v - speed * m.memory) / p["deflection"]
+    force = -p["level"] * (m.memory + p["damping"] * rate)
+    return Relaxation(force, m.v / jnp.sqrt(speed**2 + 1e-12), speed / p["deflection"])
 
 
 def rotor_inertia(p):
@@ -94,9 +96,8 @@ def _stops(reach, joint):
 
 def _deflections(reach, joint):
     span = float(reach.q_high[joint] - reach.q_low[joint])
-    return [{"deflection": d} for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [
-        {"deflection": 0.1 * span + 1e-4}
-    ]
+    fitting = [d for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [0.1 * span + 1e-3]
+    return [{"deflection": d, "damping": s} for d in fitting for s in (0.0, 0.01)]
 
 
 def _decays(reach, joint):
@@ -179,8 +180,8 @@ FORCE = (
         (
             Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
             Parameter("angle", "rad", -20.0, 20.0, 1.5, None),
-            Parameter("side", "1", -1.0, 1.0, 1.0, None),
-            Parameter("loss", "s", 0.0, 1.0, 0.0, None),
+            Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True),
+            Parameter("loss", "s", 0.0, 1.0, 0.0, None, held=True),
         ),
         hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
         ("spring", "cogging"), smooth=False, grid=_stops,
@@ -195,6 +196,7 @@ FORCE = (
         (
             Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
             Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None),
+            Parameter("damping", "s", 0.0, 0.1, 0.0, None),
         ),
         presliding, "friction that acts as a spring before the joint slides (Dahl, LuGre)",
         "many small reversals of less than the break-away deflection", ("coulomb", "stribeck", "backlash"),

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 from adaptsim_jax.models.effects import Effect, Parameter
 
 
-def encoder_offset(p, t, q, v):
+def encoder_offset(p, t, q, v, first):
     return q + p["offset"], v
 
 
-def sensor_lag(p, t, q, v):
+def sensor_lag(p, t, q, v, first):
     """First-order filter of angle and velocity, which start as if the motion had gone on at its first velocity.
 
     Between rows the velocity is taken to change linearly, for which the filter is exact.
@@ -52,11 +52,11 @@ def _behind_slope(slope, keep):
     return jnp.concatenate([slope[:1], rest])
 
 
-def backlash(p, t, q, v):
+def backlash(p, t, q, v, first):
     """Play between link and encoder: the reading follows the link at a distance of at most half the gap.
 
-    A stretch begins with the reading dragged behind the first velocity. The lost motion is taken up in the first
-    half-gap of travel after each reversal (Nordin and Gutman, 2002, for the play operator and its rivals).
+    A stretch begins with the reading that was measured, as near as the gap allows. The lost motion is taken up in the
+    first half-gap of travel after each reversal (Nordin and Gutman, 2002, on the play operator and its rivals).
     """
     half = 0.5 * p["gap"]
 
@@ -64,7 +64,7 @@ def backlash(p, t, q, v):
         z = jnp.clip(z, now - half, now + half)
         return z, z
 
-    first = q[0] - half * jnp.sign(v[0])
+    first = jnp.clip(first, q[0] - half, q[0] + half)
     _, rest = jax.lax.scan(row, first, q[1:])
     reading = jnp.concatenate([first[None], rest])
     moving = jnp.abs(reading - q) >= 0.999 * half
