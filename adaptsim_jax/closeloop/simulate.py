@@ -78,6 +78,11 @@ def _any(model: Model, effects: list, mask):
     return jnp.asarray(mask, bool)[jnp.array(picked)].any()
 
 
+def mean_speed(v) -> jax.Array:
+    """Mean of the speeds at the two ends of each row, time first: what carries a memory over the row."""
+    return jnp.concatenate([0.5 * (v[1:] + v[:-1]), v[-1:]])
+
+
 def _warm_memory(model: Model, theta, eff, mask, windows: Windows) -> tuple[jax.Array, ...]:
     """Memories at the windows' starts, run along the measured motion of the whole trial."""
     q = jnp.asarray(windows.motion_q).transpose(1, 2, 0)  # [T, n, N]

@@ -48,7 +48,7 @@ class Parameter:
 
 
 class Motion(NamedTuple):
-    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [...]` s since the trial began, its own
+    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [1, ...]` s since the trial began, its own
     `memory: [n, ...]`, and `gravity(q) -> [n, ...]` of the plant."""
 
     q: jax.Array

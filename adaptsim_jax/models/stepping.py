@@ -38,11 +38,19 @@ def make_model(plant: Plant, effects: tuple) -> Model:
 
 
 def motion_of(model: Model, theta, q, v, u, t, memory) -> Motion:
-    return Motion(q, v, u, t, memory, lambda q: model.plant.gravity_force(theta, q))
+    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar."""
+    return Motion(q, v, u, _lift(t, q), memory, lambda q: model.plant.gravity_force(theta, q))
 
 
 def relax(answer: Relaxation, w, h):
-    return answer.target + (w - answer.target) * jnp.exp(-answer.rate * h)
+    """A memory `[n, ...]` after `h: [...]` s at constant target and rate."""
+    return answer.target + (w - answer.target) * jnp.exp(-answer.rate * _lift(h, w))
+
+
+def _lift(z, like):
+    """A number per lane with a first axis to broadcast over joints or states; a scalar stays one."""
+    z = jnp.asarray(z)
+    return z[None] if 0 < z.ndim < like.ndim else z
 
 
 class Acting(NamedTuple):
@@ -86,6 +94,7 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
     """State and memories after a row of `dt: [W]` s from `x: [S, W]`: Runge-Kutta 4, memories relaxed exactly by half a
     substep on each side of it (Strang splitting)."""
     h = dt / substeps
+    wide = _lift(h, x)
     stages = (jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype), jnp.array([1.0, 2.0, 2.0, 1.0], x.dtype) / 6.0)
 
     def substep(carry, i):
@@ -98,13 +107,13 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
         def stage(inner, ab):
             slope, total = inner
             a, b = ab
-            at = x + a * h * slope
+            at = x + a * wide * slope
             act = acting(model, theta, eff, memory, at, u, now + a * h)
             slope = model.plant.deriv(theta, at, u, act.force + rub + push.force, act.inertia + push.inertia)
             return (slope, total + b * slope), None
 
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
-        x = x + h * total
+        x = x + wide * total
         memory = remember(model, theta, eff, memory, x, u, now + h, 0.5 * h)
         return (x, memory), None
 
@@ -127,11 +136,12 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
     inertia = act.inertia + push.inertia
     free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
     mass = plant.mass(plant.constants, theta, q)
-    unit = jnp.eye(n, dtype=x.dtype)[:, :, None] + jnp.zeros_like(q)
+    unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (q.ndim - 1)) + jnp.zeros_like(q)[None]
     answer = [solve_mass(mass, inertia, unit[j]) for j in range(n)]  # acceleration per force at each joint
-    ahead = jnp.concatenate([q, _halfway(v, free, h)])
+    wide = _lift(h, q)
+    ahead = jnp.concatenate([q, _halfway(v, free, wide)])
     level = acting(model, theta, eff, memory, ahead, u, t + 0.5 * h).level
-    stop = free + v / jnp.where(h > 0, h, 1.0)
+    stop = free + v / jnp.where(wide > 0, wide, 1.0)
     hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
     force = [_within(hold[j], level[j]) for j in range(n)]
     for j in [*range(n), *range(n)]:
