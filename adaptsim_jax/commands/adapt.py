@@ -9,6 +9,7 @@ from typing import Any
 EXAMPLES = """
   adaptsim adapt runs/a --target ood-1
   adaptsim adapt runs/a --target my_robot.toml     m1 = 1.4, m2 = 0.6, ... one line each
+  adaptsim adapt runs/a --target out/model.toml    the mended model of `adaptsim diagnose` as the target
   adaptsim adapt runs/a --target wd --starts 4 --iterations 20
 """
 
@@ -17,7 +18,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("folder", metavar="RUN", help="a run folder of `adaptsim train`")
-    parser.add_argument("--target", required=True, metavar="T", help="wd, ood-1 .. ood-4, or a TOML file")
+    parser.add_argument("--target", required=True, metavar="T", help="wd, ood-1 .. ood-4, a TOML file, or a model.toml")
     parser.add_argument("--starts", type=positive, default=2, metavar="N", help="initial distributions (2)")
     parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)")
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
@@ -36,7 +37,10 @@ def run(args: argparse.Namespace) -> int:
 
     trained = load_run(folder)
     task = trained.phase1.task
-    name, params = read_target(args.target, task)
+    name, params, world = read_target(args.target, task)
+    if world is not None:
+        task = world
+        trained = trained._replace(phase1=trained.phase1._replace(task=task))
     out = output_folder(args.out or Path(args.folder) / f"adapt-{name}")
     result = adapt_run(trained, jax.random.key(args.seed), params, starts=args.starts, iterations=args.iterations)
     found = describe(result, task, name, params, args)

@@ -37,18 +37,24 @@ def require(module: str, what: str) -> None:
         raise BadInput(f"{what} is not in this version yet; 'adaptsim --help' lists the other commands")
 
 
-def read_target(text: str, task: Any) -> tuple[str, Any]:
-    """`(name, params [D])` of a target: a setting of `task`, or a TOML file that names every parameter.
+def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
+    """`(name, params [D], world)` of a target: a setting of `task`, or a TOML file that names every parameter.
 
-    The parameters stand at the top of the file or under `[params]`; all are checked against physical ranges.
+    The parameters stand at the top of the file or under `[params]`; all are checked against physical ranges. A
+    `model.toml` is a target with effects of its own: `world` is then `task` with that model to act in, else None.
     """
     if text in task.settings:
-        return text, task.space.values(task.settings[text], text)
+        return text, task.space.values(task.settings[text], text), None
     path = Path(text)
     if not path.exists():
         known = (*task.settings, "a TOML file of parameters")
         raise BadInput(f"unknown target '{text}', and no such file; {config.suggest(text, known)}")
     table = config.read(path)
+    if "declared" in table and "schema" in table:
+        from adaptsim_jax.models.model_file import model_of
+        from adaptsim_jax.tasks.pendulum_target import in_world
+
+        return path.stem, *in_world(task, model_of(table, str(path)))
     if "params" in table:
         for key in table:
             if key != "params":
@@ -56,7 +62,7 @@ def read_target(text: str, task: Any) -> tuple[str, Any]:
         table = table["params"]
         if not isinstance(table, dict):
             raise BadInput(f"{path}: 'params' is not a table; write [params] and a line for each parameter")
-    return path.stem, task.space.values(table, str(path))
+    return path.stem, task.space.values(table, str(path)), None
 
 
 def seed(text: str) -> int:

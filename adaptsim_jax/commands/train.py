@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ EXAMPLES = """
   adaptsim train pendulum --run runs/a --resume        go on after a kill, to the same bits
   adaptsim train pendulum --run runs/b --seed 3 --set phase1.trajectories=20000 --set hyper.delta=0.15
   adaptsim train pendulum --run runs/c --config runs/a/config.toml
+  adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
 """
 
 
@@ -19,6 +21,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
     parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
+    parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
     parser.add_argument("--config", metavar="FILE", help="a config.toml to start from")
     parser.add_argument(
         "--set",
@@ -52,8 +55,22 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     from adaptsim_jax.adapt.training import TrainConfig
 
     start = config.from_table(TrainConfig, table, args.config or f"{args.folder}/config.toml")
+    if args.model:
+        start = replace(start, task=dict(start.task) | {"model": _model_table(args)})
     settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]
     return config.with_settings(start, settings)
+
+
+def _model_table(args: argparse.Namespace) -> dict[str, Any]:
+    """The table of `--model`, checked; it goes into the run's config, which is then whole without the file."""
+    from adaptsim_jax import config
+    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.models.model_file import model_of
+
+    table = config.read(args.model)
+    if model_of(table, args.model).task != args.task:
+        raise BadInput(f"{args.model}: is of task '{table['task']}', not '{args.task}'; name another file")
+    return {key: value for key, value in table.items() if key not in ("covariance", "provenance")}
 
 
 def _folder(args: argparse.Namespace) -> Any:

@@ -93,8 +93,11 @@ def read_model(path: str | Path, effects: Sequence[Effect] | None = None) -> Mod
 
     Raises BadInput that names the file, the key and the mend.
     """
-    where = str(path)
-    table = config.read(path)
+    return model_of(config.read(path), str(path), effects)
+
+
+def model_of(table: Mapping[str, Any], where: str, effects: Sequence[Effect] | None = None) -> ModelFile:
+    """The same from a table that was read already; `where` names it in errors."""
     for key in table:
         if key not in KEYS:
             raise BadInput(f"{where}: unknown key '{key}'; {config.suggest(key, KEYS)}")

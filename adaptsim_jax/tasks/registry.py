@@ -4,13 +4,34 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptsim_jax import config
+from adaptsim_jax.errors import BadInput
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
 
 TASKS = {"pendulum": (PendulumConfig, make_pendulum)}
 
 
+def _mended(name: str, options: dict[str, Any], where: str) -> Task:
+    """The task on a mended model, whose table stands under `model`."""
+    from adaptsim_jax.models.model_file import model_of
+    from adaptsim_jax.tasks.pendulum_mended import make_mended_pendulum
+
+    given = options.pop("model")
+    reward_gain = options.pop("reward_gain", 10.0)
+    if options:
+        raise BadInput(f"{where}: unknown key '{next(iter(options))}'; with a mended model there is: reward_gain")
+    if not isinstance(given, Mapping) or given.get("task") != name:
+        raise BadInput(
+            f"{where}: 'model' is no mended model of task '{name}'; use `adaptsim train {name} --model FILE`"
+        )
+    if isinstance(reward_gain, bool) or not isinstance(reward_gain, int | float) or reward_gain <= 0:
+        raise BadInput(f"{where}: reward_gain = {reward_gain!r} must be a positive number; leave it out for 10")
+    return make_mended_pendulum(model_of(given, f"{where}, model"), float(reward_gain))
+
+
 def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> Task:
-    """The task called `name`; BadInput names an unknown task or option, with the nearest known one."""
+    """The task called `name`, on a mended model where `options` hold one; BadInput names an unknown task or option, with the nearest known one."""
     kind, make = TASKS[config.pick("task", name, TASKS)]
+    if "model" in options:
+        return _mended(name, dict(options), where)
     return make(config.from_table(kind, dict(options), where))
