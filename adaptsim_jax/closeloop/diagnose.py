@@ -22,7 +22,7 @@ from adaptsim_jax.closeloop.results import report_of
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.trial import Recording
-from adaptsim_jax.closeloop.verdict import Verdict, decide
+from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide
 from adaptsim_jax.files import output_folder
 from adaptsim_jax.models.effects import Effect, catalogue
 
@@ -103,6 +103,7 @@ def examine(
     error_before = held_out(problem, base, first)
     say(7, STAGES, "held-out trials, mended model")
     error_after = held_out(problem, found.final, found.view) if verdict.named else error_before
+    verdict = confirmed(verdict, error_before, error_after)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)

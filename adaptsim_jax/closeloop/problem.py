@@ -59,6 +59,12 @@ class Problem:
         """RMS of the recorded torque per joint `[n]` N m."""
         return np.sqrt(np.mean(np.concatenate([t.torque for t in self.recording.trials]) ** 2, axis=0))
 
+    @property
+    def torque_scale(self) -> np.ndarray:
+        """The same, no less than a tenth of the most driven joint's: a joint at rest is not infinitely sensitive."""
+        rms = self.torque_rms
+        return np.maximum(rms, 0.1 * rms.max() + 1e-9)
+
     def held(self, active: Active) -> tuple[str, ...]:
         """Shape parameters that stay where the grid put them."""
         return tuple(f"{e}/{w}/{s}" for e, w in active for s in HELD_SHAPES)

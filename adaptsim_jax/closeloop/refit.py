@@ -58,8 +58,8 @@ def refit(
     """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
 
     factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
-    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. Stops when a step lowers the cost by less than `tolerance` (absolute
-    plus relative 1e-5): below what any test could see.
+    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. Stops when a
+    step lowers the cost by less than `tolerance` (absolute plus relative 1e-5): below what any test could see.
     """
     keep = np.ones(len(start.x0), bool) if keep is None else keep
     point = Point(np.clip(start.z, low, high), start.x0)

@@ -154,11 +154,10 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
     else:
         why = "explains less than the candidates that were refitted"
     gain = float(np.clip(r.score.held_out_share, -1e6, 1.0))
-    if refit is not None:
-        gain = float(1.0 - unexplained(refit, found.base) ** 2)
     return {
         "name": r.instance[0], "where": r.instance[1], "held_out_gain": gain, "p_value": r.corrected(count),
         "accepted": bool(accepted), "status": status, "why": why,
+        "explained_torque": None if refit is None else float(1.0 - unexplained(refit, found.base) ** 2),
     }  # fmt: skip
 
 

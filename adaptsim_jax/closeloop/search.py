@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.basis import generic_names
 from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
 from adaptsim_jax.closeloop.problem import Active, Candidate, Problem, refit_candidate, refit_more, survey
 from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
@@ -35,6 +36,8 @@ class Settings:
     class_gap: float = 6.0
     class_z: float = 2.5
     least_fall: float = 0.1
+    least_share: float = 0.004
+    least_beside: float = 0.1
     most_effects: int = 3
 
 
@@ -204,13 +207,13 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     found = Found(base, base, ranked, last=ranked, view=first)
     seen, current = first, base
     while len(found.added) < settings.most_effects:
-        leaders = _leaders(found.last, settings)
+        leaders = _leaders(found.last, seen, settings)
         if not leaders:
             break
         trials = [extend(problem, current, r, seen, say) for r in leaders]
         found.tried += trials
-        best = max((t for t in trials if _plausible(t, base)), key=lambda t: t.merit(settings.price), default=None)
-        if best is None or not _earns(best, current, settings):
+        best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
+        if best is None or not _earns(problem, best, current, base, settings):
             break
         new = _new(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
@@ -223,10 +226,25 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     return found
 
 
-def _leaders(ranked: list[Ranked], settings: Settings) -> list[Ranked]:
-    """Candidates worth a whole refit: significant by the linear score, the best first."""
-    significant = [r for r in ranked if r.corrected(len(ranked)) < settings.alpha and r.score.retained > 1e-3]
-    return significant[: settings.shortlist]
+def _leaders(ranked: list[Ranked], view: View, settings: Settings) -> list[Ranked]:
+    """Candidates worth a whole refit: where anything is there at all, those that explain most by the linear score.
+
+    The score of one candidate may be blunt (its effect is not small, or moves reversals), so what must be significant is
+    the structure: some candidate, or some smooth force.
+    """
+    seen = any(r.corrected(len(ranked)) < settings.alpha for r in ranked)
+    if not seen and generic_p_value(view) >= settings.alpha:
+        return []
+    return [r for r in ranked if r.score.retained > 1e-3][: settings.shortlist]
+
+
+def generic_p_value(view: View) -> float:
+    """Smallest p-value of the generic dictionary's groups, corrected for their number."""
+    atoms = view.generic()
+    names = generic_names(view.path.u.shape[2])
+    groups = list(dict.fromkeys(names))
+    scores = [view.scorer.score([a for a, n in zip(atoms, names, strict=True) if n == g]) for g in groups]
+    return min(1.0, min(s.p_value for s in scores) * len(groups))
 
 
 def extend(problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None) -> Fitted:
@@ -247,12 +265,31 @@ def _plausible(model: Fitted, base: Fitted) -> bool:
     return all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
 
 
-def _earns(new: Fitted, old: Fitted, settings: Settings) -> bool:
-    """More likely by more than its price and the selection it was picked from, and a smaller unexplained force."""
+def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:
+    """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter."""
+    if not trials:
+        return None
+    best = max(trials, key=lambda t: t.merit(settings.price))
+    simpler = [t for t in trials if len(t.candidate.names) < len(best.candidate.names)]
+    enough = [t for t in simpler if not _matters(problem, best, t, base, settings, 0.5)]
+    return max(enough, key=lambda t: t.merit(settings.price), default=best)
+
+
+def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings, strict: float = 1.0) -> bool:
+    """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained."""
+    own = np.maximum(old.parts.force.sum(1) - new.parts.force.sum(1), 0.0)
+    share = float(np.max(np.sqrt(own) / problem.torque_scale))
+    beside = np.sqrt(own.sum() / max(base.parts.force.sum(), 1e-300))
+    return share > strict * settings.least_share and beside > strict * settings.least_beside
+
+
+def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
+    """More likely by more than its price and the selection it was picked from, and its torque matters: to the joint, and
+    beside what was unexplained at first."""
     extra = len(new.candidate.names) - len(old.candidate.names)
     if new.total - old.total < settings.price * extra + 6.0:
         return False
-    return unexplained(new, old) < 1.0 - settings.least_fall
+    return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
 
 
 def unexplained(new: Fitted, old: Fitted) -> float:
@@ -262,21 +299,36 @@ def unexplained(new: Fitted, old: Fitted) -> float:
 
 
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
-    """With a second effect in, the first may have been a stand-in: try its rivals in its place."""
-    for old in [a for a in current.active if a != new]:
-        for rival in found.rivals.get(old, []):
-            instance = rival.active[-1]
-            if instance in current.active:
-                continue
-            active = tuple(instance if a == old else a for a in current.active)
-            eff = _merged(problem, current.candidate.eff, rival.candidate.eff, instance)
-            say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
-            c = current.candidate
-            swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
-            found.tried.append(swapped)
-            if _plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
-                found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
-                current, old = swapped, instance
+    """With another effect in, an earlier one may have been a stand-in: try without it, and its rivals in its place."""
+    for old in [a for a in current.active if a != new and a not in found.base.active]:
+        c = current.candidate
+        rest = tuple(a for a in current.active if a != old)
+        say(f"trying without {old[0]} at {old[1]}")
+        without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, current.parts, seen.response)
+        found.tried.append(without)
+        if _plausible(without, found.base) and not _earns(problem, current, without, found.base, settings):
+            found.rivals.pop(old, None)
+            current = without
+            continue
+        current = _swapped(problem, found, current, old, seen, settings, say)
+    return current
+
+
+def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, settings: Settings, say) -> Fitted:
+    """The best of the rivals of `old` in its place, if any beats it."""
+    for rival in found.rivals.get(old, [])[:3]:
+        instance = rival.active[-1]
+        if instance in current.active:
+            continue
+        active = tuple(instance if a == old else a for a in current.active)
+        eff = _merged(problem, current.candidate.eff, rival.candidate.eff, instance)
+        say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
+        c = current.candidate
+        swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+        found.tried.append(swapped)
+        if _plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
+            found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
+            current, old = swapped, instance
     return current
 
 

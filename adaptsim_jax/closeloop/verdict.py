@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.search import Found, Settings, unexplained
 
@@ -15,6 +16,7 @@ class Verdict:
     named: bool
 
 
+LEAST_CONFIRMED = 0.98  # held-out error after over before: less of a gain than this is none
 LEFT_TOO_MUCH = 0.35  # of the unexplained force: more than this left over, and no name is safe
 
 
@@ -39,6 +41,16 @@ def decide(found: Found, before: Leftover, after: Leftover, settings: Settings, 
         message = f"The residual is explained by {names}; these data cannot tell it from {', '.join(others)}."
         return Verdict("explained_class", message, True)
     return Verdict("explained", f"The residual is explained by {names}.", True)
+
+
+def confirmed(verdict: Verdict, before: HeldOut, after: HeldOut) -> Verdict:
+    """The verdict, unless the mended model simulates held-out trials no better: then no name is given."""
+    if not verdict.named or after.rmse() < LEAST_CONFIRMED * before.rmse():
+        return verdict
+    message = (
+        "A candidate fits, but it does not simulate held-out trials better than the declared model; no name is given."
+    )
+    return Verdict("structured_unattributed", message, False)
 
 
 def _structured(found: Found, before: Leftover, settings: Settings) -> bool:
