@@ -142,3 +142,27 @@ def against(
     ax.set_ylabel("best-iteration " + look.REWARD.replace(" (", "\n("), fontsize=9)
     ax.legend(frameon=False, fontsize=8, loc="lower left")
     return figure
+
+
+def reward_against_trials(panels: Mapping[str, Sequence[Mapping[str, Any]]], bottom: float = 0.0) -> Figure:
+    """A panel a setting: mean over seeds of the best reward so far against target rollouts, a curve for each N."""
+    shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00"]
+    figure, axes = look.new_figure(2.15 * len(panels) + 0.6, 2.9, 1, len(panels), sharey=True)
+    for ax, (setting, rows) in zip(axes, panels.items(), strict=True):
+        for i, r in enumerate(rows):
+            ax.plot(
+                r["trials"],
+                r["so_far"],
+                color=shades[i],
+                linestyle=["-", "--", "-.", ":"][i],
+                label=r["method"],
+                linewidth=1.7,
+            )
+        look.quiet(ax)
+        ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
+        ax.set_ylim(bottom, 1.05)
+        ax.set_xlabel("target rollouts", fontsize=8.5)
+    axes[0].set_ylabel("best so far, " + look.REWARD.replace(" (", "\n("), fontsize=8.5)
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    return figure
