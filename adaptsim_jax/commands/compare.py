@@ -59,9 +59,9 @@ def config_of(args: argparse.Namespace) -> Any:
     given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None}
     settings = [f"{name}={value}" for name, value in given.items() if value is not None]
     for name in ("methods", "settings"):
-        if getattr(args, name) is not None:
-            words = [word.strip().replace("-", "_" if name == "methods" else "-") for word in getattr(args, name).split(",")]
-            settings.append(f"{name}={words!r}")
+        if (text := getattr(args, name)) is not None:
+            words = [word.strip() for word in text.split(",")]
+            settings.append(f"{name}={[w.replace('-', '_') for w in words] if name == 'methods' else words}")
     asked = config.with_settings(start, [*args.set, *settings])
     task = make_task(args.task, asked.train.task, where)
     for setting in asked.settings:

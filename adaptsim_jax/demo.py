@@ -1,0 +1,135 @@
+"""The tour of `adaptsim demo`: train, adapt to OOD-1 beside the baselines, diagnose a sample recording, one page.
+
+Small sizes of the real thing: nothing here computes what the other commands do not. A tour that was stopped is taken up
+again by the same call, from the checkpoints of its runs.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from adaptsim_jax import config as configs
+from adaptsim_jax.adapt.phase1 import Phase1Config
+from adaptsim_jax.adapt.phase2 import Phase2Result
+from adaptsim_jax.adapt.training import TrainConfig, Trained, adapt_run, train_run
+from adaptsim_jax.baselines.compare import compare, find_bounds, visiting_rows
+from adaptsim_jax.baselines.methods import CompareConfig, Visits
+from adaptsim_jax.baselines.problem import pendulum_problem
+from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
+from adaptsim_jax.closeloop.diagnose import diagnose
+from adaptsim_jax.files import output_folder, write_json
+from adaptsim_jax.progress import Report, silent
+from adaptsim_jax.store import RunFolder
+
+TASK, TARGET = "pendulum", "ood-1"
+SEEDS, STARTS, ITERATIONS = 3, 2, 10
+BASELINES = ("sysid_bayes", "sysid_point", "udr", "best_in_omega")
+SIZES = Phase1Config(trajectories=4_000)
+SAMPLE = Path(__file__).parent / "closeloop" / "sample" / "recording"
+MAP_LIMITS = ((0.8, 2.2), (0.2, 2.2))  # kg, m1 and m2: Omega and the target, which is outside it
+STAGES = {"train": 0.3, "adapt": 0.05, "baselines": 0.2, "reward map": 0.05, "diagnose": 0.35, "page": 0.05}
+
+
+class Adapted(NamedTuple):
+    """One Phase 1 run and what Phase 2 made of it in the target."""
+
+    folder: RunFolder
+    trained: Trained
+    result: Phase2Result
+
+
+class Tour(NamedTuple):
+    """What the tour found: adapted runs, the comparison (as results.json), the reward map and the diagnosis's report."""
+
+    adapted: list[Adapted]
+    results: dict[str, Any]
+    reward_map: RewardMap
+    diagnosis: dict[str, Any]
+    commands: dict[str, str]
+
+
+def demo(out: str | Path, seed: int = 0, progress: Report = silent, config: TrainConfig | None = None) -> Tour:
+    """Run the tour into the folder `out`; returns what it found after writing `out/index.html`.
+
+    `config` replaces the sizes of Phase 1, for tests. Raises BadInput where `out` cannot be written or holds another tour.
+    """
+    from adaptsim_jax.report.demo_page import write_demo
+
+    out = output_folder(out)
+    config = config or TrainConfig(phase1=SIZES)
+    say = _stages(progress)
+    adapted = [_adapt(out, configs.with_settings(config, [f"seed={seed + i}"]), i, say) for i in range(SEEDS)]
+    results, chart = _compare(out, adapted, seed, say)
+    report = diagnose(SAMPLE, out=out / "diagnosis", seed=seed, progress=say("diagnose"))
+    say("page")(0, 1)
+    tour = Tour(adapted, results, chart, report, _commands(out, config, seed))
+    write_demo(tour, out)
+    say("page")(1, 1)
+    return tour
+
+
+def _stages(progress: Report) -> Callable[[str], Report]:
+    """Reports of the stages as shares of one bar."""
+    names = list(STAGES)
+
+    def stage(name: str) -> Report:
+        before = sum(STAGES[other] for other in names[: names.index(name)])
+
+        def report(done: float, total: float, note: str = "") -> None:
+            progress(before + STAGES[name] * done / max(total, 1e-9), 1.0, f"{name} {note}".strip())
+
+        return report
+
+    return stage
+
+
+def _adapt(out: Path, config: TrainConfig, index: int, say: Callable[[str], Report]) -> Adapted:
+    """Phase 1 into a run folder (or from one), and Phase 2 in the target."""
+    path = out / "runs" / f"seed-{config.seed}"
+    start = RunFolder.resume if path.exists() else RunFolder.create
+    folder = start(path, configs.to_table(config), task=TASK)
+    report = say("train")
+    trained = train_run(config, folder, lambda done, total, note="": report(index + done / total, SEEDS, note))
+    task = trained.phase1.task
+    target = task.space.values(task.settings[TARGET], TARGET)
+    result = adapt_run(trained, jax.random.key(config.seed), target, starts=STARTS, iterations=ITERATIONS)
+    return Adapted(folder, trained, result)
+
+
+def _compare(out: Path, adapted: list[Adapted], seed: int, say: Callable[[str], Report]):
+    """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the target."""
+    say("adapt")(0, 1)
+    asked = CompareConfig(
+        methods=BASELINES, settings=(TARGET,), seeds=SEEDS, seed=seed, starts=STARTS, iterations=ITERATIONS
+    )
+    results = compare(TASK, asked, say("baselines"))
+    say("reward map")(0, 1)
+    task = adapted[0].trained.phase1.task
+    problem = pendulum_problem(task.space)
+    targets = np.array([task.space.values(task.settings[TARGET], TARGET)])
+    bounds = find_bounds(problem, targets)
+    means = np.stack([np.asarray(one.result.history.mean) for one in adapted])[None]
+    visits = Visits(means, STARTS * (ITERATIONS + 1))
+    results["rows"] = visiting_rows("adaptsim", [TARGET], problem, targets, bounds, visits) + results["rows"]
+    folder = output_folder(out / "comparison")
+    write_json(folder / "results.json", results)
+    limits = {"names": ("m1", "m2"), "limits": MAP_LIMITS}
+    return results, reward_map(problem, targets[0], float(bounds.lower[0]), float(bounds.upper[0]), **limits)
+
+
+def _commands(out: Path, config: TrainConfig, seed: int) -> dict[str, str]:
+    """What a person types for the same, a step at a time."""
+    run = shlex.quote(str(out / "runs" / f"seed-{seed}"))
+    sizes = f"--set phase1.trajectories={config.phase1.trajectories}"
+    return {
+        "train": f"adaptsim train {TASK} --run {run} --seed {seed} {sizes}",
+        "adapt": f"adaptsim adapt {run} --target {TARGET} --seed {seed}",
+        "compare": f"adaptsim compare {TASK} --settings {TARGET} --seeds {SEEDS} --out comparison",
+        "diagnose": f"adaptsim diagnose {shlex.quote(str(SAMPLE))} --out diagnosis",
+    }

@@ -1,0 +1,142 @@
+"""The page of `adaptsim demo`: what was trained, how it adapted, what was measured, and where everything lies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from adaptsim_jax.files import output_folder, write_bytes
+from adaptsim_jax.report import comparison, demo_figures
+from adaptsim_jax.report import diagnosis_format as fmt
+from adaptsim_jax.report import diagnosis_words as words
+from adaptsim_jax.report import figures as look
+
+INK = {"adaptsim": "after", "sysid_bayes": "before", "sysid_point": "floor"}
+
+
+def write_demo(tour: Any, out: Path) -> None:
+    """Write `figures/*.png`, `comparison/table.md` and, last of all, `index.html` into `out`; see `demo.Tour`."""
+    task = tour.adapted[0].trained.phase1.task
+    target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
+    pictures = {
+        "learning": demo_figures.learning_curves([one.folder.read_metrics() for one in tour.adapted]),
+        "iterations": demo_figures.rewards_over_iterations(tour.results),
+        "map": demo_figures.reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
+    }
+    folder = output_folder(out / "figures")
+    for name, figure in pictures.items():
+        look.save(figure, folder / f"{name}.png")
+    write_bytes(out / "comparison" / "table.md", comparison.table(tour.results).encode())
+    page = render(tour, {name: look.svg(figure) for name, figure in pictures.items()})
+    write_bytes(out / "index.html", page.encode())
+
+
+def setting_of(tour: Any) -> str:
+    """The setting that the tour adapts to."""
+    return tour.results["rows"][0]["setting"]
+
+
+def render(tour: Any, pictures: Mapping[str, str]) -> str:
+    """The page as text; `pictures` are SVG elements by name."""
+    phase1 = tour.adapted[0].trained.phase1
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("adaptsim_jax.report", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("demo.html.j2").render(
+        setting=look.SETTINGS[setting_of(tour)],
+        seeds=len(tour.adapted),
+        sizes=phase1.config,
+        steps=f"{phase1.config.trajectories * phase1.config.horizon:,}",
+        parameters=parameter_rows(tour),
+        rows=method_rows(tour.results),
+        pictures=pictures,
+        results=tour.results,
+        diagnosis=diagnosis_words(tour.diagnosis),
+        commands=tour.commands,
+        versions=tour.results["versions"],
+    )
+
+
+def parameter_rows(tour: Any) -> list[dict[str, str]]:
+    """Omega, the target, and what the first run's best policy was trained at."""
+    one = tour.adapted[0]
+    space = one.trained.phase1.task.space
+    target = tour.results["settings"][setting_of(tour)]["params"]
+    found = np.asarray(space.physical(one.result.mean))
+    return [
+        {
+            "name": p.name,
+            "what": p.description,
+            "range": f"{p.low:g} to {p.high:g} {fmt.unit_name(p.unit)}",
+            "target": f"{target[i]:g}",
+            "outside": not p.low <= target[i] <= p.high,
+            "found": f"{found[i]:.2f}",
+        }
+        for i, p in enumerate(space.parameters)
+    ]
+
+
+def method_rows(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The comparison table, a row a method."""
+    return [
+        {
+            "method": row["method"],
+            "name": look.label(row["method"]).replace("\n", " "),
+            "ink": INK.get(row["method"], "ink"),
+            "best": _reward(row["mean"]),
+            "seeds": ", ".join(_reward(value) for value in row["per_seed"]),
+            "bound": row["method"] in ("udr", "best_in_omega"),
+            "final": _reward(row["final_mean"]),
+            "trials": fmt.DASH if row["target_trials"] is None else str(row["target_trials"]),
+            "apart": f"{row['discrepancy']['median']:.2f}" if "discrepancy" in row else fmt.DASH,
+        }
+        for row in results["rows"]
+    ]
+
+
+def _reward(value: float | None) -> str:
+    return "fails" if value is None else fmt.fixed(value, 2)
+
+
+def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The diagnosis in a few words: verdict, headline, message, error before and after."""
+    error = report["error"]
+    mended = bool(report["effects"])
+    after = error["after"] if mended else None
+    return {
+        "tone": words.TONES[report["verdict"]],
+        "label": words.LABELS[report["verdict"]],
+        "headline": words.headline(report),
+        "message": report["message"],
+        "metric": error["metric"],
+        "before": fmt.quantity(error["before"], error["unit"]),
+        "after": None if after is None else fmt.quantity(after, error["unit"]),
+        "floor": fmt.quantity(error["noise_floor"], error["unit"]),
+        "change": words.improvement(error)["change"] if mended else None,
+    }
+
+
+def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
+    """`(what, words)` for the terminal: results first, then where things lie."""
+    found = {row["method"]: row for row in tour.results["rows"]}
+    best = {name: _reward(found[name]["mean"]) for name in demo_figures.CURVES}
+    seen = diagnosis_words(tour.diagnosis)
+    error = seen["before"] if seen["after"] is None else f"{seen['before']} -> {seen['after']}"
+    rewards = f"AdaptSim {best['adaptsim']}, SysID-Bayes {best['sysid_bayes']}, SysID-Point {best['sysid_point']}"
+    return [
+        ("trained", f"{len(tour.adapted)} runs of Phase 1, in {out / 'runs'}"),
+        (f"adapted to {look.SETTINGS[setting_of(tour)]}", f"{rewards} (0: UDR, 1: best in Omega)"),
+        ("diagnosed", f"{seen['headline']} Held-out error {error}"),
+        ("all on one page", str(out / "index.html")),
+        ("diagnosis", str(out / "diagnosis" / "report.html")),
+        ("numbers", f"{out / 'comparison' / 'results.json'}, {out / 'diagnosis' / 'report.json'}"),
+        ("mended model", str(out / "diagnosis" / "model.toml")),
+    ]
