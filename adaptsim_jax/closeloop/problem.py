@@ -26,6 +26,13 @@ HELD_SHAPES = ("side", "loss")  # shapes that are chosen on a grid and not moved
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 
+DIVERGED = 3  # index into fit.CODES
+
+
+class Diverged(ArithmeticError):
+    """A model whose simulation runs away where it should be linearised."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """A recording, its declared model and every candidate, as arrays. Built by `prepare`."""
@@ -159,7 +166,9 @@ def refit_candidate(
 ) -> Candidate:
     """Refit declared parameters and the active effects' parameters under the covariance behind `factor`."""
     first = at_point(problem, active, theta, eff, x0)
-    return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, 6)
+    if first.code == DIVERGED:
+        raise Diverged(f"the model with {active} runs away from where its refit starts")
+    return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, 10)
 
 
 def refit_more(
@@ -216,8 +225,9 @@ def linearised(problem: Problem, result: FitResult, impulse: np.ndarray | None =
     windows = problem.windows
     count, length, channels = windows.measured.shape
     rows = length * channels
+    residual = result.residual.reshape(count, rows)
     return Linearised(
-        residual=result.residual.reshape(count, rows),
+        residual=np.full_like(residual, np.inf) if result.code == DIVERGED else residual,
         jac_state=result.jac_state,
         jac_theta=result.jac_shared,
         atoms=np.zeros((count, rows, 0)),

@@ -67,13 +67,12 @@ def refit(
     white = whiten(lin, factor)
     damping, done = 1e-6, 0
     for done in range(1, iterations + 1):  # noqa: B007  (its last value is reported)
-        old = float(np.sum(white.residual[keep] ** 2))
+        old = _objective(lin, factor, keep)
         trial = _stepped(point, lin, white, factor, low, high, free, keep, damping)
         trial_lin = linearise(trial)
-        trial_white = whiten(trial_lin, factor)
-        new = float(np.sum(trial_white.residual[keep] ** 2))
+        new = _objective(trial_lin, factor, keep)
         if np.isfinite(new) and new <= old:
-            point, lin, white, damping = trial, trial_lin, trial_white, max(damping * 0.1, 1e-9)
+            point, lin, white, damping = trial, trial_lin, whiten(trial_lin, factor), max(damping * 0.1, 1e-9)
             if old - new < tolerance + 1e-5 * old:
                 break
         else:
@@ -82,6 +81,14 @@ def refit(
                 break
     covariance, stuck = _covariance(point.z, white, low, high, free, keep)
     return Refit(point, lin, white, covariance, free, stuck, done)
+
+
+def _objective(lin: Linearised, factor: np.ndarray, keep: np.ndarray) -> float:
+    """Whitened sum of squares at the initial states as they are. Not the projected one: where a model runs away, its
+    response to initial states is so large that the projection would hide all of the residual."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        white = (factor @ lin.residual[..., None])[..., 0]
+        return float(np.sum(white[keep] ** 2))
 
 
 def _information(white: Whitened, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ import numpy as np
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.basis import generic_names
 from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
-from adaptsim_jax.closeloop.problem import Active, Candidate, Problem, refit_candidate, refit_more, survey
+from adaptsim_jax.closeloop.problem import Active, Candidate, Diverged, Problem, refit_candidate, refit_more, survey
 from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
 from adaptsim_jax.closeloop.sensitivity import Path
 from adaptsim_jax.models.effects import Layout
@@ -174,8 +174,9 @@ def view(problem: Problem, model: Fitted) -> View:
     return View(Scorer(white, folds(white.trial, white.rows)), atoms, response, path)
 
 
-def started(problem: Problem, base: Fitted, ranked: Ranked) -> np.ndarray:
-    """Effect parameters `[E]` to start a refit from: the grid's shape, the score's amplitude kept within reason."""
+def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) -> np.ndarray:
+    """Effect parameters `[E]` to start a refit from: the grid's shape, `share` of the score's amplitude, kept
+    within bounds."""
     layout = problem.model.layout
     low, high = problem.bounds
     eff = base.candidate.eff.copy()
@@ -187,7 +188,8 @@ def started(problem: Problem, base: Fitted, ranked: Ranked) -> np.ndarray:
             eff[at] = ranked.atom.shape[p.name]
         elif p.off is not None:
             value = next(amplitudes, p.off)
-            eff[at] = max(value, 0.0) if p.sign > 0 else value
+            value = max(value, 0.0) if p.sign > 0 else value
+            eff[at] = p.off + share * (value - p.off)
         eff[at] = np.clip(eff[at], low[at], high[at])
     return eff
 
@@ -210,9 +212,14 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
         leaders = _leaders(found.last, seen, settings)
         if not leaders:
             break
-        trials = [extend(problem, current, r, seen, say) for r in leaders]
+        trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
         found.tried += trials
         best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
+        if best is not None:
+            alike = _look_alikes(problem, _new(best, current), found.last, leaders)
+            more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
+            trials, found.tried = trials + more, found.tried + more
+            best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
         if best is None or not _earns(problem, best, current, base, settings):
             break
         new = _new(best, current)
@@ -238,6 +245,15 @@ def _leaders(ranked: list[Ranked], view: View, settings: Settings) -> list[Ranke
     return [r for r in ranked if r.score.retained > 1e-3][: settings.shortlist]
 
 
+def _look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: list[Ranked]) -> list[Ranked]:
+    """Known look-alikes of the leader at its joint that were not refitted: the score alone must not decide there."""
+    layout = problem.model.layout
+    names = layout.instances[layout.index(*best)].effect.look_alikes
+    tried = {r.instance for r in done}
+    near = [r for r in ranked if r.instance[0] in names and r.instance[1] in (best[1], "base")]
+    return [r for r in near if r.instance not in tried and r.score.retained > 1e-3]
+
+
 def generic_p_value(view: View) -> float:
     """Smallest p-value of the generic dictionary's groups, corrected for their number."""
     atoms = view.generic()
@@ -247,12 +263,20 @@ def generic_p_value(view: View) -> float:
     return min(1.0, min(s.p_value for s in scores) * len(groups))
 
 
-def extend(problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None) -> Fitted:
-    """The current model with one more effect, refitted whole."""
+def extend(
+    problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None
+) -> Fitted | None:
+    """The current model with one more effect, refitted whole; None where that runs away however small it starts."""
     say(f"refitting with {ranked.instance[0]} at {ranked.instance[1]}")
     c = current.candidate
-    eff = started(problem, current, ranked)
-    return fitted(problem, (*c.active, ranked.instance), c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+    active = (*c.active, ranked.instance)
+    for share in (1.0, 0.1):
+        eff = started(problem, current, ranked, share)
+        try:
+            return fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+        except Diverged:
+            continue
+    return None
 
 
 def _new(best: Fitted, current: Fitted) -> Instance:
