@@ -11,6 +11,7 @@ import numpy as np
 import adaptsim_jax
 from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
+from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.model_file import fitted_model, write_model
@@ -21,12 +22,13 @@ from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import report_of
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide
-from adaptsim_jax.files import output_folder
+from adaptsim_jax.files import output_folder, write_bytes
 from adaptsim_jax.models.effects import Effect, catalogue
 
-STAGES = 8
+STAGES = 9
 Progress = Callable[[int, int, str], None]
 
 
@@ -108,6 +110,11 @@ def examine(
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)
+    say(8, STAGES, "next experiment")
+    if plan := next_experiment(problem, found, verdict.named, powers, seed):
+        report["next_experiment"], evidence["next_experiment"] = plan.told()
+    if verdict.named and (reward := task_reward(problem, found)):
+        report["task_reward"] = reward
     return Diagnosis(*parts, report, evidence)
 
 
@@ -157,5 +164,7 @@ def finish(
             model = result.found.final if result.verdict.named else result.found.base
             told = {key: report[key] for key in ("verdict", "message")} | {"data": recording.path} | report["run"]
             write_model(folder / "model.toml", fitted_model(result.problem, model, told))
+        if plan := evidence.get("next_experiment"):
+            write_bytes(folder / plan["csv"], csv_of(plan["time"], plan["torque"]))
         write_diagnosis(folder, report, evidence)
     return report

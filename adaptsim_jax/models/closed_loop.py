@@ -108,6 +108,7 @@ def response(model: Model, effect: Effect, eff, dt: float) -> jax.Array:
     return (effect.apply(p, t, pulse) - effect.apply(p, t, 0.0 * pulse))[1:, :, 0] / size
 
 
+@broadcasts
 def group_delay(model: Model, eff, dt: float) -> jax.Array:
     """Time `[]` s by which commands arrive late: the centre of the response to one row's command, the later joint's."""
     total = jnp.zeros(model.plant.command_dim)

@@ -64,9 +64,10 @@ class World:
         loop = run_loop(self.model, theta, eff, law, jnp.asarray(self.start, jnp.float32), ROWS, DT, self.history)
         return self.judged(loop), loop
 
+    @broadcasts
     def judged(self, loop: Loop) -> PendulumTrajectory:
         """Angles from the goal at the task's samples, and the cost on the scale of its 1000 samples."""
-        gap = loop.state - jnp.asarray(self.goal, jnp.float32)
+        gap = loop.state - jnp.asarray(self.goal, jnp.float32)[None]
         cost = (SAMPLES / ROWS) * (jnp.sum(jnp.square(gap)) + jnp.sum(jnp.square(loop.command)))
         at = np.round(np.asarray(SNAPSHOTS) * ROWS / (SAMPLES - 1)).astype(int)
         angles = gap[at, :2]
@@ -87,6 +88,7 @@ def make_world(given: ModelFile, largest: np.ndarray | None = None, history: int
     return World(model, goal, goal - [np.pi, 0.0, 0.0, 0.0], rows)
 
 
+@broadcasts
 def command(world: World, policy: MendedPolicy, y, past, t) -> jax.Array:
     """Torque `[2]` N m of a policy that sees `y: [4]` and its own `past: [H, 2]` commands (the newest last)."""
     n = world.model.plant.joint_dim
@@ -196,6 +198,7 @@ def plain_policy(world: World, theta, eff) -> MendedPolicy:
     )  # fmt: skip
 
 
+@broadcasts
 def train_policy(world: World, theta, eff) -> MendedPolicy:
     """The cheapest in the model of: knowing nothing, affine stand-ins, cancelling half or all; each with prediction too."""
     plain = plain_policy(world, theta, eff)
@@ -221,6 +224,7 @@ def _with_zero(world: World, policy: MendedPolicy) -> MendedPolicy:
     return policy._replace(zero=said[:n])
 
 
+@broadcasts
 def _ahead(world: World, policy: MendedPolicy, A, B) -> MendedPolicy:
     """The same, acting on where the state will be when its command arrives (a predictor for a late input)."""
     late = group_delay(world.model, policy.eff, DT) + _sensor_delay(world, policy.eff)
@@ -232,6 +236,7 @@ def _ahead(world: World, policy: MendedPolicy, A, B) -> MendedPolicy:
     return policy._replace(phi=power[:4, :4], gamma=power[:4, 4:], recent=recent)
 
 
+@broadcasts
 def _sensor_delay(world: World, eff) -> jax.Array:
     """Sum of the time constants of the sensors, the later joint's."""
     layout, total = world.model.layout, jnp.zeros(world.model.plant.joint_dim)

@@ -10,7 +10,7 @@ from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.model_file import ModelFile
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum import PendulumPolicy
-from adaptsim_jax.tasks.pendulum_mended import MendedPolicy, World, make_world, plain_policy, train_policy
+from adaptsim_jax.tasks.pendulum_mended import MendedPolicy, World, make_world, mended_space, plain_policy, train_policy
 
 
 def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
@@ -35,7 +35,7 @@ def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
     theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
     eff = jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)
     if mended:
-        own = _same_effects(task, world, empty)
+        own = _same_effects(task, given, world, empty)
     else:
         own = lambda policy: _linear(world, policy, theta, eff)
     best = jax.jit(lambda: world.rollout(train_policy(world, theta, eff), theta, eff)[0].cost)()
@@ -51,17 +51,12 @@ def _linear(world: World, policy: PendulumPolicy, theta, eff) -> MendedPolicy:
     return plain_policy(world, theta, eff)._replace(gain=policy.gain, code=policy.code)
 
 
-def _same_effects(task: Task, world: World, empty: MendedPolicy):
-    """Policies of a mended run act as they are, if the run had the same effects in mind."""
-    same = empty.eff.shape[0] == world.model.layout.size and empty.recent.shape[0] == world.history
-    names = {p.name for p in task.space.parameters}
-    held = all(
-        f"{i.effect.name}_{i.where}_{p.name}" in names or i.effect.scope == "joint"
-        for i in world.model.layout.instances
-        for p in i.effect.amplitudes[:1]
-    )
-    if not (same and held):
+def _same_effects(task: Task, given: ModelFile, world: World, empty: MendedPolicy):
+    """Policies of a mended run act as they are; they must have been trained with this model's effects in mind."""
+    alike = mended_space(given)[0].names == task.space.names and empty.recent.shape[0] == world.history
+    if not alike or empty.eff.shape[0] != world.model.layout.size:
         raise BadInput(
-            "the target has other effects than the model that this run was trained on; train on the target's"
+            f"{given.path}: has other effects than the model that this run was trained on; "
+            f"train on this one: adaptsim train pendulum --model {given.path}"
         )
     return lambda policy: policy
