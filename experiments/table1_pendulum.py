@@ -53,7 +53,7 @@ def paper_table() -> str:
 def failures(results) -> str:
     bad = [f"{r['method']} in {r['setting']}: {r['failed']}" for r in results["rows"] if r.get("failed")]
     worst = [
-        f"{look.label(r['method']).splitlines()[0]} in {r['setting']}: {np.min(r['per_seed']):.2f}"
+        f"{look.label(r['method'])} in {r['setting']}: {np.min(r['per_seed']):.2f}"
         for r in results["rows"]
         if r["method"] in VISITED and None not in r["per_seed"] and np.min(r["per_seed"]) < 0.5
     ]

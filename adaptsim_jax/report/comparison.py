@@ -1,4 +1,4 @@
-"""What `adaptsim compare` leaves in its folder: results.json, table.md and figures."""
+"""What `adaptsim compare` leaves in its folder: results.json, table.md, figures and report.html."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 from adaptsim_jax.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
+from adaptsim_jax.report.adaptation_page import write_adaptation_page
 
 
 def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
@@ -23,7 +24,7 @@ def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
             paths.append(look.save(figure, out / f"{name}.png"))
     if visiting:
         paths.append(look.save(draw.rewards(results), out / "rewards.png"))
-    return paths
+    return [*paths, write_adaptation_page(results, out / "report.html")]
 
 
 def table(results: Mapping[str, Any]) -> str:
@@ -68,7 +69,7 @@ def _trials(rows, methods) -> str:
 
 
 def _name(method: str) -> str:
-    return look.label(method).replace("\n", " ")
+    return look.label(method)
 
 
 def _number(value: float | None) -> str:

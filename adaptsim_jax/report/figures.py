@@ -1,6 +1,7 @@
 """The look that the figures of the comparison share: colours that colour-blind readers tell apart, labels, saving."""
 
 import io
+import re
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -27,7 +28,7 @@ LABELS = {
     "sysid_bayes_state": "SysID-Bayes-State",
     "sysid_point": "SysID-Point",
     "sysid_point_state": "SysID-Point-State",
-    "gradient": "Gradient (needs a\ndifferentiable target)",
+    "gradient": "Gradient (of the target)",
     "udr": "UDR",
     "best_in_omega": "Best in Ω",
 }
@@ -79,8 +80,15 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def svg(figure: Figure) -> str:
-    """The figure as an SVG element, to stand in a page."""
+    """The figure as an SVG element that shrinks with its place and grows to the figure's own width, 96 px an inch."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", facecolor="white")
     text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    width = figure.get_size_inches()[0] * 96
+    least = min(width, 640.0) if width > 600 else 0.0  # wide ones scroll on a phone
+    style = f"width: 100%; height: auto; max-width: {width:.0f}px; min-width: {least:.0f}px"
+    size = re.compile(
+        r'<svg ([^>]*?)\bheight="[^"]*"([^>]*?)\bwidth="[^"]*"|<svg ([^>]*?)\bwidth="[^"]*"([^>]*?)\bheight="[^"]*"'
+    )
+    inner = lambda m: f'<svg style="{style}" ' + " ".join(g for g in m.groups() if g)
+    return size.sub(inner, text[text.index("<svg") :], count=1)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from adaptsim_jax.report import figures as look
 
@@ -14,7 +15,8 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
     """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
-    figure, axes = look.new_figure(2.15 * len(settings) + 0.6, 2.9, 1, len(settings), sharey=True)
+    width = max(2.15 * len(settings) + 0.6, 4.6)
+    figure, axes = look.new_figure(width, 2.9, 1, len(settings), sharey=True)
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
             _curve(ax, r["curve"], look.style(r["method"]), look.label(r["method"]), bottom)
@@ -22,10 +24,18 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
         ax.axhline(1, color=look.INK, linewidth=0.8, linestyle=":")
         ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.08)
+        ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         ax.set_xlabel("iteration", fontsize=8.5)
     axes[0].set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=8.5)
     handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=min(len(names), 7), frameon=False, fontsize=8)
+    figure.legend(
+        handles,
+        names,
+        loc="outside lower center",
+        ncols=min(len(names), max(int(width / 1.5), 1)),
+        frameon=False,
+        fontsize=8,
+    )
     return figure
 
 
@@ -94,7 +104,7 @@ def parameter_map(
     ax.set_xlabel(f"{reward_map.names[0]} (kg)", fontsize=9)
     ax.set_ylabel(f"{reward_map.names[1]} (kg)", fontsize=9)
     ax.tick_params(labelsize=8)
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure
 
 

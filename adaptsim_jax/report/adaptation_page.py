@@ -1,0 +1,97 @@
+"""A page that shows an adaptation beside its baselines: one self-contained HTML file, or a section for another page."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from adaptsim_jax.files import write_bytes
+from adaptsim_jax.report import figures as look
+from adaptsim_jax.report import figures_comparison as draw
+
+SECTION = "adaptation_section.html.j2"
+PAGE = "adaptation.html.j2"
+
+
+def write_adaptation_page(results: Mapping[str, Any], path: Path, reward_map: Any = None) -> Path:
+    """Write the page for `results` (of `compare`) to `path`, whole or not at all. Raises BadInput where it cannot."""
+    html = _environment().get_template(PAGE).render(**_context(results, reward_map))
+    write_bytes(path, html.encode())
+    return path
+
+
+def adaptation_section(results: Mapping[str, Any], reward_map: Any = None) -> str:
+    """The same as a `<section>`; classes are those of the diagnosis page's style sheet.
+
+    `reward_map`: a `baselines.reward_map.RewardMap` for the first setting of `results`, drawn with what was found there.
+    """
+    return _environment().get_template(SECTION).render(**_context(results, reward_map))
+
+
+def _environment() -> jinja2.Environment:
+    loader = jinja2.PackageLoader("adaptsim_jax.report")
+    return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+
+
+def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
+    rows = results["rows"]
+    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    methods = list(dict.fromkeys(r["method"] for r in rows))
+    cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
+    figures = []
+    if any(len(r["curve"]["median"]) > 1 for r in rows):
+        figures.append((look.svg(draw.reward_over_iterations(results)), _CURVES))
+    if reward_map is not None:
+        figures.append((look.svg(_map(results, settings[0], reward_map)), _MAP))
+    return {
+        "results": results,
+        "headline": headline(rows),
+        "settings": [(s, look.SETTINGS.get(s, s)) for s in settings],
+        "methods": [(m, look.label(m), look.colour(m)) for m in methods],
+        "cells": cells,
+        "figures": figures,
+    }
+
+
+_CURVES = (
+    "Reward of the best distribution at each iteration: median over seeds, shaded between the quartiles. "
+    "0 is one policy for all of Omega (UDR), 1 the best policy whose parameters lie in Omega."
+)
+_MAP = (
+    "What each seed's best policy was trained on. Colours are the largest reward that a pair of masses can earn in the "
+    "target; the box is Omega, and the star the target's own masses, which no method may choose."
+)
+
+
+def headline(rows: list[Mapping[str, Any]]) -> str:
+    """One sentence: how AdaptSim did beside the better SysID baseline, in the settings where both ran."""
+    by = {(r["method"], r["setting"]): r["mean"] for r in rows}
+    told = []
+    for setting in dict.fromkeys(r["setting"] for r in rows):
+        ours = by.get(("adaptsim", setting))
+        known = [by.get((m, setting), None) for m in ("sysid_bayes", "sysid_point")]
+        known = [v for v in known if v is not None]
+        if ours is None:
+            continue
+        beside = f" (system identification {max(known):.2f})" if known else ""
+        told.append(f"{look.SETTINGS.get(setting, setting)} {ours:.2f}{beside}")
+    if not told:
+        return "Normalized rewards of the methods that ran"
+    return "Normalized reward of AdaptSim: " + ", ".join(told)
+
+
+def _cell(r: Mapping[str, Any]) -> dict[str, str]:
+    number = lambda v: "fails" if v is None else f"{v:.2f}"
+    spread = "" if r["low"] == r["high"] else f"{number(r['low'])} to {number(r['high'])}"
+    return {"mean": number(r["mean"]), "spread": spread, "final": number(r["final_mean"])}
+
+
+def _map(results: Mapping[str, Any], setting: str, reward_map: Any):
+    found = {
+        r["method"]: np.array(r["best_params"])[:, :2]
+        for r in results["rows"]
+        if r["setting"] == setting and "best_params" in r
+    }
+    return draw.parameter_map(reward_map, results["settings"][setting]["params"][:2], found)

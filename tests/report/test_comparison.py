@@ -1,0 +1,121 @@
+"""Table, figures and page of a comparison whose rows are made up, with everything odd that rows may hold."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.baselines.reward_map import RewardMap
+from adaptsim_jax.baselines.summary import row
+from adaptsim_jax.report import figures as look
+from adaptsim_jax.report import figures_comparison as draw
+from adaptsim_jax.report.adaptation_page import adaptation_section, headline, write_adaptation_page
+from adaptsim_jax.report.comparison import table, write_comparison
+
+METHODS = ("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_point", "gradient")
+
+
+@pytest.fixture(scope="module")
+def results():
+    rng = np.random.default_rng(0)
+    rows = []
+    for method in METHODS:
+        for setting in ("wd", "ood-1"):
+            curves = np.cumsum(rng.uniform(0, 0.1, (4, 11)), axis=1)
+            if (method, setting) == ("sysid_bayes", "ood-1"):
+                curves[0] = -np.inf  # one seed destabilised the target at every iteration
+            found = {"mean": 3.0, "median": 2.5, "per_seed": np.ones(4)}
+            params = rng.uniform(1, 2, (4, 4))
+            rows.append(
+                row(
+                    method,
+                    setting,
+                    curves,
+                    oracle=1.0,
+                    target_trials=11,
+                    discrepancy=found,
+                    best_params=params,
+                    failed=0,
+                )
+            )
+    rows += [row("udr", s, np.zeros((4, 1)), oracle=1.0, target_trials=0) for s in ("wd", "ood-1")]
+    settings = {"wd": {"params": [1.8, 1.2, 1.5, 1.5]}, "ood-1": {"params": [1.8, 0.3, 1.5, 1.5]}}
+    return {
+        "task": "pendulum",
+        "seeds": 4,
+        "iterations": 10,
+        "starts": 2,
+        "settings": settings,
+        "rows": rows,
+        "command": "adaptsim compare <pendulum> & more",
+        "versions": {"adaptsim_jax": "0", "jax": "0"},
+    }
+
+
+@pytest.fixture
+def chart():
+    x = np.linspace(0.5, 2.5, 9)
+    reward = 1 - (x[None] - 1.2) ** 2 - (x[:, None] - 1.0) ** 2
+    return RewardMap(("m1", "m2"), x, x, reward, np.ones(2), 2 * np.ones(2))
+
+
+def test_table_tells_failures_and_trials(results):
+    text = table(results)
+    lines = [line for line in text.splitlines() if line.startswith("| SysID-Bayes |")]
+    assert "fails" in lines[0].split("|")[3] and "fails" not in lines[0].split("|")[2]
+    assert "AdaptSim 11" in text and "UDR 0" in text
+    assert "| UDR | 0.00 [0.00, 0.00]" in text
+
+
+def test_everything_is_written_and_again(results, tmp_path):
+    first = write_comparison(results, tmp_path)
+    assert [p.name for p in first] == [p.name for p in write_comparison(results, tmp_path)]
+    assert {"results.json", "table.md", "report.html", "reward_over_iterations_state.png"} <= {p.name for p in first}
+    assert {p.name for p in tmp_path.iterdir()} == {p.name for p in first}
+
+
+def test_page_is_self_contained_and_escaped(results, chart, tmp_path):
+    html = write_adaptation_page(results, tmp_path / "page.html", chart).read_text()
+    assert "&lt;pendulum&gt; &amp; more" in html
+    assert html.count("<svg") == 2
+    assert "src=" not in html and "href=" not in html.replace('href="data:,"', "").replace('xlink:href="#', "")
+
+
+def test_section_without_a_map_or_curves(results):
+    bounds = {**results, "rows": [r for r in results["rows"] if r["method"] == "udr"]}
+    assert "<svg" not in adaptation_section(bounds)
+
+
+def test_headline_takes_the_better_sysid():
+    rows = [
+        {"method": m, "setting": "wd", "mean": v}
+        for m, v in (("adaptsim", 0.9), ("sysid_bayes", 0.5), ("sysid_point", 0.7))
+    ]
+    assert headline(rows) == "Normalized reward of AdaptSim: WD 0.90 (system identification 0.70)"
+    assert "methods that ran" in headline(rows[1:])
+
+
+def test_curves_show_the_median_over_seeds(results):
+    figure = draw.reward_over_iterations(results, ["adaptsim"])
+    drawn = figure.axes[0].lines[0].get_ydata()
+    np.testing.assert_allclose(drawn, next(r for r in results["rows"] if r["method"] == "adaptsim")["curve"]["median"])
+
+
+def test_means_below_the_frame_are_written_out(results):
+    worse = [dict(r, mean=-3.21, low=-4.0, high=-2.0) for r in results["rows"] if r["method"] == "sysid_point"]
+    figure = draw.rewards({**results, "rows": worse})
+    assert any("-3.21" in text.get_text() for text in figure.axes[0].texts)
+
+
+def test_sweep_figures_draw_what_they_are_given(results):
+    rows = [r for r in results["rows"] if r["method"] == "adaptsim"]
+    curves = draw.curves_by(rows, ["a", "b"], "title").axes[0]
+    assert [t.get_text() for t in curves.get_legend().get_texts()] == ["a", "b"]
+    against = draw.against({"adaptsim": rows}, ["left", "right"], "range").axes[0]
+    np.testing.assert_allclose(against.lines[0].get_ydata(), [r["mean"] for r in rows])
+    panels = {"wd": [{"trials": [1, 2], "so_far": [0.1, 0.4], "method": "N = 1"}]}
+    np.testing.assert_allclose(draw.reward_against_trials(panels).axes[0].lines[0].get_ydata(), [0.1, 0.4])
+
+
+def test_every_method_has_its_own_colour_and_name():
+    from adaptsim_jax.baselines.methods import METHODS as ALL
+
+    assert len({look.colour(m) for m in ALL}) == len(ALL) == len({look.label(m) for m in ALL})
