@@ -53,9 +53,9 @@ def read(path: str | Path) -> dict[str, Any]:
 
 def write(path: str | Path, table: dict[str, Any]) -> None:
     """`table` as a TOML file, whole or not at all."""
-    from adaptsim_jax import store
+    from adaptsim_jax import files
 
-    store.write_bytes(path, dumps(table).encode())
+    files.write_bytes(path, dumps(table).encode())
 
 
 def dumps(table: dict[str, Any]) -> str:

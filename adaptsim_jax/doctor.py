@@ -14,7 +14,7 @@ from typing import Any
 
 from adaptsim_jax import __version__, compile_cache
 
-PACKAGES = tuple("jax jaxlib flax optax optimistix numpy scipy mujoco mujoco-mjx matplotlib drake".split())
+PACKAGES = tuple("jax jaxlib flax optax numpy scipy mujoco mujoco-mjx matplotlib drake".split())
 
 _SCENE = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" type="hinge" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="1"/></body></worldbody></mujoco>"""
