@@ -83,13 +83,16 @@ def pendulum_space(config: PendulumConfig = PendulumConfig()) -> Space:
 
 
 def wide_space() -> Space:
-    """A box around Omega, logarithmic, for Phase-1 targets that Omega cannot reproduce."""
+    """A box around Omega for Phase-1 targets that Omega cannot reproduce.
+
+    Masses are logarithmic; dampings are not, so that targets with two large ones are not rare.
+    """
     return Space(
         (
-            Parameter("m1", 0.3, 3.0, "kg", "log"),
+            Parameter("m1", 0.3, 3.3, "kg", "log"),
             Parameter("m2", 0.2, 3.5, "kg", "log"),
-            Parameter("b1", 0.4, 12.0, "N m s/rad", "log"),
-            Parameter("b2", 0.4, 12.0, "N m s/rad", "log"),
+            Parameter("b1", 0.2, 12.0, "N m s/rad"),
+            Parameter("b2", 0.2, 12.0, "N m s/rad"),
         )
     )
 
