@@ -59,9 +59,9 @@ class Plan:
         how = "added to what your balancing controller commands" if self.balanced else "from rest, as it stands"
         a, b = self.separates
         times = self.distance / max(self.recorded, 1e-9)
-        gain = f", {times:.2g} times as far as a trial of these" if self.recorded > 0.5 else ""
+        gain = f", {_short(times)} times as far as a trial of these" if self.recorded > 0.5 else ""
         return (
-            f"Run {CSV} ({self.shape}, {self.time[-1]:.2g} s, {how}): there {a} and {b} come {self.distance:.2g} sensor "
+            f"Run {CSV} ({self.shape}, {self.time[-1]:.2g} s, {how}): there {a} and {b} come {_short(self.distance)} sensor "
             f"standard deviations apart after every refit{gain}."
         )
 
@@ -70,6 +70,11 @@ class Plan:
         words = {"message": self.message, "csv": CSV, "separates": list(self.separates), "shape": self.shape}
         words |= {"distance": self.distance, "distance_recorded": self.recorded, "unit": "sensor standard deviations"}
         return words, {"time": self.time, "torque": self.torque, "separates": list(self.separates), "csv": CSV}
+
+
+def _short(number: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{float(f'{number:.2g}'):,.10g}"
 
 
 def csv_of(time: np.ndarray, torque: np.ndarray) -> bytes:
@@ -256,6 +261,9 @@ def _distances(problem: Problem, ours: Rival, rival: Rival, windows: Windows, x0
     for i in range(len(problem.recording.trials)):
         pick = (np.asarray(windows.trial) == i) & windows.real
         design, target = shared[pick].reshape(-1, shared.shape[2]), gap[pick].ravel()
+        if not (np.all(np.isfinite(target)) and np.all(np.isfinite(design))):
+            out.append(np.nan)  # one of the two ran away there: no place for an experiment
+            continue
         scale = np.linalg.norm(design, axis=0) + 1e-30
         rest = target - (design / scale) @ np.linalg.lstsq(design / scale, target, rcond=1e-8)[0]
         out.append(np.linalg.norm(rest))
