@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,18 +23,28 @@ from adaptsim_jax.baselines.compare import compare, find_bounds, visiting_rows
 from adaptsim_jax.baselines.methods import CompareConfig, Visits
 from adaptsim_jax.baselines.problem import pendulum_problem
 from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
+from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.closeloop.diagnose import diagnose
 from adaptsim_jax.files import output_folder, write_json
 from adaptsim_jax.progress import Report, silent
 from adaptsim_jax.store import RunFolder
 
 TASK, TARGET = "pendulum", "ood-1"
-SEEDS, STARTS, ITERATIONS = 3, 2, 10
 BASELINES = ("sysid_bayes", "sysid_point", "udr", "best_in_omega")
-SIZES = Phase1Config(trajectories=4_000)
 SAMPLE = Path(__file__).parent / "closeloop" / "sample" / "recording"
 MAP_LIMITS = ((0.8, 2.2), (0.2, 2.2))  # kg, m1 and m2: Omega and the target, which is outside it
-STAGES = {"train": 0.3, "adapt": 0.05, "baselines": 0.2, "reward map": 0.05, "diagnose": 0.35, "page": 0.05}
+STAGES = {"train": 0.3, "baselines": 0.25, "reward map": 0.05, "diagnose": 0.35, "page": 0.05}
+
+
+@dataclass(frozen=True)
+class DemoConfig:
+    """Sizes of the tour: seeds of every method, N, iterations, Phase 1 and SysID's budgets. A fifth of a full Phase 1."""
+
+    seeds: int = 3
+    starts: int = 2
+    iterations: int = 10
+    train: TrainConfig = TrainConfig(phase1=Phase1Config(trajectories=4_000))  # noqa: RUF009
+    sysid: SysIdConfig = SysIdConfig()  # noqa: RUF009
 
 
 class Adapted(NamedTuple):
@@ -54,21 +65,20 @@ class Tour(NamedTuple):
     commands: dict[str, str]
 
 
-def demo(out: str | Path, seed: int = 0, progress: Report = silent, config: TrainConfig | None = None) -> Tour:
+def demo(out: str | Path, seed: int = 0, progress: Report = silent, config: DemoConfig = DemoConfig()) -> Tour:
     """Run the tour into the folder `out`; returns what it found after writing `out/index.html`.
 
-    `config` replaces the sizes of Phase 1, for tests. Raises BadInput where `out` cannot be written or holds another tour.
+    Raises BadInput where `out` cannot be written or holds runs of other sizes.
     """
     from adaptsim_jax.report.demo_page import write_demo
 
     out = output_folder(out)
-    config = config or TrainConfig(phase1=SIZES)
     say = _stages(progress)
-    adapted = [_adapt(out, configs.with_settings(config, [f"seed={seed + i}"]), i, say) for i in range(SEEDS)]
-    results, chart = _compare(out, adapted, seed, say)
+    adapted = [_adapt(out, replace(config.train, seed=seed + i), config, i, say) for i in range(config.seeds)]
+    results, chart = _compare(out, adapted, seed, config, say)
     report = diagnose(SAMPLE, out=out / "diagnosis", seed=seed, progress=say("diagnose"))
     say("page")(0, 1)
-    tour = Tour(adapted, results, chart, report, _commands(out, config, seed))
+    tour = Tour(adapted, results, chart, report, _commands(out, seed, config))
     write_demo(tour, out)
     say("page")(1, 1)
     return tour
@@ -89,47 +99,44 @@ def _stages(progress: Report) -> Callable[[str], Report]:
     return stage
 
 
-def _adapt(out: Path, config: TrainConfig, index: int, say: Callable[[str], Report]) -> Adapted:
+def _adapt(out: Path, train: TrainConfig, config: DemoConfig, index: int, say: Callable[[str], Report]) -> Adapted:
     """Phase 1 into a run folder (or from one), and Phase 2 in the target."""
-    path = out / "runs" / f"seed-{config.seed}"
+    path = out / "runs" / f"seed-{train.seed}"
     start = RunFolder.resume if path.exists() else RunFolder.create
-    folder = start(path, configs.to_table(config), task=TASK)
+    folder = start(path, configs.to_table(train), task=TASK)
     report = say("train")
-    trained = train_run(config, folder, lambda done, total, note="": report(index + done / total, SEEDS, note))
+    trained = train_run(train, folder, lambda done, total, note="": report(index + done / total, config.seeds, note))
     task = trained.phase1.task
     target = task.space.values(task.settings[TARGET], TARGET)
-    result = adapt_run(trained, jax.random.key(config.seed), target, starts=STARTS, iterations=ITERATIONS)
-    return Adapted(folder, trained, result)
+    key, sizes = jax.random.key(train.seed), {"starts": config.starts, "iterations": config.iterations}
+    return Adapted(folder, trained, adapt_run(trained, key, target, **sizes))
 
 
-def _compare(out: Path, adapted: list[Adapted], seed: int, say: Callable[[str], Report]):
+def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, say: Callable[[str], Report]):
     """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the target."""
-    say("adapt")(0, 1)
-    asked = CompareConfig(
-        methods=BASELINES, settings=(TARGET,), seeds=SEEDS, seed=seed, starts=STARTS, iterations=ITERATIONS
-    )
-    results = compare(TASK, asked, say("baselines"))
+    sizes = {"seeds": config.seeds, "starts": config.starts, "iterations": config.iterations, "sysid": config.sysid}
+    say("baselines")(0, 1)
+    results = compare(TASK, CompareConfig(BASELINES, (TARGET,), seed=seed, **sizes), say("baselines"))
     say("reward map")(0, 1)
     task = adapted[0].trained.phase1.task
     problem = pendulum_problem(task.space)
     targets = np.array([task.space.values(task.settings[TARGET], TARGET)])
     bounds = find_bounds(problem, targets)
     means = np.stack([np.asarray(one.result.history.mean) for one in adapted])[None]
-    visits = Visits(means, STARTS * (ITERATIONS + 1))
+    visits = Visits(means, config.starts * (config.iterations + 1))
     results["rows"] = visiting_rows("adaptsim", [TARGET], problem, targets, bounds, visits) + results["rows"]
-    folder = output_folder(out / "comparison")
-    write_json(folder / "results.json", results)
-    limits = {"names": ("m1", "m2"), "limits": MAP_LIMITS}
-    return results, reward_map(problem, targets[0], float(bounds.lower[0]), float(bounds.upper[0]), **limits)
+    write_json(output_folder(out / "comparison") / "results.json", results)
+    ends = float(bounds.lower[0]), float(bounds.upper[0])
+    return results, reward_map(problem, targets[0], *ends, names=("m1", "m2"), limits=MAP_LIMITS)
 
 
-def _commands(out: Path, config: TrainConfig, seed: int) -> dict[str, str]:
+def _commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
     """What a person types for the same, a step at a time."""
     run = shlex.quote(str(out / "runs" / f"seed-{seed}"))
-    sizes = f"--set phase1.trajectories={config.phase1.trajectories}"
+    sizes = f"--set phase1.trajectories={config.train.phase1.trajectories}"
     return {
         "train": f"adaptsim train {TASK} --run {run} --seed {seed} {sizes}",
         "adapt": f"adaptsim adapt {run} --target {TARGET} --seed {seed}",
-        "compare": f"adaptsim compare {TASK} --settings {TARGET} --seeds {SEEDS} --out comparison",
+        "compare": f"adaptsim compare {TASK} --settings {TARGET} --seeds {config.seeds} --out comparison",
         "diagnose": f"adaptsim diagnose {shlex.quote(str(SAMPLE))} --out diagnosis",
     }

@@ -9,21 +9,23 @@ from matplotlib.figure import Figure
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 
+SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
 
 
 def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
-    """Mean reward after the last adaptation step of each round's trajectories, a line for each run's `metrics.jsonl`."""
+    """Mean reward that is learned from, a line for each run's `metrics.jsonl`.
+
+    It lies in [0, 1]; the task's own reward has no lower end, and a few hopeless starts would hide all the rest.
+    """
     figure, (ax,) = look.new_figure(4.6, 2.9)
     for i, rows in enumerate(metrics):
         steps = [row["adaptation_steps"] / 1000 for row in rows]
-        # the reward has no lower end: a few hopeless starts would flatten all the rest
-        reward = np.clip([row["final_reward"] for row in rows], -1.0, 1.0)
-        ax.plot(steps, reward, color=look.colour("adaptsim"), alpha=0.45 + 0.25 * (i % 3), linewidth=1.3)
+        ax.plot(steps, [row["shaped"] for row in rows], color=SHADES[i % len(SHADES)], linewidth=1.5)
     look.quiet(ax)
-    ax.set_ylim(-1.05, 1.05)
+    ax.set_ylim(0, 1)
     ax.set_xlabel("adaptation steps in simulation (thousands)", fontsize=9)
-    ax.set_ylabel("reward after adapting\n(1: best possible in Ω)", fontsize=9)
+    ax.set_ylabel("mean reward while learning", fontsize=9)
     return figure
 
 
