@@ -116,6 +116,7 @@ def force_rows(model: Model, theta, eff, mask, windows: Windows, drive, x, colum
     One `[K_e, W, n, L]` (float32) for each effect, padding included (`Columns.trim`).
     """
     out = []
+    motion = _measured_motion(windows, drive.time)
     for joint, params, effect in zip(columns.joint, columns.params, columns.effects, strict=True):
         if effect.place == "measurement":
             continue
@@ -126,7 +127,7 @@ def force_rows(model: Model, theta, eff, mask, windows: Windows, drive, x, colum
         elif effect.memory:
             one = _memory_rows(model, theta, windows, effect)
         else:
-            one = _force_rows(model, theta, drive, x, effect)
+            one = _force_rows(model, theta, drive, motion, effect)
         out.append(jax.lax.map(lambda jp, f=one: f(*jp).astype(jnp.float32), (joint, params), batch_size=8))
     return tuple(out)
 
@@ -138,10 +139,26 @@ def _spread(force, joint, joints: int):
     return force.transpose(2, 0, 1)
 
 
-def _force_rows(model: Model, theta, drive, x, effect: Effect):
-    """Trapezoid of the force at a row's two ends, under that row's command."""
+def _measured_motion(windows: Windows, time) -> tuple[jax.Array, jax.Array]:
+    """Smoothed measured angles and velocities at the windows' boundaries, `[n, L+1, W]` each.
+
+    A model that lacks an effect bends its own path to the data; what friction or a stop would have done follows the
+    motion that took place.
+    """
+
+    def one(trial, at):
+        t = jnp.asarray(windows.time)[trial]
+        look = jax.vmap(lambda z: jnp.interp(at, t, z), 1, 0)
+        return look(jnp.asarray(windows.motion_q)[trial]), look(jnp.asarray(windows.motion_v)[trial])
+
+    q, v = jax.vmap(one)(jnp.asarray(windows.trial), time.T)  # [W, n, L+1]
+    return q.transpose(1, 2, 0), v.transpose(1, 2, 0)
+
+
+def _force_rows(model: Model, theta, drive, motion, effect: Effect):
+    """Trapezoid of the force at a row's two ends, under that row's command, along the measured motion."""
     n = model.plant.joint_dim
-    q, v = x[:, :n].transpose(1, 0, 2), x[:, n:].transpose(1, 0, 2)  # [n, L+1, W]
+    q, v = motion
     u = drive.u.transpose(1, 0, 2)
     turned = _mean_sign(v[:, :-1], v[:, 1:])
     gravity = lambda q: model.plant.gravity_force(theta, q)

@@ -129,6 +129,14 @@ def declared_fit(
     )  # fmt: skip
 
 
+def fit_plain(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
+    """Least-squares fit of a model with effects, sensors being the only noise."""
+    return fit(
+        problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
+        bounds=problem.bounds, fixed=problem.held(active), settings=Settings(iterations=25, tolerance=1e-3, huber=1e3),
+    )  # fmt: skip
+
+
 def at_point(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
     """Residual and Jacobians of a model at given parameters: a fit of no iterations."""
     mask = problem.model.layout.mask(list(active))
@@ -162,13 +170,20 @@ class Candidate:
 
 
 def refit_candidate(
-    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray, factor: np.ndarray
+    problem: Problem,
+    active: Active,
+    theta: np.ndarray,
+    eff: np.ndarray,
+    x0: np.ndarray,
+    factor: np.ndarray,
+    *,
+    iterations: int = 10,
 ) -> Candidate:
     """Refit declared parameters and the active effects' parameters under the covariance behind `factor`."""
     first = at_point(problem, active, theta, eff, x0)
     if first.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its refit starts")
-    return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, 10)
+    return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, iterations)
 
 
 def refit_more(

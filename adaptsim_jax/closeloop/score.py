@@ -37,7 +37,7 @@ class Score:
     p_value: float  # of the smaller of gain and robust, uncorrected
     held_out_gain: float  # fall of the whitened sum of squares on folds that were not fitted, over all folds
     held_out_share: float  # the same as a share of the held-out sum of squares without the subset
-    retained: float  # least share of an atom's norm that survives the projection off the declared Jacobian
+    retained: float  # largest share of a column's norm that survives the projection off the declared Jacobian
 
 
 def folds(trial: np.ndarray, rows: np.ndarray, *, least: int = 3, blocks: int = 6) -> np.ndarray:
@@ -113,7 +113,7 @@ class Scorer:
         p = float(chi2.sf(min(gain / dispersion, robust), len(columns)))
         without, with_ = self.held_out(columns)
         share = (without - with_) / max(without, 1e-30)
-        retained = float(np.min(self.retained[columns]))
+        retained = float(np.max(self.retained[columns]))
         return Score(tuple(atoms), gain, robust, len(columns), amplitude, p, without - with_, share, retained)
 
     def best_shape(self, atoms: Sequence[Atom], beside: Sequence[Atom] = ()) -> Atom:

@@ -6,14 +6,26 @@ stops) the refits put right. Rivals that stay within the scatter of the windows 
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.basis import generic_names
 from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
-from adaptsim_jax.closeloop.problem import Active, Candidate, Diverged, Problem, refit_candidate, refit_more, survey
+from adaptsim_jax.closeloop.problem import (
+    DIVERGED,
+    Active,
+    Candidate,
+    Diverged,
+    Problem,
+    fit_plain,
+    refit_candidate,
+    refit_more,
+    survey,
+)
 from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
 from adaptsim_jax.closeloop.sensitivity import Path
 from adaptsim_jax.models.effects import Layout
@@ -31,7 +43,7 @@ class Settings:
     """
 
     alpha: float = 0.01
-    shortlist: int = 6
+    shortlist: int = 8
     price: float = 4.0
     class_gap: float = 6.0
     class_z: float = 2.5
@@ -75,6 +87,7 @@ class Ranked:
     atom: Atom
     score: Score
     tried: int  # shapes tried for it
+    plain: bool = False  # scored as if the sensors were the only noise
 
     def corrected(self, instances: int) -> float:
         """p-value times the number of tests it was picked from."""
@@ -120,20 +133,27 @@ def fitted(
     problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response, *, rounds: int = 4
 ) -> Fitted:
     """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
-    kernels = response.kernels
-    candidate = refit_candidate(problem, active, theta, eff, x0, disturbance.whitener(response.lin, parts, kernels))
-    best = None
+    factor = disturbance.whitener(response.lin, parts, response.kernels)
+    candidate = refit_candidate(problem, active, theta, eff, x0, factor)
+    return settled(problem, _judged(candidate, parts, response), response, rounds=rounds - 1)
+
+
+def _judged(candidate: Candidate, parts: Components, response: Response) -> Fitted:
+    lin = candidate.refit.linearised
+    parts = disturbance.estimate(lin, response.kernels, start=parts)
+    return Fitted(candidate, parts, disturbance.log_likelihood(lin, parts, response.kernels))
+
+
+def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
+    """The model refitted under its own residual covariance, again and again until its likelihood settles."""
     for _ in range(rounds):
-        lin = candidate.refit.linearised
-        parts = disturbance.estimate(lin, kernels, start=parts)
-        new = Fitted(candidate, parts, disturbance.log_likelihood(lin, parts, kernels))
-        settled = best is not None and new.total < best.total + 1.0
-        best = new if best is None or new.total > best.total else best
-        if settled:
+        factor = disturbance.whitener(response.lin, model.parts, response.kernels)
+        new = _judged(refit_more(problem, model.candidate, factor), model.parts, response)
+        gain = new.total - model.total
+        model = new if gain > 0 else model
+        if gain < 1.0:
             break
-        candidate = refit_more(problem, candidate, disturbance.whitener(lin, parts, kernels))
-    assert best is not None
-    return best
+    return model
 
 
 @dataclass(frozen=True)
@@ -149,20 +169,36 @@ class View:
     def lin(self) -> Linearised:
         return self.response.lin
 
+    @property
+    def instances(self) -> dict[Instance, list[Atom]]:
+        """Atoms of each candidate instance."""
+        groups: dict[Instance, list[Atom]] = {}
+        for atom in self.atoms:
+            if atom.effect != "generic":
+                groups.setdefault((atom.effect, atom.where), []).append(atom)
+        return groups
+
     def generic(self) -> list[Atom]:
         return [a for a in self.atoms if a.effect == "generic"]
 
-    def ranked(self, exclude: Sequence[Instance] = ()) -> list[Ranked]:
-        """Every instance at its best shape, by gain."""
-        groups: dict[Instance, list[Atom]] = {}
-        for atom in self.atoms:
-            if atom.effect != "generic" and (atom.effect, atom.where) not in exclude:
-                groups.setdefault((atom.effect, atom.where), []).append(atom)
+    def ranked(self, exclude: Sequence[Instance] = (), *, plain: bool = False) -> list[Ranked]:
+        """Every instance at its best shape, by gain; `plain`: as if the sensors were the only noise."""
+        scorer = self.plain if plain else self.scorer
         out = []
-        for instance, atoms in groups.items():
-            best = self.scorer.best_shape(atoms)
-            out.append(Ranked(instance, best, self.scorer.score([best]), len(atoms)))
+        for instance, atoms in self.instances.items():
+            if instance not in exclude:
+                best = scorer.best_shape(atoms)
+                out.append(Ranked(instance, best, scorer.score([best]), len(atoms), plain))
         return sorted(out, key=lambda r: -r.score.gain)
+
+    @cached_property
+    def plain(self) -> Scorer:
+        """Scores without the covariance of unexplained forces: blunt in size, but blind to nothing slow."""
+        eye = np.broadcast_to(
+            np.eye(self.lin.residual.shape[1]), (len(self.lin.residual), *[self.lin.residual.shape[1]] * 2)
+        )
+        white = disturbance.whiten(self.lin, eye)
+        return Scorer(white, folds(white.trial, white.rows))
 
 
 def view(problem: Problem, model: Fitted) -> View:
@@ -209,15 +245,17 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     found = Found(base, base, ranked, last=ranked, view=first)
     seen, current = first, base
     while len(found.added) < settings.most_effects:
-        leaders = _leaders(found.last, seen, settings)
+        leaders = _leaders(found.last, seen, current.active, settings)
         if not leaders:
             break
         trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
+        trials = _finished(problem, trials, seen, settings)
         found.tried += trials
         best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
         if best is not None:
             alike = _look_alikes(problem, _new(best, current), found.last, leaders)
             more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
+            more = [settled(problem, t, seen.response) for t in more]
             trials, found.tried = trials + more, found.tried + more
             best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
         if best is None or not _earns(problem, best, current, base, settings):
@@ -233,16 +271,28 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     return found
 
 
-def _leaders(ranked: list[Ranked], view: View, settings: Settings) -> list[Ranked]:
-    """Candidates worth a whole refit: where anything is there at all, those that explain most by the linear score.
+def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Settings) -> list[Ranked]:
+    """Candidates worth a whole refit: where anything is there at all, those that explain most by either linear score.
 
     The score of one candidate may be blunt (its effect is not small, or moves reversals), so what must be significant is
-    the structure: some candidate, or some smooth force.
+    the structure: some candidate, or some smooth force. And a slow effect hides in the covariance that it has inflated,
+    so the plain score has its say too.
     """
     seen = any(r.corrected(len(ranked)) < settings.alpha for r in ranked)
     if not seen and generic_p_value(view) >= settings.alpha:
         return []
-    return [r for r in ranked if r.score.retained > 1e-3][: settings.shortlist]
+    half = settings.shortlist // 2
+    plain = [r for r in view.ranked(active, plain=True) if r.score.retained > 1e-3][:half]
+    names = {r.instance for r in plain}
+    fine = [r for r in ranked if r.score.retained > 1e-3 and r.instance not in names]
+    return plain + fine[: settings.shortlist - len(plain)]
+
+
+def _finished(problem: Problem, trials: list[Fitted], seen: View, settings: Settings) -> list[Fitted]:
+    """The better half of the trials refitted until they settle; the others are far enough behind as they are."""
+    order = sorted(trials, key=lambda t: -t.merit(settings.price))
+    front = settings.shortlist // 2
+    return [settled(problem, t, seen.response) for t in order[:front]] + order[front:]
 
 
 def _look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: list[Ranked]) -> list[Ranked]:
@@ -270,13 +320,31 @@ def extend(
     say(f"refitting with {ranked.instance[0]} at {ranked.instance[1]}")
     c = current.candidate
     active = (*c.active, ranked.instance)
+    made = []
     for share in (1.0, 0.1):
         eff = started(problem, current, ranked, share)
         try:
-            return fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+            made.append(fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response, rounds=1))
+            break
         except Diverged:
             continue
-    return None
+    if ranked.plain:
+        with suppress(Diverged):
+            made.append(_plainly(problem, active, c, started(problem, current, ranked), current.parts, seen.response))
+    return max(made, key=lambda t: t.total, default=None)
+
+
+def _plainly(
+    problem: Problem, active: Active, c: Candidate, eff: np.ndarray, parts: Components, response: Response
+) -> Fitted:
+    """Fitted with the sensors as the only noise, then judged: this closes large gaps that the covariance inflated by the
+    missing effect would leave open. Initial states start from the data: a model that lacks the effect has bent its own."""
+    result = fit_plain(problem, active, c.theta, eff, problem.windows.start)
+    if result.code == DIVERGED:
+        raise Diverged(f"the model with {active} runs away from where its fit starts")
+    factor = disturbance.whitener(response.lin, parts, response.kernels)
+    start = refit_candidate(problem, active, result.theta, result.eff, result.x0, factor, iterations=0)
+    return settled(problem, _judged(start, parts, response), response, rounds=1)
 
 
 def _new(best: Fitted, current: Fitted) -> Instance:
@@ -295,7 +363,7 @@ def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Sett
         return None
     best = max(trials, key=lambda t: t.merit(settings.price))
     simpler = [t for t in trials if len(t.candidate.names) < len(best.candidate.names)]
-    enough = [t for t in simpler if not _matters(problem, best, t, base, settings, 0.5)]
+    enough = [t for t in simpler if not _matters(problem, best, t, base, settings, 0.2)]
     return max(enough, key=lambda t: t.merit(settings.price), default=best)
 
 
