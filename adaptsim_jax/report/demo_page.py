@@ -127,13 +127,12 @@ def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     found = {row["method"]: row for row in tour.results["rows"]}
-    best = {name: _reward(found[name]["mean"]) for name in demo_figures.CURVES}
     seen = diagnosis_words(tour.diagnosis)
     error = seen["before"] if seen["after"] is None else f"{seen['before']} -> {seen['after']}"
-    rewards = f"AdaptSim {best['adaptsim']}, SysID-Bayes {best['sysid_bayes']}, SysID-Point {best['sysid_point']}"
+    told = [f"{look.label(name)} {_reward(found[name]['mean'])}" for name in demo_figures.CURVES if name in found]
     return [
         ("trained", f"{len(tour.adapted)} runs of Phase 1, in {out / 'runs'}"),
-        (f"adapted to {look.SETTINGS[setting_of(tour)]}", f"{rewards} (0: UDR, 1: best in Omega)"),
+        (f"adapted to {look.SETTINGS[setting_of(tour)]}", f"{', '.join(told)} (0: UDR, 1: best in Omega)"),
         ("diagnosed", f"{seen['headline']} Held-out error {error}"),
         ("all on one page", str(out / "index.html")),
         ("diagnosis", str(out / "diagnosis" / "report.html")),
