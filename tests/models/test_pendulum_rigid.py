@@ -15,6 +15,15 @@ LINKS = dict(mass=(1.3, 0.7), length=(0.8, 0.5), com=(0.35, 0.3), inertia=(0.07,
 ROTORS = dict(rotor_inertia=(2e-4, 3e-4), gear=(6.0, -9.0))
 
 
+# Compiled whole: thousands of single operations are slow on a busy machine.
+forward, inverse = jax.jit(pd.forward_dynamics), jax.jit(pd.inverse_dynamics)
+base_forward = jax.jit(pd.base_forward_dynamics)
+base_form = jax.jit(lambda p: (pd.base_parameters(p), pd.base_geometry(p)))
+torque_parts = jax.jit(
+    lambda p, q, v, a: pd.mass_matrix(p, q) @ a + pd.coriolis(p, q, v) + pd.gravity(p, q) + p.damping * v
+)
+
+
 def newton_euler(p, q, v, a):
     """Joint torques by forces on each body; shares nothing with the package but the parameters."""
     m, l, c, I, b = (np.asarray(x, float) for x in (p.mass, p.length, p.com, p.inertia, p.damping))
@@ -57,10 +66,9 @@ def test_dynamics_are_newton_euler(x64, angle_zero, rotors):
     rng = np.random.default_rng(0)
     for q, v, a in rng.normal(size=(20, 3, 2)) * 2:
         tau = newton_euler(p, q, v, a)
-        np.testing.assert_allclose(pd.inverse_dynamics(p, q, v, a), tau, atol=1e-10)
-        np.testing.assert_allclose(pd.forward_dynamics(p, q, v, tau), a, atol=1e-9)
-        parts = pd.mass_matrix(p, q) @ a + pd.coriolis(p, q, v) + pd.gravity(p, q) + p.damping * v
-        np.testing.assert_allclose(parts, tau, atol=1e-10)
+        np.testing.assert_allclose(inverse(p, q, v, a), tau, atol=1e-10)
+        np.testing.assert_allclose(forward(p, q, v, tau), a, atol=1e-9)
+        np.testing.assert_allclose(torque_parts(p, q, v, a), tau, atol=1e-10)
 
 
 @pytest.mark.parametrize("rotors", [{}, ROTORS])
@@ -76,18 +84,19 @@ def test_base_parameters_are_all_that_motion_sees(x64, rotors):
     I1 = link1 - m1 * com[0] ** 2 - m2 * l1**2
     assert I1 > 0 and I2 > 0
     other = pd.rigid_pendulum((m1, m2), LINKS["length"], com, (I1, I2), LINKS["damping"], **rotors)
-    theta, geometry = pd.base_parameters(p), pd.base_geometry(p)
-    np.testing.assert_allclose(pd.base_parameters(other), theta, rtol=1e-12)
+    theta, geometry = base_form(p)
+    np.testing.assert_allclose(jax.jit(pd.base_parameters)(other), theta, rtol=1e-12)
     for q, v, tau in np.random.default_rng(1).normal(size=(10, 3, 2)):
         expected = accelerations(p, q, v, tau)
         np.testing.assert_allclose(accelerations(other, q, v, tau), expected, rtol=1e-7)
-        np.testing.assert_allclose(pd.base_forward_dynamics(theta, geometry, q, v, tau), expected, rtol=1e-7)
+        np.testing.assert_allclose(base_forward(theta, geometry, q, v, tau), expected, rtol=1e-7)
 
 
 def test_inverse_dynamics_are_linear_and_independent_in_theta(x64):
     geometry = pd.Geometry(0.8)
     rng = np.random.default_rng(2)
 
+    @jax.jit
     def rows(q, v, a):
         return jax.jacfwd(lambda theta: pd.base_inverse_dynamics(theta, geometry, q, v, a))(jnp.ones(6))
 
@@ -98,13 +107,18 @@ def test_inverse_dynamics_are_linear_and_independent_in_theta(x64):
 @pytest.mark.parametrize("angle_zero", ["hanging", "upright"])
 def test_simulation_is_what_an_integrator_finds(x64, angle_zero):
     p = pd.rigid_pendulum(**LINKS, **ROTORS, angle_zero=angle_zero)
+    plain = jax.tree.map(np.asarray, p)
     dt = np.array([0.01, 0.02, 0.015, 0.01] * 25)  # uneven sampling
     tau = np.random.default_rng(3).normal(size=(100, 2))
     ours = jax.jit(pd.simulate, static_argnums=5)(p, jnp.array([0.4, -0.2]), jnp.zeros(2), tau, dt, 4)
     x = np.array([0.4, -0.2, 0, 0])
     for row, hold in zip(tau, dt, strict=True):
         flow = solve_ivp(
-            lambda _, x, row=row: np.r_[x[2:], accelerations(p, x[:2], x[2:], row)], (0, hold), x, rtol=1e-9, atol=1e-11
+            lambda _, x, row=row: np.r_[x[2:], accelerations(plain, x[:2], x[2:], row)],
+            (0, hold),
+            x,
+            rtol=1e-9,
+            atol=1e-11,
         )
         x = flow.y[:, -1]
     # RK4 at 5 ms: local error about (0.005 * 10 rad/s)^5.
@@ -136,7 +150,7 @@ def run(p, q, v):
 def test_linearization_is_the_linear_model(x64, angle_zero):
     for m1, m2, b1, b2 in [(1.8, 0.3, 1.5, 1.5), (0.4, 2.6, 1.0, 2.0)]:
         p = pd.rigid_pendulum((m1, m2), (1, 1), (1, 1), (0, 0), (b1, b2), angle_zero=angle_zero)
-        for ours, theirs in zip(pd.linearize(p), pd.linearized(jnp.array([m1, m2, b1, b2])), strict=True):
+        for ours, theirs in zip(jax.jit(pd.linearize)(p), pd.linearized(jnp.array([m1, m2, b1, b2])), strict=True):
             np.testing.assert_allclose(ours, theirs, atol=1e-10)
 
 
@@ -150,7 +164,7 @@ def test_single_precision_batch_and_divergence():
 
 def test_physical_base_parameters_are_told():
     p = pd.rigid_pendulum(**LINKS)
-    theta, geometry = pd.base_parameters(p), pd.base_geometry(p)
+    theta, geometry = base_form(p)
     assert bool(pd.base_is_physical(theta, geometry))
     for name, value in (("p3", -0.1), ("h2", 5.0), ("b1", -0.1), ("p1", 0.01)):
         assert not bool(pd.base_is_physical(theta.at[pd.BASE_NAMES.index(name)].set(value), geometry))
