@@ -191,10 +191,7 @@ def _sequence(hint: Any, value: Any, where: str, key: str) -> Any:
         kinds = list(arguments)
     if len(kinds) != len(value):
         raise BadInput(f"{where}: key '{key}' has {len(value)} entries; {len(kinds)} are wanted")
-    items = [
-        _typed(kind, item, where, f"{key}[{i}]")
-        for i, (kind, item) in enumerate(zip(kinds, value, strict=True))
-    ]
+    items = [_typed(kind, item, where, f"{key}[{i}]") for i, (kind, item) in enumerate(zip(kinds, value, strict=True))]
     return tuple(items) if typing.get_origin(hint) is tuple else items
 
 
@@ -238,9 +235,7 @@ def differences(have: dict[str, Any], want: dict[str, Any]) -> list[str]:
     a, b = flatten(have), flatten(want)
     keys = sorted(a.keys() | b.keys())
     return [
-        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked"
-        for key in keys
-        if a.get(key) != b.get(key)
+        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked" for key in keys if a.get(key) != b.get(key)
     ]
 
 

@@ -156,7 +156,5 @@ def _faults(found: dict[str, Any]) -> list[str]:
     backends, versions = found["backends"], found["versions"]
     faults = [f"{name}: {backends[name]['note']}" for name in _NEEDED if not backends[name]["works"]]
     if versions["mujoco"] != versions["mujoco-mjx"]:
-        faults.append(
-            f"mujoco {versions['mujoco']} with mujoco-mjx {versions['mujoco-mjx']}: install one version"
-        )
+        faults.append(f"mujoco {versions['mujoco']} with mujoco-mjx {versions['mujoco-mjx']}: install one version")
     return faults

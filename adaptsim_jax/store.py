@@ -227,9 +227,7 @@ class RunFolder:
         """Checkpoint `tree` at `step` together with the length of the metrics written so far."""
         length = self.metrics.stat().st_size if self.metrics.exists() else 0
         extra = {"metrics_bytes": length}
-        save_checkpoint(
-            self.checkpoint, tree, task=self.task, step=step, config_hash=self.config_hash, extra=extra
-        )
+        save_checkpoint(self.checkpoint, tree, task=self.task, step=step, config_hash=self.config_hash, extra=extra)
 
     def load(self, like: Any) -> tuple[Any, int]:
         """`(tree, step)` of the checkpoint; BadInput also where it was made under another config."""

@@ -47,8 +47,7 @@ def unpack(payload: bytes, leaves: list[dict[str, Any]], like: Any, *, where: st
     except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{where}: not a checkpoint payload ({error}); start the run anew") from None
     restored = [
-        _restore(array, entry, leaf, where)
-        for array, entry, (_, leaf) in zip(raw, leaves, wanted, strict=True)
+        _restore(array, entry, leaf, where) for array, entry, (_, leaf) in zip(raw, leaves, wanted, strict=True)
     ]
     return jax.tree_util.tree_unflatten(structure, restored)
 
@@ -88,9 +87,7 @@ def _compare(wanted: list[tuple[Any, Any]], leaves: list[dict[str, Any]], where:
         raise BadInput(f"{where}: the list of arrays is damaged; start the run anew") from None
     if paths != [entry["path"] for entry in leaves]:
         odd = [path for path in paths if path not in stored] + [path for path in stored if path not in paths]
-        raise BadInput(
-            f"{where}: holds other arrays than are needed (at {odd[:3]}); use the config it was made with"
-        )
+        raise BadInput(f"{where}: holds other arrays than are needed (at {odd[:3]}); use the config it was made with")
     for path, (_, leaf) in zip(paths, wanted, strict=True):
         entry, want = stored[path], _describe(leaf)
         if want is None:

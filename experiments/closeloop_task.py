@@ -111,7 +111,8 @@ def table_of(rows: list[dict], command: str) -> str:
         "Linear-world recordings (6 trials of 6 s at 200 Hz) with one hidden effect; sizes are multiples of the size that",
         "just matters. Both policies control the generator's simulator from hanging for 2.5 s. Reward as the task's:",
         "1 - 10 (cost / best - 1), against the cheaper of the two. `predicted` is what `diagnose` said without the world.", "",
-        "| hidden | verdict | found | held-out error, rad | cost before | cost after | change | reward before | after | predicted before |",
+        "| hidden | verdict | found | held-out error, rad | cost before | cost after | change "
+        "| reward before | after | predicted before |",
         "| --- | --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]  # fmt: skip
     for r in rows:

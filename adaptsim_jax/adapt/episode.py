@@ -36,7 +36,7 @@ class Episode(NamedTuple):
     action: jax.Array
 
 
-def visit(key, task: Task, dist: Gaussian, policy, target, reference, obs_noise=0.0) -> Visit:
+def visit(key, task: Task, dist: Gaussian, policy, target, reference, obs_noise: jax.Array | float = 0.0) -> Visit:
     """Train (or fine-tune) the task policy on `dist`, run it in `target: [D]`, look at what came of it."""
     train_key, run_key, noise_key = jax.random.split(key, 3)
     policy = task.train(train_key, dist, policy)

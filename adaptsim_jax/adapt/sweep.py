@@ -76,7 +76,7 @@ def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: in
 
 
 def adapt_many(
-    phase1: Phase1, trained: TrainedMany, starts: Archive, targets: jax.Array, *, iterations: int = 10
+    phase1: Phase1, trained: TrainedMany, starts: Archive, targets: jax.Array | np.ndarray, *, iterations: int = 10
 ) -> Episode:
     """Phase 2 of every run in each of `targets [T, D]` (physical) from its `starts [S, N, ...]`: `[S, T, N, I + 1, ...]`."""
 

@@ -78,9 +78,7 @@ def load_run(run: RunFolder) -> Trained:
     return Trained(phase1, traced(config.hyper), state, rounds)
 
 
-def adapt_run(
-    trained: Trained, key: jax.Array, target: jax.Array, *, starts: int = 2, iterations: int = 10
-) -> Phase2Result:
+def adapt_run(trained: Trained, key: jax.Array, target: Any, *, starts: int = 2, iterations: int = 10) -> Phase2Result:
     """Phase 2 in `target: [D]` (physical values) from `starts` members of the run's S_E."""
     phase1 = trained.phase1
     start_key, run_key = jax.random.split(key)

@@ -6,6 +6,7 @@ from importlib import metadata
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import config as configs
@@ -17,6 +18,7 @@ from adaptsim_jax.baselines.summary import normalised, row
 from adaptsim_jax.baselines.udr import Udr, udr
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.progress import silent
+from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.registry import make_task
 
 SCHEMA = 1
@@ -71,7 +73,7 @@ def find_bounds(problem: Problem, targets: np.ndarray) -> Bounds:
     policy = udr(problem)
     with jax.enable_x64(True):
         lower = np.array([float(problem.cost(t, policy.policy)) for t in targets])
-        own = np.array([float(problem.cost(t, problem.policy(t))) for t in targets])
+        own = np.array([float(problem.cost(t, problem.policy(t))) for t in jnp.asarray(targets, jnp.float64)])
     if not np.all(lower > best.cost):
         raise BadInput(
             "compare: UDR is no worse than the best policy of Omega in a target, so rewards cannot be normalised; widen Omega"
@@ -92,13 +94,18 @@ def visiting_rows(
         apart = discrepancy(problem, best[None], targets[i : i + 1])[0]
         extras = {
             "discrepancy": {"mean": apart.mean(), "median": np.median(apart), "per_seed": apart},
-            "best_params": problem.space.physical(best.astype(np.float32)).__array__(),
-            "final_params": problem.space.physical(final.reshape(-1, final.shape[-1]).astype(np.float32)).__array__(),
+            "best_params": _physical(problem.space, best),
+            "final_params": _physical(problem.space, final.reshape(-1, final.shape[-1])),
             "cost_ratio": {"best_mean": (best_over(cost[i]).min(axis=1) / bounds.upper[i]).mean()},
             "failed": int(np.sum(~np.isfinite(cost[i]))),
         }
         out.append(row(method, name, curves[i], oracle=oracle[i], target_trials=visits.target_trials, **extras))
     return out
+
+
+def _physical(space: Space, means: np.ndarray) -> np.ndarray:
+    """Physical values of `means [..., D]`, in single precision."""
+    return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
 
 
 def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:

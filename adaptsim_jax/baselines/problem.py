@@ -6,6 +6,7 @@ of E that a method visited, so that all methods are scored by the same code.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,10 +27,10 @@ class Problem:
     """
 
     space: Space
-    policy: Callable[[jax.Array], jax.Array]
-    cost: Callable[[jax.Array, jax.Array], jax.Array]
-    mean_cost: Callable[[jax.Array, jax.Array], jax.Array]
-    points: Callable[[jax.Array, jax.Array], jax.Array]
+    policy: Callable[[Any], jax.Array]
+    cost: Callable[[Any, Any], jax.Array]
+    mean_cost: Callable[[Any, jax.Array], jax.Array]
+    points: Callable[[Any, jax.Array], jax.Array]
     cost_at: Callable[[jax.Array, jax.Array], jax.Array]
     slope: Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 

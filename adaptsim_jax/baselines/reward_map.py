@@ -42,8 +42,7 @@ def reward_map(
     space = problem.space
     axes = [space.names.index(name) for name in names]
     boxes = np.array([(space.parameters[a].low, space.parameters[a].high) for a in axes])
-    limits = boxes if limits is None else np.asarray(limits, float)
-    x, y = (np.linspace(*span, points) for span in limits)
+    x, y = (np.linspace(low, high, points) for low, high in (boxes if limits is None else limits))
     rest = [i for i in range(space.dim) if i not in axes]
     with jax.enable_x64(True):
         u = np.array(list(product(np.linspace(0, 1, others), repeat=len(rest))))

@@ -1,6 +1,7 @@
 """SysID-Bayes: BayesSim (Ramos et al., 2019), a mixture-density posterior over simulation parameters."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +13,9 @@ from adaptsim_jax.tasks.base import Task
 
 def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
     """Full-covariance mixture over unit coordinates; infers by drawing from it."""
-    network = mdn.MixtureNetwork(dim, config.components, config.hidden)
+    network: Any = mdn.MixtureNetwork(dim, config.components, config.hidden)
 
-    def init(key: jax.Array, obs_dim: int) -> dict:
+    def init(key: jax.Array, obs_dim: int) -> Any:
         return network.init(key, jnp.zeros(obs_dim))
 
     def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:

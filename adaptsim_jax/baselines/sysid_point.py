@@ -1,6 +1,7 @@
 """SysID-Point: one parameter vector regressed from the target's trajectory (paper, section 6)."""
 
 from collections.abc import Callable
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -26,9 +27,9 @@ class PointNetwork(nn.Module):
 
 def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
     """Smooth-L1 regression; infers the one point that it regresses to."""
-    network = PointNetwork(dim, config.hidden)
+    network: Any = PointNetwork(dim, config.hidden)
 
-    def init(key: jax.Array, obs_dim: int) -> dict:
+    def init(key: jax.Array, obs_dim: int) -> Any:
         return network.init(key, jnp.zeros(obs_dim))
 
     def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:

@@ -94,7 +94,7 @@ def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
     return Reach(torque, u.max(0), speed, low, high, float(windows.time.max()), dt, inertia)
 
 
-def _named(effect: Effect, row) -> tuple[dict, dict]:
+def _named(effect: Effect, row) -> tuple[dict, ...]:
     """Parameters of a column, and the direction in which its amplitude grows."""
     count = len(effect.parameters)
     return tuple({p.name: row[k + at] for k, p in enumerate(effect.parameters)} for at in (0, count))
@@ -106,7 +106,7 @@ def _change(effect: Effect, row, act):
     if not effect.jump:
         return jax.jvp(act, (p,), (direction,))[1]
     size = effect.amplitudes[0]
-    off = p | {size.name: jnp.full_like(p[size.name], size.off)}
+    off = p | {size.name: jnp.full_like(p[size.name], float(size.off or 0.0))}
     return jax.tree.map(lambda a, b: (a - b) / (p[size.name] - size.off), act(p), act(off))
 
 
@@ -164,8 +164,8 @@ def _force_rows(model: Model, theta, drive, motion, effect: Effect):
     gravity = lambda q: model.plant.gravity_force(theta, q)
 
     def at(p, pick, rows, time):
-        args = [pick(z) for z in (q[:, rows], v[:, rows], u)]
-        answer = effect.apply(p, Motion(*args, time, jnp.zeros_like(args[0]), gravity))
+        here, speed = pick(q[:, rows]), pick(v[:, rows])
+        answer = effect.apply(p, Motion(here, speed, pick(u), time, jnp.zeros_like(here), gravity))
         return answer.force - answer.level * pick(turned) if isinstance(answer, Dry) else answer
 
     def one(joint, row):

@@ -25,6 +25,7 @@ from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide
+from adaptsim_jax.closeloop.view import View
 from adaptsim_jax.files import output_folder, write_bytes
 from adaptsim_jax.models.effects import Effect, catalogue
 
@@ -44,7 +45,7 @@ class Diagnosis:
     error_after: HeldOut
     powers: list[Power]
     verdict: Verdict
-    first: hunt.View
+    first: View
     report: dict[str, Any]
     evidence: dict[str, Any]
 
@@ -98,13 +99,14 @@ def examine(
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
-    after = before if not found.added else leftover(problem, found.view)
-    powers = power(problem, found.view or first, settings)
+    seen = found.view or first
+    after = before if not found.added else leftover(problem, seen)
+    powers = power(problem, seen, settings)
     verdict = decide(found, before, after, settings, powered(powers))
     say(6, STAGES, "held-out trials, declared model")
     error_before = held_out(problem, base, first)
     say(7, STAGES, "held-out trials, mended model")
-    error_after = held_out(problem, found.final, found.view) if verdict.named else error_before
+    error_after = held_out(problem, found.final, seen) if verdict.named else error_before
     verdict = confirmed(verdict, error_before, error_after)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))

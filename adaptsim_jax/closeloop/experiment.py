@@ -19,7 +19,8 @@ from adaptsim_jax.closeloop.fit import Settings as FitSettings
 from adaptsim_jax.closeloop.fit import fit
 from adaptsim_jax.closeloop.power import COMMON, MATTERS, Power
 from adaptsim_jax.closeloop.problem import Active, Problem
-from adaptsim_jax.closeloop.search import Fitted, Found
+from adaptsim_jax.closeloop.rivals import Fitted
+from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.windows import Windows, cut_windows
 from adaptsim_jax.control.lqr import lqr_gain
 from adaptsim_jax.models.closed_loop import broadcasts, history_rows, run_loop
@@ -203,8 +204,8 @@ def _simulated(problem: Problem, ours: Rival, push: np.ndarray, dt: float) -> tu
     gain = _balance(problem, ours) if _upright(problem) else np.zeros((2, 4))
     rows = history_rows(model, eff, dt)
     start = jnp.zeros(4)
-    args = (jnp.asarray(z, jnp.float32) for z in (push, gain, ours.theta, eff))
-    state, torque = _runs(model, *args, start, dt, rows)
+    sent, held, theta, sizes = (jnp.asarray(z, jnp.float32) for z in (push, gain, ours.theta, eff))
+    state, torque = _runs(model, sent, held, theta, sizes, start, dt, rows)
     return np.asarray(state, float), np.asarray(torque, float)
 
 

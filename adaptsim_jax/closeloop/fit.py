@@ -7,7 +7,7 @@ serves every mask of effects and every weighting of trials.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from adaptsim_jax.closeloop.windows import Windows
 
 CODES = ("converged", "reached the iteration limit", "no step lowers the cost", "diverged: cost is not finite")
 MAX_ACTIVE = 8
+Array = Any  # of JAX in a trace, of NumPy outside
 
 
 class Settings(NamedTuple):
@@ -31,36 +32,36 @@ class Settings(NamedTuple):
 class Prior(NamedTuple):
     """Independent Gaussian prior on `[theta | eff]`: `mean [P + E]` and `precision [P + E]` (0: none)."""
 
-    mean: jax.Array
-    precision: jax.Array
+    mean: Array
+    precision: Array
 
 
 class Problem(NamedTuple):
     """What a fit holds fixed. free `[P]` marks fitted theta; active `[A]` indexes eff (-1: unused slot)."""
 
     windows: Windows
-    mask: jax.Array
-    free: jax.Array
-    active: jax.Array
-    low: jax.Array  # [P + A]
-    high: jax.Array
-    trial_weight: jax.Array  # [N]
-    prior_mean: jax.Array  # [P + A]
-    prior_precision: jax.Array
+    mask: Array
+    free: Array
+    active: Array
+    low: Array  # [P + A]
+    high: Array
+    trial_weight: Array  # [N]
+    prior_mean: Array  # [P + A]
+    prior_precision: Array
 
 
 class Point(NamedTuple):
     """Where a fit stands, and the linearisation there: `jac [C-1, L+1, Y, W]` and the Gram matrices `[W, C, C]` of
     `[J_theta | J_active | J_x0 | r]`, all in standard deviations."""
 
-    theta: jax.Array
-    eff: jax.Array
-    x0: jax.Array  # [S, W]
-    residual: jax.Array  # [L+1, Y, W]
-    jac: jax.Array
-    gram: jax.Array
-    window_cost: jax.Array  # [W]
-    cost: jax.Array
+    theta: Array
+    eff: Array
+    x0: Array  # [S, W]
+    residual: Array  # [L+1, Y, W]
+    jac: Array
+    gram: Array
+    window_cost: Array  # [W]
+    cost: Array
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.problem import Problem, at_point, refit_more
+from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.score import folds
-from adaptsim_jax.closeloop.search import Fitted, View
+from adaptsim_jax.closeloop.view import View
 
 
 @dataclass(frozen=True)

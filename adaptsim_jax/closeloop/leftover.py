@@ -6,7 +6,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.basis import generic_names
 from adaptsim_jax.closeloop.problem import Problem
-from adaptsim_jax.closeloop.search import View
+from adaptsim_jax.closeloop.view import View
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from adaptsim_jax.models.model_file import SCHEMA, AddedEffect, ModelFile, Value
 
 if TYPE_CHECKING:
     from adaptsim_jax.closeloop.problem import Problem
-    from adaptsim_jax.closeloop.search import Fitted
+    from adaptsim_jax.closeloop.rivals import Fitted
 
 __all__ = ["ModelFile", "declared_model", "fitted_model", "read_model", "write_model"]
 

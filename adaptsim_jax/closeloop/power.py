@@ -6,7 +6,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from adaptsim_jax.closeloop.problem import Problem
-from adaptsim_jax.closeloop.search import Settings, View
+from adaptsim_jax.closeloop.search import Settings
+from adaptsim_jax.closeloop.view import View
 
 MATTERS = 0.03  # of the torque's RMS: an effect of this size changes what a controller does
 COMMON = ("coulomb", "quadratic_drag", "bias", "spring", "torque_gain", "delay")

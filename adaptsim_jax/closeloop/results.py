@@ -8,9 +8,11 @@ from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.power import MATTERS, Power
 from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
-from adaptsim_jax.closeloop.search import Fitted, Found, Ranked, Settings, View, unexplained
+from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.verdict import Verdict
+from adaptsim_jax.closeloop.view import Ranked, View
 
 NINETY = 1.6449
 
@@ -40,7 +42,7 @@ def report_of(
     return report, _evidence(problem, error_before, error_after if verdict.named else None, report)
 
 
-def _number(value: float, error: float, unit: str) -> dict[str, Any]:
+def _number(value: Any, error: float, unit: str) -> dict[str, Any]:
     return {
         "value": float(value),
         "low": float(value - NINETY * error),

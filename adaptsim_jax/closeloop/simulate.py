@@ -116,8 +116,8 @@ def trajectory(model: Model, theta, eff, drive: Drive, x0, substeps: int):
     push = Push(zero, zero)
 
     def row(carry, now):
-        u, t, dt = now
-        new = row_step(model, theta, eff, *carry, u, t, dt, push, substeps)
+        (u, t, dt), (x, memory) = now, carry
+        new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps)
         return new, carry
 
     last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.time[:-1], drive.dt))

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
-from adaptsim_jax.closeloop.search import Found, Settings, unexplained
+from adaptsim_jax.closeloop.rivals import unexplained
+from adaptsim_jax.closeloop.search import Found, Settings
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,14 @@ from adaptsim_jax.errors import BadInput
 class Measured(Protocol):
     """What is needed of a trial: `time [T]` s, `q [T, n]` rad, `v [T, n]` rad/s or None, `torque [T, U]` N m."""
 
-    time: np.ndarray
-    q: np.ndarray
-    v: np.ndarray | None
-    torque: np.ndarray
+    @property
+    def time(self) -> np.ndarray: ...
+    @property
+    def q(self) -> np.ndarray: ...
+    @property
+    def v(self) -> np.ndarray | None: ...
+    @property
+    def torque(self) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Windows:
     @property
     def real(self) -> np.ndarray:
         """`[W]` False for windows that only fill up the shape."""
-        return (np.asarray(self.weight) > 0).any((1, 2))
+        return np.any(np.asarray(self.weight) > 0, axis=(1, 2))
 
     @property
     def trials(self) -> int:

@@ -8,7 +8,7 @@ sweep.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
@@ -115,7 +115,7 @@ def make_bdq(config: BDQConfig) -> BDQ:
     example = jnp.zeros((1, config.obs_dim))
     unravel = ravel_pytree(network.init(jax.random.key(0), example))[1]
 
-    def q_values(weights, obs):
+    def q_values(weights, obs) -> Any:
         return network.apply(unravel(weights), obs)
 
     def init(key):

@@ -200,7 +200,7 @@ def _effect(where: str, key: str, row: Mapping, plant: Plant, known: Mapping[str
     for name in row:
         if name not in ("name", "where", "parameters"):
             raise BadInput(f"{where}: unknown key '{key}.{name}'; use name, where, parameters")
-    name = row.get("name")
+    name = str(row.get("name"))
     if name not in known:
         raise BadInput(f"{where}: {key}.name = {name!r} is not in the catalogue; {config.suggest(str(name), known)}")
     effect = known[name]

@@ -65,7 +65,7 @@ def render(tour: Any, pictures: Mapping[str, str]) -> str:
     )
 
 
-def parameter_rows(tour: Any) -> list[dict[str, str]]:
+def parameter_rows(tour: Any) -> list[dict[str, Any]]:
     """Omega, the target, and what the first run's best policy was trained at."""
     one = tour.adapted[0]
     space = one.trained.phase1.task.space

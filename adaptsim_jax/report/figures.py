@@ -38,6 +38,10 @@ INK, MUTED, GRID = "#20262e", "#5d6875", "#dde2e8"
 REWARD = "normalized reward (0 UDR, 1 best in Ω)"
 
 
+def setting(name: str) -> str:
+    return SETTINGS.get(name, name)
+
+
 def colour(method: str) -> str:
     return COLOURS.get(method, MUTED)
 

@@ -22,7 +22,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
             _curve(ax, r["curve"], look.style(r["method"]), look.label(r["method"]), bottom)
         look.quiet(ax)
         ax.axhline(1, color=look.INK, linewidth=0.8, linestyle=":")
-        ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
+        ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.08)
         ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         ax.set_xlabel("iteration", fontsize=8.5)
@@ -62,7 +62,7 @@ def rewards(results: Mapping[str, Any], left: float = -0.4) -> Figure:
         ax.grid(False, axis="y")
         ax.axvline(1, color=look.INK, linewidth=0.8, linestyle=":")
         ax.set_xlim(left, 1.08)
-        ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
+        ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
     axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
     figure.supxlabel("best-iteration " + look.REWARD, fontsize=8.5)
     return figure
@@ -169,7 +169,7 @@ def reward_against_trials(panels: Mapping[str, Sequence[Mapping[str, Any]]], bot
                 linewidth=1.7,
             )
         look.quiet(ax)
-        ax.set_title(look.SETTINGS.get(setting, setting), fontsize=9, color=look.INK)
+        ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.05)
         ax.set_xlabel("target rollouts", fontsize=8.5)
     axes[0].set_ylabel("best so far, " + look.REWARD.replace(" (", "\n("), fontsize=8.5)

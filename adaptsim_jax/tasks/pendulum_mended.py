@@ -268,8 +268,10 @@ def mended_space(given: ModelFile) -> tuple[Space, list[tuple[str, ...]]]:
             v = e.parameters[p.name]
             half = max(0.5 * abs(v.value), v.high - v.low, 1e-3)
             low = max(v.value - half, 0.0) if p.sign > 0 else v.value - half
-            inside = {"physical_low": 0.0} if p.sign > 0 else {}
-            parameters.append(Parameter(f"{e.name}_{e.where}_{p.name}", low, v.value + half, p.unit, **inside))
+            inside = 0.0 if p.sign > 0 else -np.inf
+            parameters.append(
+                Parameter(f"{e.name}_{e.where}_{p.name}", low, v.value + half, p.unit, physical_low=inside)
+            )
             keys.append((e.name, e.where, p.name))
     return Space(tuple(parameters)), keys
 

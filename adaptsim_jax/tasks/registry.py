@@ -30,7 +30,10 @@ def _mended(name: str, options: dict[str, Any], where: str) -> Task:
 
 
 def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> Task:
-    """The task called `name`, on a mended model where `options` hold one; BadInput names an unknown task or option, with the nearest known one."""
+    """The task called `name`, on a mended model where `options` hold one.
+
+    BadInput names an unknown task or option, with the nearest known one.
+    """
     kind, make = TASKS[config.pick("task", name, TASKS)]
     if "model" in options:
         return _mended(name, dict(options), where)

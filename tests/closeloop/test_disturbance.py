@@ -30,9 +30,7 @@ def test_whitened_rows_are_white_and_free_of_initial_states():
     white = disturbance.whiten(lin, disturbance.whitener(lin, disturbance.estimate(lin)))
     assert np.sum(white.residual**2) / white.rows.sum() == pytest.approx(1.0, rel=0.1)
     moved = disturbance.whiten(
-        disturbance.Linearised(
-            **{**lin.__dict__, "residual": lin.residual + lin.jac_state @ np.array([0.3, -2.0])}
-        ),
+        disturbance.Linearised(**{**lin.__dict__, "residual": lin.residual + lin.jac_state @ np.array([0.3, -2.0])}),
         disturbance.whitener(lin, disturbance.estimate(lin)),
     )
     np.testing.assert_allclose(moved.residual, white.residual, atol=1e-6)

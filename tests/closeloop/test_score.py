@@ -16,10 +16,7 @@ def scorer(lin):
 
 
 def test_p_values_are_uniform_without_effect():
-    p = [
-        scorer(make(np.random.default_rng(100 + s), force_std=0.2)).score([COULOMB]).p_value
-        for s in range(60)
-    ]
+    p = [scorer(make(np.random.default_rng(100 + s), force_std=0.2)).score([COULOMB]).p_value for s in range(60)]
     assert kstest(p, "uniform").pvalue > 1e-3
     assert np.mean(np.array(p) < 0.05) <= 0.15
 
@@ -38,9 +35,7 @@ def test_the_wrong_candidate_gains_nothing_on_held_out_data():
 
 def test_a_copy_of_a_declared_column_is_confounded():
     lin = make(np.random.default_rng(9), effect=0.2)
-    twin = disturbance.Linearised(
-        **{**lin.__dict__, "atoms": np.concatenate([lin.atoms, lin.jac_theta[..., :1]], -1)}
-    )
+    twin = disturbance.Linearised(**{**lin.__dict__, "atoms": np.concatenate([lin.atoms, lin.jac_theta[..., :1]], -1)})
     s = scorer(twin)
     assert s.score([score.Atom("twin", "joint1", {}, (2,))]).retained < 1e-6
     assert s.score([COULOMB]).retained > 0.05

@@ -170,9 +170,7 @@ def test_torn_anywhere(whole, tmp_path_factory, data):
     damage = data.draw(st.sampled_from(["cut", "flip", "zero", "extend", "insert"]))
     new = {
         "cut": lambda: old[:place],
-        "flip": lambda: (
-            old[:place] + bytes([old[place] ^ (1 << data.draw(st.integers(0, 7)))]) + old[place + 1 :]
-        ),
+        "flip": lambda: old[:place] + bytes([old[place] ^ (1 << data.draw(st.integers(0, 7)))]) + old[place + 1 :],
         "zero": lambda: old[:place] + bytes(len(old) - place),
         "extend": lambda: old + data.draw(st.binary(min_size=1, max_size=9)),
         "insert": lambda: old[:place] + data.draw(st.binary(min_size=1, max_size=9)) + old[place:],

@@ -99,9 +99,7 @@ def _drake(dt: float):
         raise BadInput("backend drake is not installed; pip install 'adaptsim_jax[drake]'") from None
 
     def simulate(params, commands, initial):
-        rows = zip(
-            np.asarray(params, float), np.asarray(commands, float), np.asarray(initial, float), strict=True
-        )
+        rows = zip(np.asarray(params, float), np.asarray(commands, float), np.asarray(initial, float), strict=True)
         return _finished(np.stack([_drake_one(drake, *row, dt) for row in rows]))
 
     return simulate
