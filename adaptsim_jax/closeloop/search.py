@@ -5,32 +5,28 @@ residual covariance, and compared by restricted likelihood. What linear scores g
 stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.basis import generic_names
-from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
-from adaptsim_jax.closeloop.problem import (
-    DIVERGED,
-    Active,
-    Candidate,
-    Diverged,
-    Problem,
-    fit_plain,
-    refit_candidate,
-    refit_more,
-    survey,
+from adaptsim_jax.closeloop.problem import Active, Diverged, Problem, survey
+from adaptsim_jax.closeloop.rivals import (
+    Fitted,
+    Instance,
+    fitted,
+    fitted_plainly,
+    plausible,
+    respond,
+    settled,
+    unexplained,
 )
-from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
-from adaptsim_jax.closeloop.sensitivity import Path
+from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 from adaptsim_jax.models.effects import Layout
 
-Instance = tuple[str, str]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -53,47 +49,6 @@ class Settings:
     most_effects: int = 3
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """A candidate model with its own residual covariance and its likelihood window by window `[W]`."""
-
-    candidate: Candidate
-    parts: Components
-    likelihood: np.ndarray
-
-    @property
-    def active(self) -> Active:
-        return self.candidate.active
-
-    @property
-    def total(self) -> float:
-        return float(self.likelihood.sum())
-
-    def merit(self, price: float) -> float:
-        """Log-likelihood less the price of its parameters."""
-        return self.total - price * len(self.candidate.names)
-
-    def at_bound(self) -> tuple[str, ...]:
-        """Effect parameters that ended at the edge of what they may be."""
-        names = np.array(self.candidate.names)
-        return tuple(n for n in names[self.candidate.refit.at_bound] if "/" in n)
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """One candidate instance as the linear score sees it, about some model."""
-
-    instance: Instance
-    atom: Atom
-    score: Score
-    tried: int  # shapes tried for it
-    plain: bool = False  # scored as if the sensors were the only noise
-
-    def corrected(self, instances: int) -> float:
-        """p-value times the number of tests it was picked from."""
-        return min(1.0, self.score.p_value * self.tried * instances)
-
-
 @dataclass
 class Found:
     """What the search ended with, and what it saw on the way."""
@@ -111,123 +66,6 @@ class Found:
     def added(self) -> Active:
         """What the search added to the effects that the base model has already."""
         return tuple(a for a in self.final.active if a not in self.base.active)
-
-
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Response:
-    """How outputs answer to forces, and what unexplained forces do to residuals; rivals share it."""
-
-    lin: Linearised
-    kernels: Kernels
-
-
-def respond(lin: Linearised) -> Response:
-    """The response of one linearisation."""
-    return Response(lin, disturbance.force_kernels(lin))
-
-
-def fitted(
-    problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response, *, rounds: int = 4
-) -> Fitted:
-    """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
-    factor = disturbance.whitener(response.lin, parts, response.kernels)
-    candidate = refit_candidate(problem, active, theta, eff, x0, factor)
-    return settled(problem, _judged(candidate, parts, response), response, rounds=rounds - 1)
-
-
-def _judged(candidate: Candidate, parts: Components, response: Response) -> Fitted:
-    lin = candidate.refit.linearised
-    parts = disturbance.estimate(lin, response.kernels, start=parts)
-    return Fitted(candidate, parts, disturbance.log_likelihood(lin, parts, response.kernels))
-
-
-def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
-    """The model refitted under its own residual covariance, again and again until its likelihood settles."""
-    for _ in range(rounds):
-        factor = disturbance.whitener(response.lin, model.parts, response.kernels)
-        new = _judged(refit_more(problem, model.candidate, factor), model.parts, response)
-        gain = new.total - model.total
-        model = new if gain > 0 else model
-        if gain < 1.0:
-            break
-    return model
-
-
-@dataclass(frozen=True)
-class View:
-    """All candidates scored about one model."""
-
-    scorer: Scorer
-    atoms: tuple[Atom, ...]
-    response: Response
-    path: Path
-
-    @property
-    def lin(self) -> Linearised:
-        return self.response.lin
-
-    @property
-    def instances(self) -> dict[Instance, list[Atom]]:
-        """Atoms of each candidate instance."""
-        groups: dict[Instance, list[Atom]] = {}
-        for atom in self.atoms:
-            if atom.effect != "generic":
-                groups.setdefault((atom.effect, atom.where), []).append(atom)
-        return groups
-
-    def generic(self) -> list[Atom]:
-        return [a for a in self.atoms if a.effect == "generic"]
-
-    def ranked(self, exclude: Sequence[Instance] = (), *, plain: bool = False) -> list[Ranked]:
-        """Every instance at its best shape, by gain; `plain`: as if the sensors were the only noise."""
-        scorer = self.plain if plain else self.scorer
-        out = []
-        for instance, atoms in self.instances.items():
-            if instance not in exclude:
-                best = scorer.best_shape(atoms)
-                out.append(Ranked(instance, best, scorer.score([best]), len(atoms), plain))
-        return sorted(out, key=lambda r: -r.score.gain)
-
-    @cached_property
-    def plain(self) -> Scorer:
-        """Scores without the covariance of unexplained forces: blunt in size, but blind to nothing slow."""
-        eye = np.broadcast_to(
-            np.eye(self.lin.residual.shape[1]), (len(self.lin.residual), *[self.lin.residual.shape[1]] * 2)
-        )
-        white = disturbance.whiten(self.lin, eye)
-        return Scorer(white, folds(white.trial, white.rows))
-
-
-def view(problem: Problem, model: Fitted) -> View:
-    """Linear scores of everything about a fitted model."""
-    c = model.candidate
-    atoms, lin, path, _ = survey(problem, c.active, c.theta, c.eff, c.refit.point.x0)
-    response = respond(lin)
-    white = disturbance.whiten(lin, disturbance.whitener(lin, model.parts, response.kernels))
-    return View(Scorer(white, folds(white.trial, white.rows)), atoms, response, path)
-
-
-def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) -> np.ndarray:
-    """Effect parameters `[E]` to start a refit from: the grid's shape, `share` of the score's amplitude, kept
-    within bounds."""
-    layout = problem.model.layout
-    low, high = problem.bounds
-    eff = base.candidate.eff.copy()
-    instance = layout.instances[layout.index(*ranked.instance)]
-    amplitudes = iter(ranked.score.amplitude)
-    for k, p in enumerate(instance.effect.parameters):
-        at = instance.at.start + k
-        if p.name in ranked.atom.shape:
-            eff[at] = ranked.atom.shape[p.name]
-        elif p.off is not None:
-            value = next(amplitudes, p.off)
-            value = max(value, 0.0) if p.sign > 0 else value
-            eff[at] = p.off + share * (value - p.off)
-        eff[at] = np.clip(eff[at], low[at], high[at])
-    return eff
 
 
 def declared(problem: Problem, theta, eff, x0) -> tuple[Fitted, View]:
@@ -251,13 +89,13 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
         trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
         trials = _finished(problem, trials, seen, settings)
         found.tried += trials
-        best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
+        best = _choose(problem, [t for t in trials if plausible(t, base)], base, settings)
         if best is not None:
             alike = _look_alikes(problem, _new(best, current), found.last, leaders)
             more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
             more = [settled(problem, t, seen.response) for t in more]
             trials, found.tried = trials + more, found.tried + more
-            best = _choose(problem, [t for t in trials if _plausible(t, base)], base, settings)
+            best = _choose(problem, [t for t in trials if plausible(t, base)], base, settings)
         if best is None or not _earns(problem, best, current, base, settings):
             break
         new = _new(best, current)
@@ -304,15 +142,6 @@ def _look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: l
     return [r for r in near if r.instance not in tried and r.score.retained > 1e-3]
 
 
-def generic_p_value(view: View) -> float:
-    """Smallest p-value of the generic dictionary's groups, corrected for their number."""
-    atoms = view.generic()
-    names = generic_names(view.path.u.shape[2])
-    groups = list(dict.fromkeys(names))
-    scores = [view.scorer.score([a for a, n in zip(atoms, names, strict=True) if n == g]) for g in groups]
-    return min(1.0, min(s.p_value for s in scores) * len(groups))
-
-
 def extend(
     problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None
 ) -> Fitted | None:
@@ -330,31 +159,34 @@ def extend(
             continue
     if ranked.plain:
         with suppress(Diverged):
-            made.append(_plainly(problem, active, c, started(problem, current, ranked), current.parts, seen.response))
+            made.append(
+                fitted_plainly(problem, active, c, started(problem, current, ranked), current.parts, seen.response)
+            )
     return max(made, key=lambda t: t.total, default=None)
 
 
-def _plainly(
-    problem: Problem, active: Active, c: Candidate, eff: np.ndarray, parts: Components, response: Response
-) -> Fitted:
-    """Fitted with the sensors as the only noise, then judged: this closes large gaps that the covariance inflated by the
-    missing effect would leave open. Initial states start from the data: a model that lacks the effect has bent its own."""
-    result = fit_plain(problem, active, c.theta, eff, problem.windows.start)
-    if result.code == DIVERGED:
-        raise Diverged(f"the model with {active} runs away from where its fit starts")
-    factor = disturbance.whitener(response.lin, parts, response.kernels)
-    start = refit_candidate(problem, active, result.theta, result.eff, result.x0, factor, iterations=0)
-    return settled(problem, _judged(start, parts, response), response, rounds=1)
+def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) -> np.ndarray:
+    """Effect parameters `[E]` to start a refit from: the grid's shape, `share` of the score's amplitude, kept
+    within bounds."""
+    layout = problem.model.layout
+    low, high = problem.bounds
+    eff = base.candidate.eff.copy()
+    instance = layout.instances[layout.index(*ranked.instance)]
+    amplitudes = iter(ranked.score.amplitude)
+    for k, p in enumerate(instance.effect.parameters):
+        at = instance.at.start + k
+        if p.name in ranked.atom.shape:
+            eff[at] = ranked.atom.shape[p.name]
+        elif p.off is not None:
+            value = next(amplitudes, p.off)
+            value = max(value, 0.0) if p.sign > 0 else value
+            eff[at] = p.off + share * (value - p.off)
+        eff[at] = np.clip(eff[at], low[at], high[at])
+    return eff
 
 
 def _new(best: Fitted, current: Fitted) -> Instance:
     return next(a for a in best.active if a not in current.active)
-
-
-def _plausible(model: Fitted, base: Fitted) -> bool:
-    """No amplitude of the wrong sign or beyond what the effect may be; what the base model has is not judged."""
-    given = {f"{e}/{w}" for e, w in base.active}
-    return all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
 
 
 def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:
@@ -384,12 +216,6 @@ def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: S
     return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
 
 
-def unexplained(new: Fitted, old: Fitted) -> float:
-    """Unexplained force after over before, each joint against its own before, the worse-hit joint weighing more."""
-    before, after = old.parts.force.sum(1), new.parts.force.sum(1)
-    return float(np.sqrt(after.sum() / max(before.sum(), 1e-300)))
-
-
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
     """With another effect in, an earlier one may have been a stand-in: try without it, and its rivals in its place."""
     for old in [a for a in current.active if a != new and a not in found.base.active]:
@@ -398,7 +224,7 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
         say(f"trying without {old[0]} at {old[1]}")
         without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, current.parts, seen.response)
         found.tried.append(without)
-        if _plausible(without, found.base) and not _earns(problem, current, without, found.base, settings):
+        if plausible(without, found.base) and not _earns(problem, current, without, found.base, settings):
             found.rivals.pop(old, None)
             current = without
             continue
@@ -418,7 +244,7 @@ def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, 
         c = current.candidate
         swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
         found.tried.append(swapped)
-        if _plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
+        if plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
             found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
             current, old = swapped, instance
     return current
@@ -443,7 +269,7 @@ def _class_of(effect: Instance, found: Found, settings: Settings, layout: Layout
         if (
             len(extra) != 1
             or sorted(a for a in other.active if a != extra[0]) != sorted(rest)
-            or not _plausible(other, found.base)
+            or not plausible(other, found.base)
             or extra[0] in {(name, effect[1]) for name in wider}
         ):
             continue

@@ -1,0 +1,111 @@
+"""Rival models: each refitted whole, under its own residual covariance, and judged by its restricted likelihood."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
+from adaptsim_jax.closeloop.problem import (
+    DIVERGED,
+    Active,
+    Candidate,
+    Diverged,
+    Problem,
+    fit_plain,
+    refit_candidate,
+    refit_more,
+)
+
+Instance = tuple[str, str]  # (effect, where)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A candidate model with its own residual covariance and its likelihood window by window `[W]`."""
+
+    candidate: Candidate
+    parts: Components
+    likelihood: np.ndarray
+
+    @property
+    def active(self) -> Active:
+        return self.candidate.active
+
+    @property
+    def total(self) -> float:
+        return float(self.likelihood.sum())
+
+    def merit(self, price: float) -> float:
+        """Log-likelihood less the price of its parameters."""
+        return self.total - price * len(self.candidate.names)
+
+    def at_bound(self) -> tuple[str, ...]:
+        """Effect parameters that ended at the edge of what they may be."""
+        names = np.array(self.candidate.names)
+        return tuple(n for n in names[self.candidate.refit.at_bound] if "/" in n)
+
+
+@dataclass(frozen=True)
+class Response:
+    """How outputs answer to forces, and what unexplained forces do to residuals; rivals share it."""
+
+    lin: Linearised
+    kernels: Kernels
+
+
+def respond(lin: Linearised) -> Response:
+    """The response of one linearisation."""
+    return Response(lin, disturbance.force_kernels(lin))
+
+
+def fitted(
+    problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response, *, rounds: int = 4
+) -> Fitted:
+    """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
+    factor = disturbance.whitener(response.lin, parts, response.kernels)
+    candidate = refit_candidate(problem, active, theta, eff, x0, factor)
+    return settled(problem, _judged(candidate, parts, response), response, rounds=rounds - 1)
+
+
+def _judged(candidate: Candidate, parts: Components, response: Response) -> Fitted:
+    lin = candidate.refit.linearised
+    parts = disturbance.estimate(lin, response.kernels, start=parts)
+    return Fitted(candidate, parts, disturbance.log_likelihood(lin, parts, response.kernels))
+
+
+def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
+    """The model refitted under its own residual covariance, again and again until its likelihood settles."""
+    for _ in range(rounds):
+        factor = disturbance.whitener(response.lin, model.parts, response.kernels)
+        new = _judged(refit_more(problem, model.candidate, factor), model.parts, response)
+        gain = new.total - model.total
+        model = new if gain > 0 else model
+        if gain < 1.0:
+            break
+    return model
+
+
+def fitted_plainly(
+    problem: Problem, active: Active, c: Candidate, eff: np.ndarray, parts: Components, response: Response
+) -> Fitted:
+    """Fitted with the sensors as the only noise, then judged: this closes large gaps that the covariance inflated by the
+    missing effect would leave open. Initial states start from the data: a model that lacks the effect has bent its own."""
+    result = fit_plain(problem, active, c.theta, eff, problem.windows.start)
+    if result.code == DIVERGED:
+        raise Diverged(f"the model with {active} runs away from where its fit starts")
+    factor = disturbance.whitener(response.lin, parts, response.kernels)
+    start = refit_candidate(problem, active, result.theta, result.eff, result.x0, factor, iterations=0)
+    return settled(problem, _judged(start, parts, response), response, rounds=1)
+
+
+def plausible(model: Fitted, base: Fitted) -> bool:
+    """No amplitude of the wrong sign or beyond what the effect may be; what the base model has is not judged."""
+    given = {f"{e}/{w}" for e, w in base.active}
+    return all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
+
+
+def unexplained(new: Fitted, old: Fitted) -> float:
+    """Unexplained force after over before, each joint against its own before, the worse-hit joint weighing more."""
+    before, after = old.parts.force.sum(1), new.parts.force.sum(1)
+    return float(np.sqrt(after.sum() / max(before.sum(), 1e-300)))
