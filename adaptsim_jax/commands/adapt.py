@@ -32,8 +32,8 @@ def run(args: argparse.Namespace) -> int:
     import jax
 
     from adaptsim_jax.adapt.training import adapt_run, load_run
-    from adaptsim_jax.commands.common import read_target
-    from adaptsim_jax.files import output_folder, write_json
+    from adaptsim_jax.commands.common import output, read_target
+    from adaptsim_jax.files import write_json
 
     trained = load_run(folder)
     task = trained.phase1.task
@@ -41,10 +41,10 @@ def run(args: argparse.Namespace) -> int:
     if world is not None:
         task = world
         trained = trained._replace(phase1=trained.phase1._replace(task=task))
-    out = output_folder(args.out or Path(args.folder) / f"adapt-{name}")
-    result = adapt_run(trained, jax.random.key(args.seed), params, starts=args.starts, iterations=args.iterations)
-    found = describe(result, task, name, params, args)
-    write_json(out / "result.json", found)
+    with output(args.out or Path(args.folder) / f"adapt-{name}") as out:
+        result = adapt_run(trained, jax.random.key(args.seed), params, starts=args.starts, iterations=args.iterations)
+        found = describe(result, task, name, params, args)
+        write_json(out / "result.json", found)
     _show(found)
     print(f"written: {out / 'result.json'}")
     return 0

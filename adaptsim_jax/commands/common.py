@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,22 @@ def require(module: str, what: str) -> None:
         found = None
     if found is None:
         raise BadInput(f"{what} is not in this version yet; 'adaptsim --help' lists the other commands")
+
+
+@contextlib.contextmanager
+def output(path: str | Path) -> Iterator[Path]:
+    """The folder `path` to write into, made if need be; where the work fails before it wrote anything, it is gone again."""
+    from adaptsim_jax.files import output_folder
+
+    new = not Path(path).exists()
+    out = output_folder(path)
+    try:
+        yield out
+    except BaseException:
+        if new:
+            with contextlib.suppress(OSError):  # not empty: what is there is whole
+                out.rmdir()
+        raise
 
 
 def read_target(text: str, task: Any) -> tuple[str, Any, Any]:

@@ -28,19 +28,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Table 1 of the paper for one task."""
-    from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax.commands.common import check_task, output
 
     check_task(args.task)
     from adaptsim_jax.baselines.compare import compare
-    from adaptsim_jax.files import output_folder
     from adaptsim_jax.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 
     asked = config_of(args)
-    output_folder(args.out)
-    with progress(f"compare {args.task}") as report:
+    with output(args.out) as out, progress(f"compare {args.task}") as report:
         results = compare(args.task, asked, report)
-    paths = write_comparison(results, args.out)
+        paths = write_comparison(results, out)
     print(table(results))
     for path in paths:
         print(f"written: {path}")

@@ -17,18 +17,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Close the loop on a folder of measured data."""
-    from adaptsim_jax.commands.common import require
-    from adaptsim_jax.files import output_folder
+    from adaptsim_jax.closeloop.recording import read_recording
+    from adaptsim_jax.commands.common import output
     from adaptsim_jax.progress import progress
 
-    require("adaptsim_jax.closeloop.diagnose", "'adaptsim diagnose'")
-    out = output_folder(args.out)
+    recording = read_recording(args.data)  # refused within a second, and before JAX is loaded
+    with output(args.out) as out, progress("diagnose") as report:
+        from adaptsim_jax.closeloop.diagnose import diagnose
+
+        result = diagnose(recording, out=out, seed=args.seed, progress=report)
     from rich.console import Console
 
-    from adaptsim_jax.closeloop.diagnose import diagnose
     from adaptsim_jax.report.diagnosis import print_summary
 
-    with progress("diagnose") as report:
-        result = diagnose(args.data, out=out, seed=args.seed, progress=report)
     print_summary(result, Console(), out)
     return 0
