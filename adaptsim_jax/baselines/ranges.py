@@ -38,27 +38,31 @@ class ShiftedSpace:
         return self.base.unit(x - jnp.broadcast_to(self.offset, x.shape))
 
 
-def shifted_pendulum(options: Mapping[str, Any], offset: jax.Array) -> Task:
-    """`make_task("pendulum", options)` with Omega moved by `offset [D]`; Phase-1 targets within Omega move with it.
+def shiftable_pendulum(options: Mapping[str, Any]) -> Callable[[jax.Array], Task]:
+    """`shifted(offset [D]) -> Task`: `make_task("pendulum", options)` with Omega moved, and targets within Omega with it.
 
     The scaling of observations is that of the unmoved Omega: it is a change of coordinates, the same for all.
     """
     config = configs.from_table(PendulumConfig, dict(options), "config, [task]")
-    base = make_pendulum(config)
-    space: Any = ShiftedSpace(base.space, offset)
+    base = make_pendulum(config)  # here, since it computes with numbers, not with tracers
 
-    def train(key, dist, policy):
-        del key, policy
-        return PendulumPolicy(*model.optimal_gain(space.physical(dist.mean)))
+    def shifted(offset: jax.Array) -> Task:
+        space: Any = ShiftedSpace(base.space, offset)
 
-    search = best_in_space(space) if config.reference == "omega" else None
-    return replace(
-        base,
-        space=space,
-        targets=space if config.targets == "omega" else base.targets,
-        train=train,
-        reference=base.reference if search is None else lambda params: search(params)[1],
-    )
+        def train(key, dist, policy):
+            del key, policy
+            return PendulumPolicy(*model.optimal_gain(space.physical(dist.mean)))
+
+        search = best_in_space(space) if config.reference == "omega" else None
+        return replace(
+            base,
+            space=space,
+            targets=space if config.targets == "omega" else base.targets,
+            train=train,
+            reference=base.reference if search is None else lambda params: search(params)[1],
+        )
+
+    return shifted
 
 
 def adaptsim_over_ranges(
@@ -75,9 +79,11 @@ def adaptsim_over_ranges(
     hyper, sizes = traced(config.hyper), config.phase1
     used = min(sizes.archive, sizes.trajectories * sizes.horizon)
 
+    shifted = shiftable_pendulum(config.task)
+
     @jax.jit
     def run(offset, seed):
-        phase1 = make_phase1(shifted_pendulum(config.task, offset), sizes)
+        phase1 = make_phase1(shifted(offset), sizes)
         key = jax.random.key(seed)
         state, _ = phase1.run(phase1.init(key), hyper, jnp.arange(sizes.rounds))
         first = draw_starts(jax.random.fold_in(key, 1), state.archive, used, starts)
@@ -99,10 +105,11 @@ def sysid_over_ranges(
 ) -> np.ndarray:
     """The same for a SysID baseline, with the paper's plain observation: `[R, S, 1, iterations + 1, D]`."""
 
+    shifted = shiftable_pendulum({"scaling": "paper", "reference": "optimum"})
+
     @jax.jit
     def run(offset, seed):
-        task = shifted_pendulum({"scaling": "paper", "reference": "optimum"}, offset)
-        return make(task, config)(jax.random.key(seed), jnp.asarray(target, jnp.float32)).means[None]
+        return make(shifted(offset), config)(jax.random.key(seed), jnp.asarray(target, jnp.float32)).means[None]
 
     return _each(run, offsets, seeds, report)
 
