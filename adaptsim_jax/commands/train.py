@@ -44,8 +44,10 @@ def run(args: argparse.Namespace) -> int:
     args.resume_hint = f"continue with: adaptsim train {args.task} --run {shlex.quote(args.folder)} --resume"
     folder = _folder(args)
     with progress(f"train {args.task}") as report:
-        train_run(config_of(folder.config, args), folder, report)
-    print(f"trained: {folder.path}; next: adaptsim adapt {shlex.quote(args.folder)} --target ood-1")
+        trained = train_run(config_of(folder.config, args), folder, report)
+    settings = list(trained.phase1.task.settings)
+    target = "ood-1" if "ood-1" in settings else settings[0]
+    print(f"trained: {folder.path}; next: adaptsim adapt {shlex.quote(args.folder)} --target {target}")
     return 0
 
 
