@@ -4,8 +4,9 @@
     python benchmarks/phase1.py --seeds 20   time per seed: one seed, then all of them by lax.map and by vmap
     python benchmarks/phase1.py --replay     the block-written ring beside flashbax's item buffer, 20 seeds at once
 
-`--speed` needs torch for the peer (`pip install -e .[bench]`); without it only our side is timed. The persistent compile
-cache is off, so that compile times are those of a first run.
+CPU seconds stand beside wall seconds, because on a busy machine only they can be compared. `--speed` needs torch for the peer
+(`pip install -e .[bench]`); without it only our side is timed. The persistent compile cache is off, so that compile times
+are those of a first run.
 """
 
 import argparse
@@ -33,9 +34,9 @@ SIZES = PAPER.phase1
 
 
 def timed(function, *args):
-    begin = time.perf_counter()
+    begin, cpu = time.perf_counter(), time.process_time()
     out = jax.block_until_ready(function(*args))
-    return time.perf_counter() - begin, out
+    return time.perf_counter() - begin, time.process_time() - cpu, out
 
 
 def speed(peer_python: str) -> None:
@@ -44,19 +45,25 @@ def speed(peer_python: str) -> None:
     rounds = jnp.arange(SIZES.rounds)
     program = jax.jit(lambda k, h: phase1.run(phase1.init(k), h, rounds)[1])
     jax.block_until_ready(program(jax.random.key(0), hyper))
-    whole = time.perf_counter() - BEGIN
-    warm, info = timed(program, jax.random.key(1), hyper)
+    whole, whole_cpu = time.perf_counter() - BEGIN, time.process_time()
+    warm, cpu, info = timed(program, jax.random.key(1), hyper)
     steps = SIZES.trajectories * SIZES.horizon
-    print(f"ours, everything from `import jax` on: {whole:.1f} s; run again: {warm:.2f} s, {steps / warm:,.0f} steps/s")
+    print(f"ours, imports, compile and run: {whole:.1f} s wall, {whole_cpu:.1f} s CPU")
+    print(
+        f"ours, run again: {warm:.2f} s wall, {cpu:.2f} s CPU, {steps / warm:,.0f} steps/s, {steps / cpu:,.0f} a CPU second"
+    )
     print(f"  mean reward of the last 10 rounds {float(info.reward[-10:].mean()):.2f}")
     peer = Path(__file__).with_name("phase1_torch.py")
     done = subprocess.run([peer_python, str(peer)], capture_output=True, text=True, check=False)
     if done.returncode:
         print(f"no peer: {done.stderr.strip().splitlines()[-1]}")
         return
-    rate = float(done.stdout)
-    print(f"NumPy/SciPy + PyTorch loop: {rate:,.0f} steps/s")
-    print(f"ratio {steps / warm / rate:.0f} (compiled), {steps / whole / rate:.0f} (compile and imports included)")
+    rate, per_cpu = map(float, done.stdout.split())
+    print(f"NumPy/SciPy + PyTorch loop: {rate:,.0f} steps/s, {per_cpu:,.0f} a CPU second")
+    print(f"ratio compiled: {steps / warm / rate:.0f} by wall, {steps / cpu / per_cpu:.0f} by CPU time")
+    print(
+        f"ratio with imports and compile: {steps / whole / rate:.0f} by wall, {steps / whole_cpu / per_cpu:.0f} by CPU time"
+    )
 
 
 def seeds(count: int) -> None:
@@ -73,8 +80,9 @@ def seeds(count: int) -> None:
         (f"{count} by vmap", jax.vmap(one), keys),
     ]:
         program = jax.jit(program).lower(args).compile()
-        seconds, _ = timed(program, args)
-        print(f"{name}: {seconds:.2f} s, {seconds / max(args.size, 1):.2f} s a seed")
+        seconds, cpu, _ = timed(program, args)
+        runs = max(args.size, 1)
+        print(f"{name}: {seconds:.2f} s, {seconds / runs:.2f} s a seed; CPU {cpu / runs:.2f} s a seed")
 
 
 def replays(count: int = 20, rounds: int = 200) -> None:
@@ -106,8 +114,10 @@ def replays(count: int = 20, rounds: int = 200) -> None:
     keys = jax.random.split(jax.random.key(0), count)
     for name, function in [("block ring", ours), ("flashbax item buffer", flash)]:
         program = jax.jit(jax.vmap(function)).lower(keys).compile()
-        seconds, total = timed(program, keys)
-        print(f"{name}: {seconds:.2f} s for {rounds} rounds of {count} seeds (check sum {float(total.sum()):.0f})")
+        seconds, cpu, total = timed(program, keys)
+        print(
+            f"{name}: {seconds:.2f} s wall, {cpu:.2f} s CPU for {rounds} rounds of {count} seeds (check sum {float(total.sum()):.0f})"
+        )
 
 
 if __name__ == "__main__":

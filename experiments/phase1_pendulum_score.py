@@ -48,7 +48,7 @@ def score(out: Path) -> None:
 
     normal = scaled(costs(problem, means, targets))
     best, final = normal.max((2, 3)), normal[..., -1]
-    grid = scaled(_grid_costs(problem, means[:5, :, :, 0], five, goals))
+    grid = scaled(_grid_costs(problem, means[:5, :, :, 0], five, goals[:5]))
     result = {
         "config": name,
         "seeds": len(starts.mean),

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from adaptsim_jax.adapt.episode import Episode, run_episode
 from adaptsim_jax.errors import BadInput
@@ -49,15 +50,19 @@ class Phase1Config:
         return self.trajectories // self.parallel
 
 
+_LOST_ALL = 1e4  # gain (1 - r) at which the logarithm reaches 0: with a gain of 10 and 10, a hundredfold cost
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Phase1Hyper:
     """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
 
     delta: adaptation step, a fraction of the range. threshold: the sparse reward's; rewards below it count as 0.
-    gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft: instead of the line,
-    `1 / (1 + gain (1 - r))` where 1 (informative however bad the policy is). epsilon falls linearly from
-    `epsilon_start` to `epsilon_end` over the first `epsilon_share` of the rounds. rate_end: over the last half
+    gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft: where 1, a curve
+    instead of the line, informative however bad the policy is: `1 / (1 + gain (1 - r))`, and for a share `far` of it a
+    logarithm, which still tells bad from worse where the hyperbola is flat. epsilon falls linearly from `epsilon_start`
+    to `epsilon_end` over the first `epsilon_share` of the rounds. rate_end: over the last half
     the learning rate falls linearly to this share of its start. obs_noise: standard deviation of noise on the
     observation, in training only.
     independent: 1 lets each branch explore by itself. inside: for each parameter of a target, the probability of being
@@ -70,6 +75,7 @@ class Phase1Hyper:
     threshold: float = -1e9
     gain: float = 10.0
     soft: float = 1.0
+    far: float = 0.25
     epsilon_start: float = 1.0
     epsilon_end: float = 0.1
     epsilon_share: float = 0.5
@@ -163,8 +169,9 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
 def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
     """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0 below the threshold."""
     line = jnp.maximum(1.0 - hyper.gain * (1.0 - reward), 0.0)
-    excess = jnp.maximum(1.0 - reward, 0.0)
-    curve = 1.0 / (1.0 + hyper.gain * excess)
+    lost = hyper.gain * jnp.maximum(1.0 - reward, 0.0)
+    slow = jnp.maximum(1.0 - jnp.log1p(lost) / np.log1p(_LOST_ALL), 0.0)
+    curve = (1.0 - hyper.far) / (1.0 + lost) + hyper.far * slow
     shaped = jnp.where(hyper.soft > 0, curve, line)
     return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax.flatten_util import ravel_pytree
 
@@ -113,7 +114,9 @@ def make_bdq(config: BDQConfig) -> BDQ:
     _check(config)
     network = Network(config)
     example = jnp.zeros((1, config.obs_dim))
-    unravel = ravel_pytree(network.init(jax.random.key(0), example))[1]
+    # shapes only: running the initialisation here would compile it operation by operation
+    shapes = jax.eval_shape(network.init, jax.random.key(0), example)
+    unravel = ravel_pytree(jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))[1]
 
     def q_values(weights, obs) -> Any:
         return network.apply(unravel(weights), obs)

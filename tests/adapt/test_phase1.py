@@ -104,8 +104,12 @@ def test_shaped_reward_by_hand():
     np.testing.assert_allclose(sparse, [1.0, 0.96, 0.0, 0.0, 0.0, 0.0], rtol=1e-6)
     sharp = shape_reward(reward, Phase1Hyper(threshold=-9.0, gain=10.0, soft=0.0))
     np.testing.assert_allclose(sharp, [1.0, 0.6, 0.4, 0.0, 0.0, 0.0], rtol=1e-5)
-    soft = shape_reward(reward, Phase1Hyper(threshold=-1e9, gain=10.0, soft=1.0))
+    soft = shape_reward(reward, Phase1Hyper(threshold=-1e9, gain=10.0, soft=1.0, far=0.0))
     np.testing.assert_allclose(soft, [1.0, 1 / 1.4, 1 / 1.6, 1 / 41, 0.0, 0.0], rtol=1e-5)
+    mixed = shape_reward(reward, Phase1Hyper(threshold=-1e9, gain=10.0, soft=1.0, far=0.25))
+    log = 1 - np.log1p([0.0, 0.4, 0.6, 40.0]) / np.log1p(1e4)
+    np.testing.assert_allclose(mixed[:4], 0.75 * soft[:4] + 0.25 * log, rtol=1e-5)
+    np.testing.assert_array_equal(mixed[4:], 0.0)
 
 
 def test_it_learns_to_reach_the_target():
