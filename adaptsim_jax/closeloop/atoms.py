@@ -97,7 +97,8 @@ def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
 def _named(effect: Effect, row) -> tuple[dict, ...]:
     """Parameters of a column, and the direction in which its amplitude grows."""
     count = len(effect.parameters)
-    return tuple({p.name: row[k + at] for k, p in enumerate(effect.parameters)} for at in (0, count))
+    shape = () if effect.place == "force" else (1, 1)  # time and lanes
+    return tuple({p.name: row[k + at].reshape(shape) for k, p in enumerate(effect.parameters)} for at in (0, count))
 
 
 def _change(effect: Effect, row, act):
@@ -165,7 +166,7 @@ def _force_rows(model: Model, theta, drive, motion, effect: Effect):
 
     def at(p, pick, rows, time):
         here, speed = pick(q[:, rows]), pick(v[:, rows])
-        answer = effect.apply(p, Motion(here, speed, pick(u), time, jnp.zeros_like(here), gravity))
+        answer = effect.apply(p, Motion(here, speed, pick(u), time[None], jnp.zeros_like(here), gravity))
         return answer.force - answer.level * pick(turned) if isinstance(answer, Dry) else answer
 
     def one(joint, row):

@@ -170,7 +170,7 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
     jac = jax.vmap(push)(*tangents)  # [P + A + S, L+1, Y, W]
     residual = weight * measured - y
     robust = jnp.minimum(1.0, huber / jnp.maximum(jnp.abs(residual), 1e-12))
-    rows = jnp.concatenate([jac, residual[None]]) * jnp.sqrt(robust)
+    rows = jnp.concatenate([jac, residual[None]]) * jnp.sqrt(robust)[None]
     flat = rows.reshape(sum(sizes) + 1, -1, x0.shape[1]).transpose(2, 0, 1)
     gram = flat @ jnp.swapaxes(flat, 1, 2)
     size = jnp.abs(residual)
@@ -206,7 +206,7 @@ def _reduced(problem: Problem, point: Point, damping):
     diagonal = jnp.diagonal(hxx, axis1=1, axis2=2)
     diagonal = jnp.where(diagonal > 0, diagonal, 1.0)
     scale = 1.0 / jnp.sqrt(diagonal)
-    eye = jnp.eye(s, dtype=hxx.dtype)
+    eye = jnp.eye(s, dtype=hxx.dtype)[None]
     scaled = hxx * scale[:, :, None] * scale[:, None, :] + (damping + 1e-12) * eye
     empty = jnp.diagonal(hxx, axis1=1, axis2=2) <= 0
     scaled = scaled + jnp.where(empty, 1.0, 0.0)[:, :, None] * eye

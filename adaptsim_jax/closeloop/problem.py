@@ -11,6 +11,7 @@ from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.basis import generic_forces
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit import FitResult, Settings, fit
+from adaptsim_jax.closeloop.meta import check_known
 from adaptsim_jax.closeloop.model_file import declared_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, smooth
 from adaptsim_jax.closeloop.refit import Point, Refit, refit
@@ -95,6 +96,7 @@ def prepare(
     given = declared_model(recording, effects)
     motions = [smooth(t, noise) for t in recording.trials]
     plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
+    check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
     theta0 = plant.initial_theta(
         [(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)]
     )

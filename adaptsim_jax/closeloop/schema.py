@@ -103,9 +103,7 @@ def read_report(path: str | Path) -> dict[str, Any]:
     try:
         return check(json.loads(Path(path).read_text(encoding="utf-8")))
     except OSError as error:
-        raise BadInput(
-            f"{path}: cannot be read ({error.strerror}); name a report of `adaptsim diagnose`"
-        ) from error
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a report of `adaptsim diagnose`") from error
     except (ReportError, ValueError) as error:
         raise BadInput(f"{path}: not a whole report ({error}); run `adaptsim diagnose` again") from error
 
@@ -167,9 +165,7 @@ class _Problems:
         self.add(where + key, f"{name} is wanted" + ("" if key in table else ", it is missing"))
         return default
 
-    def number(
-        self, table: Mapping, key: str, where: str, low: float = -math.inf, high: float = math.inf
-    ) -> None:
+    def number(self, table: Mapping, key: str, where: str, low: float = -math.inf, high: float = math.inf) -> None:
         value = table.get(key)
         if key not in table:
             self.add(where + key, "missing (null where it does not exist)")

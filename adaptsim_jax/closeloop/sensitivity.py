@@ -134,7 +134,7 @@ def _row_maps(model: Model, theta, eff, drive, x, memory, substeps: int):
         return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps)[0]
 
     _, push = jax.linearize(end, start, zero)
-    eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((length * windows,), x.dtype)
+    eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((1, 1, length * windows), x.dtype)
     maps = jax.vmap(push)(eye[:, :states], eye[:, states:])  # [S + n, S, L W]
     maps = maps.reshape(states + joints, states, length, windows).transpose(2, 1, 0, 3)
     return maps[:, :, :states], maps[:, :, states:]
@@ -147,8 +147,9 @@ def _impulse(see, phi, gamma, weight):
 
     def row(dx, now):
         phi, gamma, i = now
-        new = sum(phi[:, s, :, None, None] * dx[s] for s in range(states))
-        new = new + jnp.moveaxis(gamma, 2, 1)[..., None] * (jnp.arange(length) == i)
+        new = sum(phi[:, s, :, None, None] * dx[s][None] for s in range(states))
+        here = (jnp.arange(length) == i).reshape(1, 1, 1, length)
+        new = new + jnp.moveaxis(gamma, 2, 1)[..., None] * here
         return new, new
 
     zero = jnp.zeros((states, windows, joints, length), phi.dtype)

@@ -54,10 +54,15 @@ def trial_command(model: Model, eff, mask, windows: Windows) -> jax.Array:
 
     def act(u):
         for effect in effects:
-            u = effect.apply(model.layout.params(effect, eff, 1), t, u)
+            u = effect.apply(timeless(model.layout.params(effect, eff, 1)), t, u)
         return u
 
     return jax.lax.cond(_any(model, effects, mask), act, lambda u: u, u) if effects else u
+
+
+def timeless(p: dict) -> dict:
+    """Parameters with a first axis for time."""
+    return {name: value[None] for name, value in p.items()}
 
 
 def gather_command(applied, windows: Windows, dt) -> jax.Array:
@@ -141,7 +146,8 @@ def measure(model: Model, eff, mask, time, x, first, channels: int) -> jax.Array
     def act(y):
         q, v = y[:, :n], y[:, n:]
         for effect in effects:
-            q, v = effect.apply(model.layout.params(effect, eff, 1), time[:, None, :], q, v, first)
+            p = timeless(model.layout.params(effect, eff, 1))
+            q, v = effect.apply(p, time[:, None, :], q, v, first)
         return jnp.concatenate([q, v], 1)
 
     y = jax.lax.cond(_any(model, effects, mask), act, lambda y: y, y) if effects else y

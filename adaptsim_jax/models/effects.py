@@ -101,9 +101,9 @@ class Effect:
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
       says; `first` is the angle that it did say at the first time, for sensors that remember.
 
-    `p` maps parameter names to arrays that broadcast. `grid(reach, joint) -> [{shape: value}, ...]` lists the fixed
-    shapes at which the effect is scored; with `jump` the amplitude is on the grid too, as it does not act linearly.
-    `contains` names effects that this one includes as a special case.
+    `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
+    value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
+    as it does not act linearly. `contains` names effects that this one includes as a special case.
     """
 
     name: str

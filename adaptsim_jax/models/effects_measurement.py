@@ -1,4 +1,4 @@
-"""Effects between the true motion and what the sensors say: `t, q, v: [T, ...]` with time first."""
+"""Effects between the true motion and what the sensors say: `t, q, v: [T, ...]` with time first, parameters `[1, ...]`."""
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +35,7 @@ def _behind(v, duration, keep, lag):
         e = e * keep + v0 * step + (v1 - v0) * ramp
         return e, e
 
-    first = lag * v[0]
+    first = lag[0] * v[0]
     _, rest = jax.lax.scan(row, first, (v[:-1], v[1:], keep, step, ramp))
     return jnp.concatenate([first[None], rest])
 
@@ -61,10 +61,10 @@ def backlash(p, t, q, v, first):
     half = 0.5 * p["gap"]
 
     def row(z, now):
-        z = jnp.clip(z, now - half, now + half)
+        z = jnp.clip(z, now - half[0], now + half[0])
         return z, z
 
-    first = jnp.clip(first, q[0] - half, q[0] + half)
+    first = jnp.clip(first, q[0] - half[0], q[0] + half[0])
     _, rest = jax.lax.scan(row, first, q[1:])
     reading = jnp.concatenate([first[None], rest])
     moving = jnp.abs(reading - q) >= 0.999 * half

@@ -136,7 +136,7 @@ def solve_mass(mass: jax.Array, inertia: jax.Array, total: jax.Array) -> jax.Arr
     if n == 2:
         m11, m12, m22 = mass[0, 0] + inertia[0], mass[0, 1], mass[1, 1] + inertia[1]
         det = m11 * m22 - m12 * m12
-        return jnp.stack([m22 * total[0] - m12 * total[1], m11 * total[1] - m12 * total[0]]) / det[None]
+        return jnp.stack([(m22 * total[0] - m12 * total[1]) / det, (m11 * total[1] - m12 * total[0]) / det])
     full = jnp.moveaxis(mass, (0, 1), (-2, -1)) + jnp.moveaxis(inertia, 0, -1)[..., None] * jnp.eye(n)
     return jnp.moveaxis(jnp.linalg.solve(full, jnp.moveaxis(total, 0, -1)[..., None])[..., 0], -1, 0)
 
