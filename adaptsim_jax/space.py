@@ -38,9 +38,7 @@ class Parameter:
 
     def __post_init__(self):
         if not self.low < self.high:
-            raise BadInput(
-                f"parameter {self.name}: low {self.low} is not below high {self.high}; swap or widen them"
-            )
+            raise BadInput(f"parameter {self.name}: low {self.low} is not below high {self.high}; swap or widen them")
         if self.scale == "log" and self.low <= 0:
             raise BadInput(f"parameter {self.name}: a log scale needs low > 0, got {self.low}")
         if self.scale not in ("linear", "log", "categorical"):
@@ -113,9 +111,7 @@ class Space:
             raise BadInput(f"{where}: parameter {p.name!r} is missing; add it, in {p.unit or 'its own unit'}")
         value = settings[p.name]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise BadInput(
-                f"{where}: {p.name} = {value!r} is not a finite number; give one in {p.unit or 'its unit'}"
-            )
+            raise BadInput(f"{where}: {p.name} = {value!r} is not a finite number; give one in {p.unit or 'its unit'}")
         if not p.physical_low <= value <= p.physical_high:
             raise BadInput(
                 f"{where}: {p.name} = {value} {p.unit} is outside its physical range "
