@@ -127,18 +127,13 @@ def test_results_to_a_full_disk_are_one_line():
     assert process.stderr.count("\n") == 1
 
 
-def heed_sigint():
-    """A runner in the background may have SIGINT ignored, which children inherit."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def hear_ctrl_c():
-    """Where these tests run in the background of a shell, SIGINT is ignored, and children inherit that."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+# Where tests run in the background of a shell SIGINT is ignored, and children inherit that. Set in the child: to fork with
+# `preexec_fn` beside JAX's threads is warned of.
+HEED = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 
 
 def test_interrupt_of_a_real_process():
-    code = (
+    code = HEED + (
         "import sys, time, types; from adaptsim_jax import cli\n"
         "def run(args):\n    args.resume_hint = 'go on'; print('ready', flush=True); time.sleep(60)\n"
         "module = types.SimpleNamespace(EXAMPLES='', arguments=lambda p: None, run=run)\n"
@@ -146,7 +141,7 @@ def test_interrupt_of_a_real_process():
         "sys.exit(cli.main(['doctor']))"
     )
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_sigint
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.SIGINT)

@@ -14,6 +14,7 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.models import pendulum as model
+from tests.cli.test_errors import HEED
 
 pytestmark = pytest.mark.slow
 SIZES = (
@@ -232,17 +233,11 @@ def test_what_a_session_refuses(straight, tmp_path, capsys):
     assert "no session here" in capsys.readouterr().err
 
 
-def heed_sigint():
-    """A runner in the background may have SIGINT ignored, which children inherit."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 def test_ctrl_c_while_training_can_be_resumed(straight, tmp_path):
     folder = tmp_path / "run"
-    command = [sys.executable, "-m", "adaptsim_jax.cli", *train(folder, "--seed", "3", *SET)]
-    with subprocess.Popen(
-        command, stderr=subprocess.PIPE, text=True, env=dict(os.environ), preexec_fn=heed_sigint
-    ) as process:
+    code = HEED + "import sys; from adaptsim_jax.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, *train(folder, "--seed", "3", *SET)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
         while process.poll() is None and not Path(folder, "metrics.jsonl").exists():
             time.sleep(0.001)
         process.send_signal(signal.SIGINT)
