@@ -65,23 +65,12 @@ def shiftable_pendulum(options: Mapping[str, Any]) -> Callable[[jax.Array], Task
     return shifted
 
 
-def adaptsim_over_ranges(
-    config: TrainConfig,
-    offsets: np.ndarray,
-    seeds: np.ndarray,
-    target: np.ndarray,
-    *,
-    starts: int = 2,
-    iterations: int = 10,
-    report: Callable = silent,
-) -> np.ndarray:
-    """Means visited `[R, S, N, iterations + 1, D]` (unit coordinates) for `offsets [R, D]` and `seeds [S]`, one program."""
+def adaptsim_run(config: TrainConfig, target: np.ndarray, *, starts: int = 2, iterations: int = 10) -> Callable:
+    """`run(offset [D], seed []) -> means [N, iterations + 1, D]`: Phase 1 and Phase 2 on Omega moved by `offset`; pure."""
     hyper, sizes = traced(config.hyper), config.phase1
     used = min(sizes.archive, sizes.trajectories * sizes.horizon)
-
     shifted = shiftable_pendulum(config.task)
 
-    @jax.jit
     def run(offset, seed):
         phase1 = make_phase1(shifted(offset), sizes)
         key = jax.random.key(seed)
@@ -91,7 +80,14 @@ def adaptsim_over_ranges(
         found = adapt(key, phase1.task, phase1.bdq, weights, first, aim, iterations=iterations, delta=hyper.delta)
         return found.history.mean
 
-    return _each(run, offsets, seeds, report)
+    return run
+
+
+def adaptsim_over_ranges(
+    config: TrainConfig, offsets: np.ndarray, seeds: np.ndarray, target: np.ndarray, *, report: Callable = silent
+) -> np.ndarray:
+    """Means visited `[R, S, N, I + 1, D]` (unit coordinates) for `offsets [R, D]` and `seeds [S]`, one program."""
+    return _each(jax.jit(adaptsim_run(config, target)), offsets, seeds, report)
 
 
 def sysid_over_ranges(

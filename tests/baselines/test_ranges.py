@@ -3,8 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from adaptsim_jax.baselines.ranges import shiftable_pendulum
+from adaptsim_jax.adapt.phase1 import Phase1Config
+from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.baselines.ranges import adaptsim_run, shiftable_pendulum
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
 
@@ -36,3 +39,12 @@ def test_offset_may_be_traced():
 
     offsets = jnp.stack([jnp.zeros(4), jnp.asarray(OFFSET)])
     np.testing.assert_allclose(jax.jit(jax.vmap(physical))(offsets)[:, 1], [1.5, 1.8], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_phase_1_and_2_take_a_traced_offset():
+    """Traced and not run: that all of it is one program for every range."""
+    config = TrainConfig(task={"scaling": "paper"}, phase1=Phase1Config(trajectories=50, parallel=50, updates=1))
+    run = adaptsim_run(config, np.array([1.8, 0.3, 1.5, 1.5]), starts=3, iterations=4)
+    shape = jax.eval_shape(run, jnp.asarray(OFFSET), jnp.asarray(0)).shape
+    assert shape == (3, 5, 4)
