@@ -19,6 +19,7 @@ from adaptsim_jax.adapt.phase1 import Archive, make_phase1
 from adaptsim_jax.adapt.presets import PRESETS
 from adaptsim_jax.adapt.sweep import TrainedMany, stack, starts_of, train_many
 from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.files import atomic_file
 from adaptsim_jax.progress import progress
 from adaptsim_jax.tasks.registry import make_task
 
@@ -50,12 +51,8 @@ def _keeper(phase1, out: Path):
     def keep(seeds, part: TrainedMany):
         starts = starts_of(phase1, part, seeds, STARTS)
         for i, seed in enumerate(seeds):
-            np.savez(
-                out / f"seed-{seed}.npz",
-                weights=part.weights[i],
-                starts=starts.mean[i],
-                reward=part.info.final_reward[i],
-            )
+            with atomic_file(out / f"seed-{seed}.npz") as file:
+                np.savez(file, weights=part.weights[i], starts=starts.mean[i], reward=part.info.final_reward[i])
 
     return keep
 
