@@ -1,0 +1,117 @@
+"""The push as a point on a line: a reduced model for sweeps, in JAX, calibrated against the full scenes.
+
+The paper's bottle hardly turns, so it stays on the line of the push: state (s, v) along it. The plate's edge is
+prescribed, meets the bottle as the MuJoCo scenes do (a damped spring softened by its impedance), and lifts some of its
+weight; each of four feet has the friction of what it stands on.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.models import pushing
+from adaptsim_jax.models.pushing import ElasticityMap, PushOptions
+
+Array = Any
+
+STEP = 0.005
+IMPEDANCE = 0.9  # of plate against bottle, as in the MJCF scene
+
+
+class PlanarCoefficients(NamedTuple):
+    """What calibration sets: the map of e, the share of the push that lifts, and the ring that the feet stand on (m)."""
+
+    elasticity: ElasticityMap
+    lift: Any = 0.3
+    ring: Any = pushing.FOOT_RING
+
+
+DEFAULT = PlanarCoefficients(ElasticityMap((4.03, 0.485, 0.071), (-1.33, 0.175, 0.143)))
+
+
+def rollout(
+    params: Array,
+    action: Array,
+    options: PushOptions = PushOptions(),
+    coefficients: PlanarCoefficients = DEFAULT,
+    start: Array = pushing.START,
+) -> Array:
+    """Bottle positions `[T, 2]` m of one push: `params [4]`, `action [2]` (speed m/s, angle rad); pure, jit and vmap it.
+
+    Row k is at `(k + 1) * options.row` s, 130 rows by default. `options` is static. Finite for finite input.
+    """
+    return trajectory(params, action, options, coefficients, start)[:, :2]
+
+
+def trajectory(
+    params: Array,
+    action: Array,
+    options: PushOptions = PushOptions(),
+    coefficients: PlanarCoefficients = DEFAULT,
+    start: Array = pushing.START,
+) -> Array:
+    """As `rollout`, with velocities: `[T, 4]`, x, y in m and vx, vy in m/s."""
+    params, action, start = jnp.asarray(params), jnp.asarray(action), jnp.asarray(start)
+    heading = jnp.stack([jnp.cos(action[1]), jnp.sin(action[1])])
+    step = _make_step(params, heading, start, options, coefficients)
+    edge = jax.tree.map(jnp.asarray, _edge(options))
+    position, speed, acceleration = (_scaled(edge, k, action[0]) for k in range(3))
+    # the pusher starts behind `START`, wherever the bottle stands; all along the line of the push
+    ahead = (jnp.asarray(pushing.START) - start) @ heading
+    gap = position + ahead - (pushing.LINK_BACK - pushing.EDGE_RADIUS - pushing.RADIUS)
+    substeps = round(options.row / STEP)
+    inputs = jnp.stack([gap, speed, acceleration], -1).reshape(-1, substeps, 3)
+
+    def row(state, pushes):
+        for push in pushes:  # two: unrolled
+            state = step(state, push)
+        return state, state
+
+    still = 0.0 * action[0] + 0.0 * params[0]  # a zero of the inputs' type, so that the scan carries one type
+    _, (s, v) = jax.lax.scan(row, (still, still), inputs, unroll=2)
+    return jnp.stack([start[0] + s * heading[0], start[1] + s * heading[1], v * heading[0], v * heading[1]], -1)
+
+
+def _edge(options: PushOptions) -> np.ndarray:
+    """`[6, steps]`: position, speed, acceleration of the edge at step starts, each as (per unit speed, by pitching)."""
+    steps = round(options.duration / STEP)
+    slope = pushing.slopes(STEP, steps)
+    rate = pushing.ramp(np.arange(steps) * STEP)
+    travel = np.concatenate([[0.0], np.cumsum(pushing.ramp(np.arange(1, steps) * STEP)) * STEP])
+    pitch, rate_p, slope_p = (pushing.PITCH_RATE * a for a in (travel, rate, slope))
+    swing = pushing.EDGE_DROP * np.sin(pitch)
+    swing_v = pushing.EDGE_DROP * np.cos(pitch) * rate_p
+    swing_a = pushing.EDGE_DROP * (np.cos(pitch) * slope_p - np.sin(pitch) * rate_p**2)
+    return np.stack([travel, swing, rate, swing_v, slope, swing_a]).astype(np.float32)
+
+
+def _scaled(edge: Array, k: int, speed: Array) -> Array:
+    return speed * edge[2 * k] + edge[2 * k + 1]
+
+
+def _make_step(params, heading, start, options: PushOptions, c: PlanarCoefficients):
+    """`step((s, v), (gap, speed, acceleration)) -> (s, v)`: one semi-implicit Euler step of 5 ms."""
+    friction = pushing.frictions(params, options.friction)
+    k, b = pushing.spring(c.elasticity, params[1], options.mass, jnp)
+    x, y = jnp.asarray(pushing.feet().T / pushing.FOOT_RING, heading.dtype) * c.ring
+    x, y = x + start[0], y + start[1]
+    g, d = pushing.GRAVITY, IMPEDANCE
+
+    def step(state, push):
+        s, v = state
+        patch = pushing.on_patch(x + s * heading[0], y + s * heading[1], params[3], jnp)
+        mu = (friction.table + patch * (friction.patch - friction.table)).mean()
+        depth = push[0] - s
+        # MuJoCo's contact: the force that brings the relative acceleration to its reference, short of it by d
+        wanted = b * (push[1] - v) + k * d * depth + push[2] + jnp.where(v > 0, mu * g, 0.0)
+        force = jnp.where(depth > 0, jnp.maximum(d * wanted, 0.0), 0.0)
+        brake = mu * jnp.maximum(g - c.lift * force, 0.0)
+        v = v + STEP * force
+        v = jnp.sign(v) * jnp.maximum(jnp.abs(v) - STEP * brake, 0.0)
+        return s + STEP * v, v
+
+    return step
