@@ -45,11 +45,12 @@ LINK_BACK, LINK_HEIGHT = 0.15, 0.135
 EDGE_DROP, EDGE_RADIUS = 0.1175, 0.0025
 RISE_SPEED, PITCH_RATE = 0.1, 0.8
 
-FINE, DIVERGED, FALLEN = 0, 1, 2
+FINE, DIVERGED, FALLEN, UNFIT = 0, 1, 2, 3
 MESSAGES = {
     FINE: "fine",
-    DIVERGED: "the motion ceased to be finite",
+    DIVERGED: "the motion ceased to be finite, or the bottle left the room",
     FALLEN: "the bottle tilted by more than 30 degrees",
+    UNFIT: "parameters, action or start are not finite, or outside of what a scene can be built with",
 }
 
 
@@ -69,6 +70,9 @@ class PushOptions:
     com: tuple[float, ...] = (0.0, 0.0, -0.10)
     inertia: tuple[float, ...] = (0.3175, 0.3175, 0.135)
     row: float = 0.01  # s between the rows of a trajectory
+
+
+PAPER = PushOptions()
 
 
 def cylinder_inertia(mass: float) -> tuple[float, float, float]:
@@ -140,6 +144,10 @@ class ElasticityMap(NamedTuple):
 
     frequency: tuple[Any, ...]
     damping: tuple[Any, ...]
+
+
+ELASTICITY = ElasticityMap((4.03, 0.485, 0.071), (-1.33, 0.175, 0.143))
+"""The map of the MuJoCo scenes, fitted to Drake by `experiments/pushing_elasticity.py`."""
 
 
 def spring(elasticity: ElasticityMap, e: Array, mass: float, xp: Any = np) -> tuple[Array, Array]:

@@ -13,8 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pushing
-from adaptsim_jax.models.pushing import ElasticityMap, PushOptions
+from adaptsim_jax.models.pushing import PAPER, ElasticityMap, PushOptions
 
 Array = Any
 
@@ -30,13 +31,23 @@ class PlanarCoefficients(NamedTuple):
     ring: Any = pushing.FOOT_RING
 
 
-DEFAULT = PlanarCoefficients(ElasticityMap((4.03, 0.485, 0.071), (-1.33, 0.175, 0.143)))
+DEFAULT = PlanarCoefficients(pushing.ELASTICITY)
+
+
+def check_options(options: PushOptions) -> PushOptions:
+    """`options` if a bottle that neither turns nor tips is a fair model of them; BadInput otherwise."""
+    if min(options.inertia) < 0.03 or max(map(abs, options.com[:2])) > 1e-3:
+        raise BadInput(
+            f"pushing, inertia = {options.inertia}, com = {options.com}: this bottle turns or tips, and the planar model "
+            "only slides; use backend native, mjx or drake"
+        )
+    return pushing.check_options(options)
 
 
 def rollout(
     params: Array,
     action: Array,
-    options: PushOptions = PushOptions(),
+    options: PushOptions = PAPER,
     coefficients: PlanarCoefficients = DEFAULT,
     start: Array = pushing.START,
 ) -> Array:
@@ -50,7 +61,7 @@ def rollout(
 def trajectory(
     params: Array,
     action: Array,
-    options: PushOptions = PushOptions(),
+    options: PushOptions = PAPER,
     coefficients: PlanarCoefficients = DEFAULT,
     start: Array = pushing.START,
 ) -> Array:

@@ -1,0 +1,105 @@
+"""What the engines of the push share: batches checked, the MJCF scene as a model, codes and rows of the outcome."""
+
+from __future__ import annotations
+
+import importlib
+from importlib import resources
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models import pushing
+from adaptsim_jax.models.backends.base import Trajectory
+from adaptsim_jax.models.pushing import PushOptions
+
+FEET = ("foot0", "foot1", "foot2", "foot3")
+STATE = 13
+"""Columns of a state row: position (3) m, quaternion (4), velocity (3) m/s, turning in the bottle's frame (3) rad/s."""
+ROOM = 5.0
+"""A bottle further from the arm's base than this, m, has been thrown by the numerics."""
+
+
+class Batch(NamedTuple):
+    """Checked arrays; samples that are not `fit: [B]` have been replaced by a harmless push."""
+
+    params: np.ndarray  # [B, 4]
+    actions: np.ndarray  # [B, 2]
+    starts: np.ndarray  # [B, 2]
+    fit: np.ndarray  # [B]
+
+
+def checked(params: Any, actions: Any, starts: Any) -> Batch:
+    """Shapes are the caller's fault (BadInput); values are a sample's (`fit`), since one of many may be bad."""
+    arrays = [np.asarray(a, float) for a in (params, actions, starts)]
+    for array, width, name in zip(arrays, (4, 2, 2), ("params", "commands", "initial"), strict=True):
+        if array.ndim != 2 or array.shape[1] != width or len(array) != len(arrays[0]):
+            wanted = f"[{len(arrays[0]) if arrays[0].ndim else 'B'}, {width}]"
+            raise BadInput(f"pushing, {name}: has shape {list(array.shape)}; give {wanted}")
+    low = np.array((*pushing.PHYSICAL_LOW, 0.05, -1.0, 0.3, -0.5))
+    high = np.array((*pushing.PHYSICAL_HIGH, 2.0, 1.0, 1.0, 0.5))
+    rows = np.concatenate(arrays, 1)
+    fit = ((rows >= low) & (rows <= high)).all(1)
+    harmless = (0.1, 1e5, 0.5, 0.0, 0.4, 0.0, *pushing.START)
+    rows = np.where(fit[:, None], rows, np.array(harmless))
+    return Batch(rows[:, :4], rows[:, 4:6], rows[:, 6:], fit)
+
+
+def finished(state: Any, batch: Batch) -> Trajectory:
+    """`state [B, T, 13]` with a code for each sample; a sample without a motion stands at its start, never NaN."""
+    state = np.asarray(state)
+    sane = np.isfinite(state).all((1, 2)) & (np.abs(np.where(np.isfinite(state), state, 0.0)[:, :, :3]) < ROOM).all(
+        (1, 2)
+    )
+    _, x, y, _ = np.moveaxis(state[:, :, 3:7], -1, 0)
+    upright = 1 - 2 * (x * x + y * y)  # the cosine of the tilt
+    fallen = sane & (np.where(np.isfinite(upright), upright, 1.0) < np.cos(pushing.FALLEN_TILT)).any(1)
+    code = np.where(fallen, pushing.FALLEN, np.where(sane, pushing.FINE, pushing.DIVERGED))
+    code = np.where(batch.fit, code, pushing.UNFIT)
+    still = np.zeros((len(state), 1, STATE), state.dtype)
+    still[:, 0, :2], still[:, 0, 2], still[:, 0, 3] = batch.starts, pushing.HEIGHT / 2, 1.0
+    usable = np.isin(code, (pushing.FINE, pushing.FALLEN))
+    return Trajectory(np.where(usable[:, None, None], state, still), code)
+
+
+def model(options: PushOptions, dt: float) -> Any:
+    """The compiled `mujoco.MjModel` of the shipped scene, with the bottle of `options`."""
+    mujoco: Any = importlib.import_module("mujoco")
+    text = resources.files("adaptsim_jax.models.scenes").joinpath("pushing.xml").read_text()
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.timestep = dt
+    bottle = spec.body("bottle")
+    bottle.mass, bottle.ipos, bottle.inertia = options.mass, options.com, options.inertia
+    return spec.compile()
+
+
+class Rest(NamedTuple):
+    """The bottle standing at rest: `qpos [11]`, and the accelerations `[10]` from which solvers start."""
+
+    qpos: np.ndarray
+    warmstart: np.ndarray
+
+
+def rest(m: Any) -> Rest:
+    """Half a second of settling, so that a push does not begin with a fall of micrometres."""
+    mujoco: Any = importlib.import_module("mujoco")
+    data = mujoco.MjData(m)
+    start = data.qpos.copy()
+    mujoco.mj_step(m, data, round(0.5 / m.opt.timestep))
+    data.qpos[:2], data.qpos[7:], data.qvel[:] = start[:2], start[7:], 0.0
+    mujoco.mj_forward(m, data)
+    return Rest(data.qpos.copy(), data.qacc.copy())
+
+
+def controls(actions: np.ndarray, dt: float, steps: int) -> np.ndarray:
+    """Accelerations `[B, steps, 3]` of the plate along forward, rise and pitch that follow the profile exactly."""
+    slope = pushing.slopes(dt, steps)
+    per_unit = np.stack(
+        [actions[:, 0], np.full(len(actions), pushing.RISE_SPEED), np.full(len(actions), pushing.PITCH_RATE)], -1
+    )
+    return per_unit[:, None, :] * slope[:, None]
+
+
+def pair_ids(m: Any) -> tuple[np.ndarray, int]:
+    """Indices of the pairs foot-table `[4]` and of the pair edge-bottle."""
+    return np.array([m.pair(name).id for name in FEET]), m.pair("edge").id
