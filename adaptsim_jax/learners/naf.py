@@ -1,0 +1,207 @@
+"""Normalised advantage functions: Q-learning with actions on a continuum (Gu et al. 2016; paper, appendix A4).
+
+`Q(s, a) = V(s) - (a - m(s))' P(s) (a - m(s)) / 2` with `P = L L'`, a full positive-definite matrix: L is lower triangular
+with exponentials on its diagonal. Actions live in `[-1, 1]^d`, and the greedy one is the exact maximiser of Q inside
+that box (`naf_box`), so the mean itself may lie outside. Sizes are static (`NAFConfig`), rates traced (`NAFHyper`). All is
+pure; vmap over states trains hundreds of networks in one update.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax.flatten_util import ravel_pytree
+
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners.bdq import ACTIVATIONS
+from adaptsim_jax.learners.naf_box import box_maximiser
+from adaptsim_jax.learners.replay import Transition
+
+LOSSES: dict[str, Callable[[jax.Array], jax.Array]] = {
+    "huber": lambda error: jnp.where(jnp.abs(error) < 1.0, 0.5 * error**2, jnp.abs(error) - 0.5),
+    "square": lambda error: 0.5 * error**2,
+}
+
+
+@dataclass(frozen=True)
+class NAFConfig:
+    """Sizes of the network and what kind of problem it is for; static under jit.
+
+    reach: the mean lies in `[-reach, reach]`. log_diagonal: the diagonal of L lies in `exp(+-log_diagonal)`. one_step: the
+    problem ends after one action (a contextual bandit), so targets are rewards, and the next observation is not looked at.
+    """
+
+    obs_dim: int
+    action_dim: int
+    hidden: tuple[int, ...] = (64, 64)
+    activation: str = "relu"
+    reach: float = 1.5
+    log_diagonal: float = 2.0
+    loss: str = "huber"
+    one_step: bool = True
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class NAFHyper:
+    """Rates of the learner: a pytree, each leaf a scalar, or `[S]` under vmap.
+
+    learning_rate: Adam's; discount: gamma, and tau: share of the online network that enters the target network at each
+    update (neither matters in a one-step problem); max_grad_norm: the gradient is scaled down to this global norm.
+    """
+
+    learning_rate: float = 1e-3
+    discount: float = 0.99
+    tau: float = 0.01
+    max_grad_norm: float = 1.0
+
+
+class NAFState(NamedTuple):
+    """What the next update needs. Weights are flat `[n]` vectors; `target` is None in a one-step problem."""
+
+    online: jax.Array
+    target: jax.Array | None
+    opt: optax.OptState
+
+
+class NAFInfo(NamedTuple):
+    """Of one update: loss, mean Q of the taken actions, gradient norm before clipping; each `[]`."""
+
+    loss: jax.Array
+    q: jax.Array
+    grad_norm: jax.Array
+
+
+class Quadratic(NamedTuple):
+    """Q as a function of the action: value `[...]` at mean `[..., d]`, and chol `[..., d, d]`, lower triangular."""
+
+    value: jax.Array
+    mean: jax.Array
+    chol: jax.Array
+
+    def __call__(self, action: jax.Array) -> jax.Array:
+        """Q of `action [..., d]`: `[...]`."""
+        delta = action - self.mean
+        return self.value - 0.5 * jnp.sum(jnp.square(jnp.sum(self.chol * delta[..., :, None], -2)), -1)
+
+
+class Network(nn.Module):
+    """`obs [..., obs_dim] -> Quadratic`."""
+
+    config: NAFConfig
+
+    @nn.compact
+    def __call__(self, obs: jax.Array) -> Quadratic:
+        cfg, d = self.config, self.config.action_dim
+        x = obs
+        for width in cfg.hidden:
+            x = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=nn.initializers.he_uniform())(x))
+        # One matrix holds all heads. It starts small, so that P starts near the identity and the mean near the centre.
+        heads = nn.Dense(1 + d + d * (d + 1) // 2, kernel_init=nn.initializers.variance_scaling(0.01, "fan_in", "normal"))(x)
+        value, mean, entries = heads[..., 0], heads[..., 1 : 1 + d], heads[..., 1 + d :]
+        return Quadratic(value, cfg.reach * jnp.tanh(mean), _lower_triangle(entries, d, cfg.log_diagonal))
+
+
+class NAF(NamedTuple):
+    """The learner as pure functions; see `make_naf`."""
+
+    config: NAFConfig
+    init: Callable[[jax.Array], NAFState]
+    fresh: Callable[[jax.Array], NAFState]
+    quadratic: Callable[[jax.Array, jax.Array], Quadratic]
+    greedy: Callable[[jax.Array, jax.Array], jax.Array]
+    act: Callable[..., jax.Array]
+    update: Callable[..., tuple[NAFState, NAFInfo]]
+
+
+def make_naf(config: NAFConfig) -> NAF:
+    """Check the sizes and return the learner.
+
+    * `init(key) -> NAFState`; `fresh(weights [n]) -> NAFState` starts anew from trained weights
+    * `quadratic(weights, obs [..., obs_dim]) -> Quadratic`, `weights` being `state.online` or `.target`
+    * `greedy(weights, obs) -> [..., d]`, the maximiser of Q inside `[-1, 1]^d`
+    * `act(key, weights, obs, scale) -> [..., d]`: noise of covariance `scale * inverse(P)` about it, clipped into the box
+    * `update(state, batch, hyper) -> (NAFState, NAFInfo)`: one Adam step on a `Transition` of `[B, ...]`, actions float
+    """
+    _check(config)
+    network = Network(config)
+    example = jnp.zeros((1, config.obs_dim))
+    shapes = jax.eval_shape(network.init, jax.random.key(0), example)
+    unravel = ravel_pytree(jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))[1]
+
+    def quadratic(weights, obs) -> Any:
+        return network.apply(unravel(weights), obs)
+
+    def fresh(weights):
+        return NAFState(weights, None if config.one_step else weights, optax.scale_by_adam().init(weights))
+
+    def init(key):
+        return fresh(ravel_pytree(network.init(key, example))[0])
+
+    def greedy(weights, obs):
+        q = quadratic(weights, obs)
+        return box_maximiser(q.mean, q.chol)
+
+    def act(key, weights, obs, scale):
+        q = quadratic(weights, obs)
+        best = box_maximiser(q.mean, q.chol)
+        return jnp.clip(best + jnp.sqrt(scale) * _whiten(q.chol, jax.random.normal(key, best.shape)), -1.0, 1.0)
+
+    def update(state, batch, hyper):
+        target = batch.reward if config.one_step else _bootstrapped(quadratic, state, batch, hyper.discount)
+        loss_of = lambda w: _loss(config, quadratic(w, batch.obs)(batch.action), target)
+        (loss, q), grad = jax.value_and_grad(loss_of, has_aux=True)(state.online)
+        norm = optax.tree.norm(grad)
+        grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
+        step, opt = optax.scale_by_adam().update(grad, state.opt)
+        online = state.online - hyper.learning_rate * step
+        slow = None if state.target is None else state.target + hyper.tau * (online - state.target)
+        return NAFState(online, slow, opt), NAFInfo(loss, q, norm)
+
+    return NAF(config, init, fresh, quadratic, greedy, act, update)
+
+
+def _lower_triangle(entries: jax.Array, d: int, log_diagonal: float) -> jax.Array:
+    """`[..., d (d + 1) / 2] -> [..., d, d]`: row by row, the diagonal exponentiated between its bounds."""
+    rows, place = [], 0
+    for i in range(d):
+        row = [entries[..., place + j] for j in range(i)]
+        row.append(jnp.exp(log_diagonal * jnp.tanh(entries[..., place + i])))
+        row += [jnp.zeros_like(row[0])] * (d - i - 1)
+        rows.append(jnp.stack(row, -1))
+        place += i + 1
+    return jnp.stack(rows, -2)
+
+
+def _whiten(chol: jax.Array, noise: jax.Array) -> jax.Array:
+    """Solve `L' x = noise` by back substitution, so that x has covariance `inverse(L L')`: `[..., d]`."""
+    d = noise.shape[-1]
+    x: list[jax.Array] = [noise[..., 0]] * d
+    for i in reversed(range(d)):
+        rest = sum((chol[..., j, i] * x[j] for j in range(i + 1, d)), jnp.zeros_like(noise[..., i]))
+        x[i] = (noise[..., i] - rest) / chol[..., i, i]
+    return jnp.stack(x, -1)
+
+
+def _bootstrapped(quadratic, state: NAFState, batch: Transition, discount: jax.Array) -> jax.Array:
+    """`[B]`: reward and the discounted best Q that the slow network has inside the box at the next observation."""
+    after = quadratic(state.target, batch.next_obs)
+    return batch.reward + discount * batch.bootstrap * after(box_maximiser(after.mean, after.chol))
+
+
+def _loss(config: NAFConfig, q: jax.Array, target: jax.Array):
+    return jnp.mean(LOSSES[config.loss](q - jax.lax.stop_gradient(target))), q.mean()
+
+
+def _check(config: NAFConfig) -> None:
+    if not config.hidden or min(config.obs_dim, config.action_dim, *config.hidden) < 1:
+        raise BadInput(f"NAF sizes {config}: each must be positive, with one hidden layer or more")
+    if config.reach < 1.0 or config.log_diagonal <= 0.0:
+        raise BadInput(f"NAF reach {config.reach} must be at least 1, else the box's corners are out of reach; log_diagonal positive")
+    if config.activation not in ACTIVATIONS or config.loss not in LOSSES:
+        raise BadInput(f"NAF activation is one of {', '.join(ACTIVATIONS)} and loss one of {', '.join(LOSSES)}; got {config}")
