@@ -118,8 +118,8 @@ def _make_step(params, heading, start, options: PushOptions, c: PlanarCoefficien
         mu = (friction.table + patch * (friction.patch - friction.table)).mean()
         depth = push[0] - s
         # MuJoCo's contact: the force that brings the relative acceleration to its reference, short of it by d
-        wanted = b * (push[1] - v) + k * d * depth + push[2] + jnp.where(v > 0, mu * g, 0.0)
-        force = jnp.where(depth > 0, jnp.maximum(d * wanted, 0.0), 0.0)
+        free = push[2] + jnp.where(v > 0, mu * g, 0.0)
+        force = jnp.where(depth > 0, jnp.maximum(b * (push[1] - v) + k * depth + d * free, 0.0), 0.0)
         brake = mu * jnp.maximum(g - c.lift * force, 0.0)
         v = v + STEP * force
         v = jnp.sign(v) * jnp.maximum(jnp.abs(v) - STEP * brake, 0.0)
