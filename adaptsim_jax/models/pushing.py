@@ -161,6 +161,16 @@ def spring(elasticity: ElasticityMap, e: Array, mass: float, xp: Any = np) -> tu
     return w * w * share, xp.clip(2 * zeta * w, 0.0, 250.0) * share
 
 
+def slip_damping(mu: Array) -> Array:
+    """What resists the sliding of a foot with friction `mu`, as the damping of MuJoCo's solreffriction (1/s).
+
+    MuJoCo's contact is convex: the harder sliding is resisted, the more the foot is lifted; too hard, and the bottle hops,
+    after which a micrometre decides where it stops. Too soft, and it creeps. These values keep stopping distances within
+    a millimetre or two of v^2 / (2 mu g) and the feet on the table.
+    """
+    return 8.0 + 16.0 * mu
+
+
 def on_patch(x: Array, y: Array, y_p: Array, xp: Any = np) -> Array:
     """How far a point is on the patch, in [0, 1]; 1 inside, 0 outside, linear over the edge's 2 mm."""
     inside = lambda d: xp.clip((PATCH_SIDE / 2 - xp.abs(d)) / PATCH_EDGE + 0.5, 0.0, 1.0)

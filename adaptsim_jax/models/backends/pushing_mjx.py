@@ -49,6 +49,7 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
         friction = pushing.frictions(params, options.friction)
         k, b = pushing.spring(elasticity, params[1], options.mass, jnp)
         pairs = base.pair_friction.at[edge, :2].set(friction.plate)
+        slips = base.pair_solreffriction
         scene_of_sample = base.replace(pair_solref=base.pair_solref.at[edge].set(jnp.stack([-k, -b])))
 
         def step(carry, control):
@@ -56,7 +57,10 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
             at = _feet_xy(qpos, places)
             on = pushing.on_patch(at[:, 0], at[:, 1], params[3], jnp)
             mu = friction.table + on * (friction.patch - friction.table)
-            now = scene_of_sample.replace(pair_friction=pairs.at[feet, :2].set(mu[:, None]))
+            now = scene_of_sample.replace(
+                pair_friction=pairs.at[feet, :2].set(mu[:, None]),
+                pair_solreffriction=slips.at[feet, 1].set(-pushing.slip_damping(mu)),
+            )
             # only what the next step needs is carried; all else of `Data` is rebuilt from the blank
             data = mjx.step(now, blank.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control))
             return (data.qpos, data.qvel, data.qacc_warmstart), jnp.concatenate([data.qpos[:7], data.qvel[:6]])

@@ -128,7 +128,8 @@ class _Ground:
     """The friction under each foot, written into the models where it changed."""
 
     def __init__(self, models, pairs, params, actions, options: PushOptions, places: np.ndarray):
-        self.views = [m.pair_friction[pairs[0] : pairs[-1] + 1, :2] for m in models]
+        rows = slice(pairs[0], pairs[-1] + 1)
+        self.views = [(m.pair_friction[rows, :2], m.pair_solreffriction[rows, 1]) for m in models]
         friction = pushing.frictions(params, options.friction)
         self.table, self.patch, self.y_p = friction.table[:, None], friction.patch[:, None], params[:, 3, None]
         self.places = places
@@ -140,8 +141,10 @@ class _Ground:
         x, y = self._feet(state)
         on = pushing.on_patch(x, y, self.y_p)
         mu = self.table + on * (self.patch - self.table)
+        damping = -pushing.slip_damping(mu)
         for i in np.flatnonzero((mu != self.written).any(1)):
-            self.views[i][:] = mu[i][:, None]
+            grip, slip = self.views[i]
+            grip[:], slip[:] = mu[i][:, None], damping[i]
         self.written = mu
 
     def free(self, state: np.ndarray, time: float) -> float:
