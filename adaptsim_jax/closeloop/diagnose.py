@@ -11,6 +11,8 @@ import numpy as np
 import adaptsim_jax
 from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
+from adaptsim_jax.closeloop.ceiling import ceiling
+from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
@@ -19,7 +21,7 @@ from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Problem, declared_fit, prepare
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.results import report_of
+from adaptsim_jax.closeloop.results import add_ceiling, report_of
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.task_reward import task_reward
@@ -110,6 +112,7 @@ def examine(
     verdict = confirmed(verdict, error_before, error_after)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
+    add_ceiling(report["error"], ceiling(problem, base, first, error_before.fold))
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)
     say(8, STAGES, "next experiment")
@@ -133,6 +136,15 @@ def useless(count: int) -> tuple[Effect, ...]:
     return tuple(
         Effect(f"irrelevant_{i}", "force", (size,), force, "nothing physical", "nothing shows it") for i in range(count)
     )
+
+
+def regressors(result: Diagnosis) -> list[dict[str, Any]]:
+    """For the page: each named effect's torque against what it follows."""
+    found = result.found
+    if not result.verdict.named or found.view is None:
+        return []
+    rows = evidence_of(result.problem, found.final, found.view, result.first, found.added)
+    return [row.shown() for row in rows]
 
 
 def findings(checked: Audit) -> list[dict[str, str]]:
@@ -163,6 +175,7 @@ def finish(
 
         folder = output_folder(out)
         if result is not None:
+            evidence["regressor"] = regressors(result)
             model = result.found.final if result.verdict.named else result.found.base
             told = {key: report[key] for key in ("verdict", "message")} | {"data": recording.path} | report["run"]
             write_model(folder / "model.toml", fitted_model(result.problem, model, told))

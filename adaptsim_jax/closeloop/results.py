@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.closeloop.ceiling import Ceiling
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.power import MATTERS, Power
@@ -116,6 +117,16 @@ def _error(problem: Problem, found: Found, before: HeldOut, after: HeldOut | Non
         "ceiling": None, "per_channel": per_channel, "per_trial": per_trial,
         "intervals": {"before": before.interval(None, rng), "after": None if after is None else after.interval(None, rng)},
     }  # fmt: skip
+
+
+def add_ceiling(error: dict[str, Any], found: Ceiling | None) -> None:
+    """Put the flexible model's held-out error into the report's `error`, and what its forces follow."""
+    if found is None:
+        return
+    error["ceiling"] = found.rmse
+    error["ceiling_groups"] = [f"{variable} at {joint}" for joint, variable in found.groups]
+    for row, value in zip(error["per_channel"].values(), found.per_channel, strict=True):
+        row["ceiling"] = float(value)
 
 
 def _trial_error(name: str, i: int, before: HeldOut, after: HeldOut | None, channels) -> dict[str, Any]:

@@ -8,7 +8,8 @@
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None}],
                      NaN where windows join; the first trial is shown, the others fold out
     residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model
-    regressor        {where, x [n], y [n] N m, x_label, y_label, curve_x, curve_y} or None
+    regressor        [{name, where, x [n], y [n] N m, x_label, curve_x, curve_y, explained}], one a named effect:
+                     the torque missing without it against what it follows, and the effect itself
     leftover         [{joint, variable, share (0..1), p_value}]
     spectrum         {joint: {frequency [n] Hz, before [n], after [n]}}
     next_experiment  {time [n] s, torque [n, 2] N m, separates: [a, b], csv: file name}
@@ -80,6 +81,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "trials": _held_out_figures(evidence.get("held_out") or []),
         "trials_left_out": max(0, len(evidence.get("held_out") or []) - MOST_TRIALS),
         "residual": _residual_figures(evidence),
+        "seen": [row for row in evidence.get("regressor") or [] if row.get("explained") is not None],
         "leftover": rows_of.leftover_rows(evidence),
         "power": rows_of.power_rows(report),
         "candidates": rows_of.candidate_rows(report),
@@ -169,9 +171,8 @@ def _held_out_figures(trials: list[Mapping]) -> list[dict[str, Any]]:
 
 def _residual_figures(evidence: Mapping) -> list[dict[str, str]]:
     pictures = []
-    found = evidence.get("regressor")
-    if found:
-        label = f"unmodelled torque at {found['where']} against {found.get('x_label', 'the regressor')}"
+    for found in evidence.get("regressor") or []:
+        label = f"torque missing at {found['where']} against {found.get('x_label', 'the regressor')}"
         pictures.append({"kind": "regressor", "svg": svg.draw(figures.regressor(found), 3.1, label)})
     for row in evidence.get("residual_torque") or []:
         label = f"unmodelled torque at {row['joint']} over time"

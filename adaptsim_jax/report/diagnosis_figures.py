@@ -89,25 +89,30 @@ def held_out(trial: Mapping, channel: str) -> Paint:
 
 
 def regressor(found: Mapping, unit: str = "N m") -> Paint:
-    """The unmodelled torque against the variable that the effect acts through, and the fitted effect."""
+    """The torque that the model lacks without one effect, against what that effect follows, and the fitted effect."""
     x, y = thin(found["x"], found["y"], most=1200)
     factor, name = fmt.scaled(unit, _percentile(y))
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
         ax.plot(x, factor * y, "o", color=MEASURED, markersize=2.2, alpha=0.45, markeredgewidth=0)
-        centres, medians = _binned(x, y)
-        ax.plot(centres, factor * medians, "o", color=INK, markersize=4.5, markeredgewidth=0)
+        centres, means, spread = _binned(found["x"], found["y"])
+        ax.vlines(centres, factor * (means - spread), factor * (means + spread), color=INK, linewidth=1.1)
+        ax.plot(centres, factor * means, "o", color=INK, markersize=4, markeredgewidth=0)
         if found.get("curve_x") is not None and found.get("curve_y") is not None:
             ax.plot(found["curve_x"], factor * np.asarray(found["curve_y"]), color=AFTER, linewidth=2.2)
         ax.axhline(0, color=MUTED, linewidth=0.7)
-        ax.set(
-            xlabel=found.get("x_label", ""), ylabel=f"unmodelled torque, {name}", title=f"at {plain(found['where'])}"
-        )
+        ax.set(xlabel=found.get("x_label", ""), ylabel=f"missing torque, {name}", title=_regressor_title(found))
         _robust_limits(ax, factor * y)
         quiet(ax)
 
     return paint
+
+
+def _regressor_title(found: Mapping) -> str:
+    """The effect and its place, and how much of the missing torque it gives."""
+    title = f"{plain(found['name'])} at {plain(found['where'])}" if found.get("name") else f"at {plain(found['where'])}"
+    return title[:1].upper() + title[1:]
 
 
 def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
@@ -179,8 +184,9 @@ def paints(report: Mapping, evidence: Mapping) -> dict[str, tuple[Paint, float, 
     for trial in (evidence.get("held_out") or [])[:1]:
         for channel in trial["measured"]:
             found[f"held_out_{channel}"] = (held_out(trial, channel), 3.2, f"{channel} held out")
-    if evidence.get("regressor"):
-        found["regressor"] = (regressor(evidence["regressor"]), 3.2, "residual against regressor")
+    for index, row in enumerate(evidence.get("regressor") or []):
+        name = "regressor" if index == 0 else f"regressor_{index + 1}"
+        found[name] = (regressor(row), 3.2, "missing torque against what the effect follows")
     if (evidence.get("next_experiment") or {}).get("torque") is not None:
         found["next_experiment"] = (next_experiment(evidence["next_experiment"]), 3.2, "next experiment")
     error = report["error"]
@@ -205,15 +211,16 @@ def trial_dots(error: Mapping, channel: str | None) -> dict[str, list[float]]:
     return dots
 
 
-def _binned(x: np.ndarray, y: np.ndarray, bins: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of `y` in equal stretches of `x` that hold at least five points: a guide for the eye."""
+def _binned(x: Any, y: Any, bins: int = 24) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre, mean and standard deviation of `y` in equal stretches of `x` that hold at least five points."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
     fine = np.isfinite(x) & np.isfinite(y)
     x, y = x[fine], y[fine]
     if len(x) == 0 or np.ptp(x) == 0:
-        return x[:0], y[:0]
+        return x[:0], y[:0], y[:0]
     index = np.clip((bins * (x - x.min()) / np.ptp(x)).astype(int), 0, bins - 1)
-    full = [i for i in range(bins) if np.sum(index == i) >= 5]
-    return np.array([np.median(x[index == i]) for i in full]), np.array([np.median(y[index == i]) for i in full])
+    groups = [index == i for i in range(bins) if np.sum(index == i) >= 5]
+    return tuple(np.array([f(z[g]) for g in groups]) for f, z in ((np.mean, x), (np.mean, y), (np.std, y)))
 
 
 def _largest(*columns: np.ndarray) -> float:

@@ -300,12 +300,19 @@ def evidence(verdict):
         },
     ]
     grid = np.linspace(-2.2, 2.2, 200)
-    fit = {"where": "joint1", "x": speed, "y": torque, "x_label": "velocity of joint 1, rad/s"}
+    fit = {
+        "name": "coulomb_friction",
+        "where": "joint1",
+        "explained": 0.93,
+        "x": speed,
+        "y": torque,
+        "x_label": "velocity of joint 1, rad/s",
+    }
     fit |= {"curve_x": grid, "curve_y": -0.0312 * np.tanh(grid / 0.05)}
     mended = verdict in ("explained", "explained_class", "structured_unattributed")
     found = {"run": run, "audit": AUDIT, "held_out": held_out(mended), "residual_torque": joints}
     if mended:
-        found["regressor"] = fit
+        found["regressor"] = [fit]
     if verdict == "within_noise":
         found["held_out"] = [row | {"before": row["after"], "after": None} for row in held_out(True)]
         found["residual_torque"] = joints[1:]

@@ -174,7 +174,7 @@ def test_poor_evidence_is_drawn_without_a_warning():
     bad = {
         "held_out": [{"trial": "a", "time": np.arange(50.0), "measured": {"q1": gaps}, "before": {}, "after": None}],
         "residual_torque": [{"joint": "joint1", "time": empty, "value": empty}],
-        "regressor": {"where": "joint1", "x": gaps, "y": gaps},
+        "regressor": [{"where": "joint1", "x": gaps, "y": gaps}],
         "leftover": [{"joint": "joint1", "variable": "time", "share": 0.2, "p_value": None}],
         "spectrum": {"joint1": {"frequency": np.arange(50.0), "before": np.zeros(50), "after": None}},
         "next_experiment": {"separates": ["a", "b"], "csv": None},
