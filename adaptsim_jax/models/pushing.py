@@ -33,7 +33,10 @@ GRAVITY = 9.81
 START = (0.56, 0.0)
 """Where the bottle stands before a push, m."""
 RADIUS, HEIGHT = 0.03, 0.10
-FOOT_RING = 0.024
+SOLE_RATE, SOLE_DAMPING = 80.0, 1.0
+SOLE_SAG = 9.81 / (2 * SOLE_RATE**2)
+SOLE_DELAY = 2 * SOLE_DAMPING / SOLE_RATE
+"""The ground's spring under the bottle (see scenes/pushing.xml): rad/s and ratio, depth at rest m, damping by stiffness s."""
 PATCH_X, PATCH_SIDE, PATCH_EDGE = 0.75, 0.10, 0.002
 """Centre of the patch along x, its side, and the width over which a foot passes from one friction to the other, m."""
 NOMINAL_MASS = 0.3
@@ -41,6 +44,7 @@ FALLEN_TILT = math.radians(30.0)
 
 # The release's commands to link 8: still, ramp up, hold, ramp down; the plate's edge hangs `EDGE_DROP` below the link.
 STILL, RAMP_UP, HOLD, RAMP_DOWN = 0.01, 0.2, 0.1, 0.5
+PUSH_ENDS = STILL + RAMP_UP + HOLD + RAMP_DOWN
 LINK_BACK, LINK_HEIGHT = 0.15, 0.135
 EDGE_DROP, EDGE_RADIUS = 0.1175, 0.0025
 RISE_SPEED, PITCH_RATE = 0.1, 0.8
@@ -161,14 +165,7 @@ def spring(elasticity: ElasticityMap, e: Array, mass: float, xp: Any = np) -> tu
     return w * w * share, xp.clip(2 * zeta * w, 0.0, 250.0) * share
 
 
-def slip_damping(mu: Array) -> Array:
-    """What resists the sliding of a foot with friction `mu`, as the damping of MuJoCo's solreffriction (1/s).
-
-    MuJoCo's contact is convex: the harder sliding is resisted, the more the foot is lifted; too hard, and the bottle hops,
-    after which a micrometre decides where it stops. Too soft, and it creeps. These values keep stopping distances within
-    a millimetre or two of v^2 / (2 mu g) and the feet on the table.
-    """
-    return 8.0 + 16.0 * mu
+# ---------------------------------------------------------------- the ground
 
 
 def on_patch(x: Array, y: Array, y_p: Array, xp: Any = np) -> Array:
@@ -177,10 +174,41 @@ def on_patch(x: Array, y: Array, y_p: Array, xp: Any = np) -> Array:
     return inside(x - PATCH_X) * inside(y - y_p)
 
 
-def feet() -> np.ndarray:
-    """`[4, 2]` m: where the bottle's feet are, seen from its axis."""
-    turn = np.pi / 2 * (np.arange(4) + 0.5)
-    return FOOT_RING * np.stack([np.cos(turn), np.sin(turn)], -1)
+def sole() -> np.ndarray:
+    """`[12, 2]` m: points of equal area of the bottle's sole, seen from its axis, where the ground's friction acts."""
+    turn = np.pi / 3 * np.arange(6)
+    ring = lambda share, at: RADIUS * np.sqrt(share) * np.stack([np.cos(at), np.sin(at)], -1)
+    return np.concatenate([ring(0.25, turn + np.pi / 6), ring(0.75, turn)])
+
+
+def ground_friction(pose: Array, friction: Frictions, y_p: Array, mass: float, dt: float, xp: Any = np) -> Array:
+    """Friction of table and patch on a bottle, `[..., 6]`: force in the world N, torque in the bottle's frame N m.
+
+    `pose: [..., 13]` as the backends' states; `friction` and `y_p`: `[..., 1]`. Coulomb's law at each point of the sole,
+    under a pressure that grows with its depth, so that what stands on the patch bears its share of the weight and no more.
+    (MuJoCo's own friction, convex as it is, loads the grippier contacts with most of the weight.)
+    """
+    px, py = sole().T.astype(np.float32)
+    x, y, z, qw, qx, qy, qz, vx, vy, vz, wx, wy, wz = (pose[..., k : k + 1] for k in range(13))
+    turn = (
+        (1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)),
+        (2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx)),
+        (2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)),
+    )
+    pz = -HEIGHT / 2
+    spin = (wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
+    rx, ry, rz = (t[0] * px + t[1] * py + t[2] * pz for t in turn)
+    ux, uy, uz = (v + t[0] * spin[0] + t[1] * spin[1] + t[2] * spin[2] for t, v in zip(turn, (vx, vy, vz), strict=True))
+    pressed = xp.maximum(0.0, (-(z + rz) - SOLE_DELAY * uz) / SOLE_SAG)
+    mu = friction.table + on_patch(x + rx, y + ry, y_p, xp) * (friction.patch - friction.table)
+    # below `slow` friction is viscous, which an explicit step can bear
+    slow = 2 * dt * GRAVITY * mu + 1e-4
+    grip = -mu * pressed * (mass * GRAVITY / len(px)) / xp.maximum(xp.sqrt(ux * ux + uy * uy + 1e-12), slow)
+    fx, fy = grip * ux, grip * uy
+    total = lambda f: f.sum(-1, keepdims=True)
+    torque = (total(-rz * fy), total(rz * fx), total(rx * fy - ry * fx))
+    local = [sum(turn[k][i] * torque[k] for k in range(3)) for i in range(3)]
+    return xp.concatenate([total(fx), total(fy), 0 * total(fx), *local], -1)
 
 
 # ---------------------------------------------------------------- the pusher

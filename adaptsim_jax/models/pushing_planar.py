@@ -24,11 +24,11 @@ IMPEDANCE = 0.9  # of plate against bottle, as in the MJCF scene
 
 
 class PlanarCoefficients(NamedTuple):
-    """What calibration sets: the map of e, the share of the push that lifts, and the ring that the feet stand on (m)."""
+    """What calibration sets: the map of e, the share of the push that lifts, and the size of the sole by the bottle's."""
 
     elasticity: ElasticityMap
     lift: Any = 0.3
-    ring: Any = pushing.FOOT_RING
+    sole: Any = 1.0
 
 
 DEFAULT = PlanarCoefficients(pushing.ELASTICITY)
@@ -108,7 +108,7 @@ def _make_step(params, heading, start, options: PushOptions, c: PlanarCoefficien
     """`step((s, v), (gap, speed, acceleration)) -> (s, v)`: one semi-implicit Euler step of 5 ms."""
     friction = pushing.frictions(params, options.friction)
     k, b = pushing.spring(c.elasticity, params[1], options.mass, jnp)
-    x, y = jnp.asarray(pushing.feet().T / pushing.FOOT_RING, heading.dtype) * c.ring
+    x, y = jnp.asarray(pushing.sole().T, heading.dtype) * c.sole
     x, y = x + start[0], y + start[1]
     g, d = pushing.GRAVITY, IMPEDANCE
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from adaptsim_jax.models import pushing
 from adaptsim_jax.models.backends import pushing_scene as scene
@@ -40,29 +39,26 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
         mjx: Any = importlib.import_module("mujoco.mjx")
     model = scene.model(options, dt)
     rest = scene.rest(model)
-    feet, edge = scene.pair_ids(model)
-    places = np.concatenate([pushing.feet(), np.full((4, 1), -pushing.HEIGHT / 2)], 1)
+    edge = model.pair("edge").id
     base, blank = mjx.put_model(model), mjx.make_data(model)
     steps, every = round(options.duration / dt), round(options.row / dt)
 
     def push(params: Array, action: Array, start: Array) -> Array:
         friction = pushing.frictions(params, options.friction)
         k, b = pushing.spring(elasticity, params[1], options.mass, jnp)
-        pairs = base.pair_friction.at[edge, :2].set(friction.plate)
-        slips = base.pair_solreffriction
-        scene_of_sample = base.replace(pair_solref=base.pair_solref.at[edge].set(jnp.stack([-k, -b])))
+        m = base.replace(
+            pair_friction=base.pair_friction.at[edge, :2].set(friction.plate),
+            pair_solref=base.pair_solref.at[edge].set(jnp.stack([-k, -b])),
+        )
 
         def step(carry, control):
             qpos, qvel, warm = carry
-            at = _feet_xy(qpos, places)
-            on = pushing.on_patch(at[:, 0], at[:, 1], params[3], jnp)
-            mu = friction.table + on * (friction.patch - friction.table)
-            now = scene_of_sample.replace(
-                pair_friction=pairs.at[feet, :2].set(mu[:, None]),
-                pair_solreffriction=slips.at[feet, 1].set(-pushing.slip_damping(mu)),
-            )
+            pose = jnp.concatenate([qpos[:7], qvel[:6]])
+            ground = pushing.ground_friction(pose, friction, params[3], options.mass, dt, jnp)
+            applied = jnp.zeros_like(qvel).at[:6].set(ground)
             # only what the next step needs is carried; all else of `Data` is rebuilt from the blank
-            data = mjx.step(now, blank.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control))
+            data = blank.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control, qfrc_applied=applied)
+            data = mjx.step(m, data)
             return (data.qpos, data.qvel, data.qacc_warmstart), jnp.concatenate([data.qpos[:7], data.qvel[:6]])
 
         qpos = jnp.asarray(rest.qpos, params.dtype).at[:2].set(start).at[7].set(action[1])
@@ -74,10 +70,3 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
         return jax.lax.scan(step, first, controls)[1][every - 1 :: every]
 
     return push
-
-
-def _feet_xy(qpos: Array, places: np.ndarray) -> Array:
-    """World x and y `[4, 2]` of the feet."""
-    w, u = qpos[3], qpos[4:7]
-    turned = places + 2 * jnp.cross(u[None], jnp.cross(u[None], places) + w * places)
-    return qpos[:2] + turned[:, :2]

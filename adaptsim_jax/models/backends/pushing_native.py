@@ -17,6 +17,7 @@ from adaptsim_jax.models.pushing import ElasticityMap, PushOptions
 
 BLOCK = 100
 """Samples at a time on a thread: more would share fewer calls of the engine, and each needs a model of its own."""
+AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
 def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005, threads: int | None = None):
@@ -54,38 +55,52 @@ class _Engine:
     def __init__(self, options: PushOptions, elasticity: ElasticityMap, dt: float):
         mujoco: Any = importlib.import_module("mujoco")
         self.rollout: Any = importlib.import_module("mujoco.rollout").Rollout(nthread=0)
-        self.control_spec = mujoco.mjtState.mjSTATE_CTRL.value
+        state = mujoco.mjtState
+        self.control_spec = state.mjSTATE_CTRL.value | state.mjSTATE_QFRC_APPLIED.value
         self.options, self.elasticity, self.dt = options, elasticity, dt
         self.model = scene.model(options, dt)
         self.rest = scene.rest(self.model)
-        self.feet, self.edge = scene.pair_ids(self.model)
-        self.places = np.concatenate([pushing.feet(), np.full((4, 1), -pushing.HEIGHT / 2)], 1).T
+        self.edge = self.model.pair("edge").id
         self.data = [mujoco.MjData(self.model)]
         self.models: list[Any] = []
 
     def run(self, params: np.ndarray, actions: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Rows `[B, T, 13]` of a block."""
+        """Rows `[B, T, 13]` of a block: one call of the engine a step, since friction follows the bottle."""
         steps = round(self.options.duration / self.dt)
-        models = self._prepare(params)
-        ground = _Ground(models, self.feet, params, actions, self.options, self.places)
-        control = scene.controls(actions, self.dt, steps)
-        state = self._initial(actions, starts)
-        warm = np.tile(self.rest.warmstart, (len(params), 1))
-        out = np.empty((len(params), steps, state.shape[1]))
-        done = 0
+        friction = pushing.frictions(params, self.options.friction)
+        models = self._prepare(params, friction.plate)
+        friction = pushing.Frictions(*(f[:, None] for f in friction))
+        control = np.zeros((len(params), steps, 3 + 10))
+        control[:, :, :3] = scene.controls(actions, self.dt, steps)
+        state, warm = self._initial(actions, starts), np.tile(self.rest.warmstart, (len(params), 1))
+        out = np.empty((len(params), steps, scene.STATE))
+        done, untouched = 0, self._untouched(actions[:, 0].max(), _closer(starts), steps)
         while done < steps:
-            ground.write(state)
-            count = min(max(1, int(ground.free(state, done * self.dt) / self.dt)), steps - done)
+            count = max(1, untouched - done)
+            pose = _pose(state)
+            if done >= untouched:
+                force = pushing.ground_friction(pose, friction, params[:, 3, None], self.options.mass, self.dt)
+                control[:, done, 3:9] = force
+                if done * self.dt > pushing.PUSH_ENDS and np.abs(pose[:, 7:]).max() < AT_REST:
+                    out[:, done:] = pose[:, None]
+                    break
             piece = self._advance(models, state, control[:, done : done + count], warm)
-            out[:, done : done + count] = piece
+            out[:, done : done + count] = _pose(piece)
             # Euler without damping: the change of velocity is the acceleration that the solver found
             before = piece[:, -2] if count > 1 else state
             state = np.ascontiguousarray(piece[:, -1])
             warm = (state[:, 12:] - before[:, 12:]) / self.dt
             done += count
         every = round(self.options.row / self.dt)
-        rows = out[:, every - 1 :: every]
-        return np.concatenate([rows[..., 1:8], rows[..., 12:18]], -1)
+        return out[:, every - 1 :: every]
+
+    def _untouched(self, fastest: float, closest: float, steps: int) -> int:
+        """How many steps end before the fastest plate of the block can touch a bottle `closest` m nearer than usual."""
+        ramp = pushing.ramp(np.arange(1, steps + 1) * self.dt)
+        travel = np.cumsum(ramp) * self.dt
+        edge = fastest * travel + pushing.EDGE_DROP * np.sin(pushing.PITCH_RATE * travel) + pushing.EDGE_RADIUS
+        gap = pushing.LINK_BACK - pushing.RADIUS - 0.005 - closest
+        return int((edge < gap).sum())
 
     def _advance(self, models, state, control, warm) -> np.ndarray:
         piece = np.empty((*control.shape[:2], state.shape[1]))
@@ -104,12 +119,11 @@ class _Engine:
         )
         return piece
 
-    def _prepare(self, params: np.ndarray) -> list[Any]:
+    def _prepare(self, params: np.ndarray, plate: np.ndarray) -> list[Any]:
         """A model for each sample with its contact of plate and bottle."""
         while len(self.models) < len(params):
             self.models.append(copy.copy(self.model))
         models = self.models[: len(params)]
-        plate = pushing.frictions(params, self.options.friction).plate
         k, b = pushing.spring(self.elasticity, params[:, 1], self.options.mass)
         for i, m in enumerate(models):
             m.pair_friction[self.edge, :2] = plate[i]
@@ -124,44 +138,11 @@ class _Engine:
         return state
 
 
-class _Ground:
-    """The friction under each foot, written into the models where it changed."""
+def _closer(starts: np.ndarray) -> float:
+    """By how much a bottle stands nearer to the plate than usual, at most: m."""
+    return float(np.linalg.norm(starts - np.array(pushing.START), axis=1).max(initial=0.0))
 
-    def __init__(self, models, pairs, params, actions, options: PushOptions, places: np.ndarray):
-        rows = slice(pairs[0], pairs[-1] + 1)
-        self.views = [(m.pair_friction[rows, :2], m.pair_solreffriction[rows, 1]) for m in models]
-        friction = pushing.frictions(params, options.friction)
-        self.table, self.patch, self.y_p = friction.table[:, None], friction.patch[:, None], params[:, 3, None]
-        self.places = places
-        self.written = np.full((len(models), 4), np.nan)
-        # an elastic hit gives a light bottle at most twice the edge's speed
-        self.fastest = 2 * (actions[:, 0] + pushing.PITCH_RATE * pushing.EDGE_DROP)
 
-    def write(self, state: np.ndarray) -> None:
-        x, y = self._feet(state)
-        on = pushing.on_patch(x, y, self.y_p)
-        mu = self.table + on * (self.patch - self.table)
-        damping = -pushing.slip_damping(mu)
-        for i in np.flatnonzero((mu != self.written).any(1)):
-            grip, slip = self.views[i]
-            grip[:], slip[:] = mu[i][:, None], damping[i]
-        self.written = mu
-
-    def free(self, state: np.ndarray, time: float) -> float:
-        """For how many seconds no foot can come to, or be on, the patch's edge."""
-        x, y = self._feet(state)
-        half, edge = pushing.PATCH_SIDE / 2, pushing.PATCH_EDGE / 2
-        beyond = np.maximum(np.abs(x - pushing.PATCH_X), np.abs(y - self.y_p)) - half
-        away = (np.abs(beyond) - edge).min(1)
-        speed = np.hypot(state[:, 12], state[:, 13]) + 0.01
-        if time < pushing.STILL + pushing.RAMP_UP + pushing.HOLD + pushing.RAMP_DOWN:
-            speed = np.maximum(speed, self.fastest)
-        return float((away / speed).min())
-
-    def _feet(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World x and y `[B, 4]` of the feet."""
-        w, x, y, z = state[:, 4:8].T[..., None]
-        px, py, pz = self.places
-        fx = (1 - 2 * (y * y + z * z)) * px + 2 * (x * y - w * z) * py + 2 * (x * z + w * y) * pz
-        fy = 2 * (x * y + w * z) * px + (1 - 2 * (x * x + z * z)) * py + 2 * (y * z - w * x) * pz
-        return state[:, 1:2] + fx, state[:, 2:3] + fy
+def _pose(state: np.ndarray) -> np.ndarray:
+    """Pose and velocity `[..., 13]` of the bottle in full-physics states."""
+    return np.concatenate([state[..., 1:8], state[..., 12:18]], -1)

@@ -13,7 +13,6 @@ from adaptsim_jax.models import pushing
 from adaptsim_jax.models.backends.base import Trajectory
 from adaptsim_jax.models.pushing import PushOptions
 
-FEET = ("foot0", "foot1", "foot2", "foot3")
 STATE = 13
 """Columns of a state row: position (3) m, quaternion (4), velocity (3) m/s, turning in the bottle's frame (3) rad/s."""
 ROOM = 5.0
@@ -98,8 +97,3 @@ def controls(actions: np.ndarray, dt: float, steps: int) -> np.ndarray:
         [actions[:, 0], np.full(len(actions), pushing.RISE_SPEED), np.full(len(actions), pushing.PITCH_RATE)], -1
     )
     return per_unit[:, None, :] * slope[:, None]
-
-
-def pair_ids(m: Any) -> tuple[np.ndarray, int]:
-    """Indices of the pairs foot-table `[4]` and of the pair edge-bottle."""
-    return np.array([m.pair(name).id for name in FEET]), m.pair("edge").id
