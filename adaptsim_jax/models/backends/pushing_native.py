@@ -9,6 +9,8 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.models import pushing
@@ -59,17 +61,21 @@ class _Engine:
         self.control_spec = state.mjSTATE_CTRL.value | state.mjSTATE_QFRC_APPLIED.value
         self.options, self.elasticity, self.dt = options, elasticity, dt
         self.model = scene.model(options, dt)
+        self.model.opt.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_ISLAND.value
+        )  # one island: the search costs, and finds it
         self.rest = scene.rest(self.model)
         self.edge = self.model.pair("edge").id
         self.data = [mujoco.MjData(self.model)]
         self.models: list[Any] = []
+        self.ground = _Ground()
 
     def run(self, params: np.ndarray, actions: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Rows `[B, T, 13]` of a block: one call of the engine a step, since friction follows the bottle."""
         steps = round(self.options.duration / self.dt)
         friction = pushing.frictions(params, self.options.friction)
         models = self._prepare(params, friction.plate)
-        friction = pushing.Frictions(*(f[:, None] for f in friction))
+        ground = self.ground.on(friction, params[:, 3], self.options.mass, self.dt)
         control = np.zeros((len(params), steps, 3 + 10))
         control[:, :, :3] = scene.controls(actions, self.dt, steps)
         state, warm = self._initial(actions, starts), np.tile(self.rest.warmstart, (len(params), 1))
@@ -79,8 +85,7 @@ class _Engine:
             count = max(1, untouched - done)
             pose = _pose(state)
             if done >= untouched:
-                force = pushing.ground_friction(pose, friction, params[:, 3, None], self.options.mass, self.dt)
-                control[:, done, 3:9] = force
+                control[:, done, 3:9] = ground(pose)
                 if done * self.dt > pushing.PUSH_ENDS and np.abs(pose[:, 7:]).max() < AT_REST:
                     out[:, done:] = pose[:, None]
                     break
@@ -136,6 +141,33 @@ class _Engine:
         state = np.tile(state, (len(actions), 1))
         state[:, 1:3], state[:, 8] = starts, actions[:, 1]
         return state
+
+
+class _Ground:
+    """The ground's friction for a block, compiled by JAX on the CPU: a third of NumPy's time, and it is asked each step."""
+
+    def __init__(self) -> None:
+        self.cpu = jax.local_devices(backend="cpu")[0]
+        self.compiled = jax.jit(
+            lambda pose, friction, y_p, mass, dt: pushing.ground_friction(pose, friction, y_p, mass, dt, jnp)
+        )
+
+    def on(self, friction: pushing.Frictions, y_p: np.ndarray, mass: float, dt: float):
+        """`pose [B, 13] -> force [B, 6]`; blocks are filled up to powers of two, so that few sizes are compiled."""
+        count = len(y_p)
+        size = max(16, 1 << (count - 1).bit_length())
+        fill = lambda a: np.concatenate([a, np.repeat(a[:1], size - count, 0)])
+        columns = [fill(np.asarray(a, float))[:, None] for a in (*friction, y_p)]
+        pose_filled = np.zeros((size, scene.STATE))
+        pose_filled[:, 3] = 1.0
+
+        def force(pose: np.ndarray) -> np.ndarray:
+            pose_filled[:count] = pose
+            with jax.enable_x64(True), jax.default_device(self.cpu), jax.numpy_rank_promotion("allow"):
+                found = self.compiled(pose_filled, pushing.Frictions(*columns[:3]), columns[3], mass, dt)
+            return np.asarray(found)[:count]
+
+        return force
 
 
 def _closer(starts: np.ndarray) -> float:
