@@ -9,6 +9,7 @@ from typing import Any
 EXAMPLES = """
   adaptsim parity pendulum
   adaptsim parity pendulum --samples 200 --json
+  adaptsim parity pushing --samples 200
 """
 
 
@@ -22,19 +23,46 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Final-state differences of the backends over random parameters, commands and starts."""
-    from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax import config
+    from adaptsim_jax.commands import TASKS
     from adaptsim_jax.progress import progress
 
-    check_task(args.task)
+    config.pick("task", args.task, TASKS)
     from adaptsim_jax.models.backends.parity import parity
 
     with progress(f"parity {args.task}") as report:
         found = parity(args.task, samples=args.samples, seed=args.seed, progress=report)
     if args.json:
         print(json.dumps(found, indent=1))
+    elif args.task == "pushing":
+        _show_pushing(found)
     else:
         _show(found)
     return 0
+
+
+def _show_pushing(found: dict[str, Any]) -> None:
+    print(
+        f"pushing: {found['samples']} random pushes of {found['seconds']:g} s, friction {found['friction']};\n"
+        f"distance between final positions of the bottle, mm\n"
+    )
+    print(f"{'pair':28} {'median':>8} {'p90':>8} {'p99':>8} {'max':>8} {'compared':>9}")
+    for row in found["pairs"]:
+        name = " - ".join(row["pair"])
+        if not row["compared"]:
+            print(f"{name:28} no push went well in both")
+            continue
+        numbers = " ".join(f"{row[key]:8.3f}" for key in ("median_mm", "p90_mm", "p99_mm", "max_mm"))
+        print(f"{name:28} {numbers} {row['compared']:9}")
+    print("\ndrake - drake_other_step is the ceiling: one engine at steps of 2 and 2.5 ms\n")
+    print(f"{'engine':18} {'pushes/s':>10} {'pushes/CPU s':>13} {'first call':>11}")
+    for row in found["engines"]:
+        if not row["ran"]:
+            print(f"{row['engine']:18} did not run: {row['why']}")
+            continue
+        wrong = "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
+        speeds = f"{row['pushes_per_second']:10.1f} {row['pushes_per_cpu_second']:13.1f} {row['first_call_s']:9.1f} s"
+        print(f"{row['engine']:18} {speeds}{wrong}")
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from adaptsim_jax.models.backends import pendulum, pendulum_scene
 from adaptsim_jax.progress import Report, silent
 
 REFERENCE = "native"
+TASKS = ("pendulum", "pushing")
 
 
 def parity(
@@ -21,11 +22,17 @@ def parity(
 ) -> dict[str, Any]:
     """Final states of every backend against native MuJoCo, after `steps` steps of 1 ms, in double precision.
 
+    This is the pendulum's; that of pushing (`pushing_parity`) has final positions of every pair, and speeds.
+
     Returns `{task, samples, seconds, reference, rows}`; a row has the median and largest difference over
     samples of angles (rad) and velocities (rad/s), how many samples diverged, or why it did not run.
     """
-    if task != "pendulum":
-        raise BadInput(f"parity of task '{task}' is not in this version yet; there is: pendulum")
+    if task not in TASKS:
+        raise BadInput(f"parity of task '{task}' is not in this version yet; there is: {', '.join(TASKS)}")
+    if task == "pushing":
+        from adaptsim_jax.models.backends.pushing_parity import pushing_parity
+
+        return pushing_parity(samples=samples, seed=seed, progress=progress)
     inputs = pendulum_scene.draw(seed, samples, steps)
     rows, reference = [], None
     order = (REFERENCE, *(name for name in pendulum.NAMES if name != REFERENCE))
