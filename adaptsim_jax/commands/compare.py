@@ -10,6 +10,7 @@ EXAMPLES = """
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
   adaptsim compare pendulum --out small --seeds 3 --set train.phase1.trajectories=2000
 """
+METHODS = "adaptsim, adaptsim-state, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, gradient, udr, best-in-omega"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,11 +19,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for results.json, table and figures")
     parser.add_argument("--seeds", type=positive, metavar="N", help="seeds of each method (20)")
-    parser.add_argument("--methods", metavar="A,B", help="default: all")
+    parser.add_argument("--methods", metavar="A,B", help=f"default: all of {METHODS}")
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
     parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="change one key of the config; repeatable"
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one key of the config, such as iterations=5 or train.phase1.trajectories=2000; repeatable",
     )
 
 
