@@ -143,14 +143,16 @@ class _Engine:
         return state
 
 
+@jax.jit
+def _friction(pose, friction, y_p, mass, dt):
+    return pushing.ground_friction(pose, friction, y_p, mass, dt, jnp)
+
+
 class _Ground:
     """The ground's friction for a block, compiled by JAX on the CPU: a third of NumPy's time, and it is asked each step."""
 
     def __init__(self) -> None:
         self.cpu = jax.local_devices(backend="cpu")[0]
-        self.compiled = jax.jit(
-            lambda pose, friction, y_p, mass, dt: pushing.ground_friction(pose, friction, y_p, mass, dt, jnp)
-        )
 
     def on(self, friction: pushing.Frictions, y_p: np.ndarray, mass: float, dt: float):
         """`pose [B, 13] -> force [B, 6]`; blocks are filled up to powers of two, so that few sizes are compiled."""
@@ -164,7 +166,7 @@ class _Ground:
         def force(pose: np.ndarray) -> np.ndarray:
             pose_filled[:count] = pose
             with jax.enable_x64(True), jax.default_device(self.cpu), jax.numpy_rank_promotion("allow"):
-                found = self.compiled(pose_filled, pushing.Frictions(*columns[:3]), columns[3], mass, dt)
+                found = _friction(pose_filled, pushing.Frictions(*columns[:3]), columns[3], mass, dt)
             return np.asarray(found)[:count]
 
         return force
