@@ -152,6 +152,8 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
     status, why = "rejected", ""
     if accepted:
         status, why = "accepted", "explains the residual, held out, better than its rivals"
+        if refit is not None:
+            why += f"; refitted, it leaves {100 * unexplained(refit, found.base):.2g} % of the unexplained torque"
     elif r.score.retained < 1e-2:
         status, why = "confounded", "the declared parameters can do the same with this motion"
     elif alike and verdict.named:

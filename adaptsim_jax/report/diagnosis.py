@@ -83,7 +83,9 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "residual": _residual_figures(evidence),
         "seen": [row for row in evidence.get("regressor") or [] if row.get("explained") is not None],
         "leftover": rows_of.leftover_rows(evidence),
+        "remains": any((row.get("p_value") or 0.0) < 0.05 for row in evidence.get("leftover") or []),
         "power": rows_of.power_rows(report),
+        "torque_share": all(row.get("unit") == rows_of.TORQUE_SHARE for row in report.get("power") or [{}]),
         "candidates": rows_of.candidate_rows(report),
         "declared": rows_of.declared_rows(report),
         "not_established": words.not_established(report),
@@ -152,7 +154,7 @@ def _error_figures(error: Mapping) -> list[str]:
     for index, row in enumerate(_error_rows(error)):
         dots = figures.trial_dots(error, None if index == 0 else row["name"])
         one = row["pair"].get("after") is None
-        paint = figures.error_pair(row["name"], row["unit"], row["pair"], dots)
+        paint = figures.error_pair("overall" if index == 0 else row["name"], row["unit"], row["pair"], dots)
         label = f"error of {row['name']}: declared {row['before']}, mended {row['after']}"
         pictures.append(svg.draw(paint, 1.4 if one else 1.75, label))
     return pictures

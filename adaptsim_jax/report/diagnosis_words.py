@@ -50,11 +50,21 @@ NEXT = {
 }
 
 
+WHOLE = {
+    "coulomb": "Coulomb friction",
+    "stribeck": "Stribeck friction",
+    "load_friction": "load-dependent friction",
+    "delay": "command delay",
+    "spring": "torsional spring",
+}
+"""Names that say too little by themselves."""
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl": "Dahl"}
 
 
 def plain(name: str) -> str:
-    """`command_delay` -> `command delay`; `coulomb` -> `Coulomb`; `joint1` -> `joint 1`."""
+    """`command_delay` -> `command delay`; `coulomb` -> `Coulomb friction`; `joint1` -> `joint 1`."""
+    if name in WHOLE:
+        return WHOLE[name]
     text = " ".join(PROPER.get(word, word) for word in name.replace("_", " ").split())
     if text.startswith(("joint", "link", "body")) and text[-1:].isdigit() and " " not in text:
         stem = text.rstrip("0123456789")
