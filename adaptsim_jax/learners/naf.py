@@ -102,7 +102,9 @@ class Network(nn.Module):
         for width in cfg.hidden:
             x = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=nn.initializers.he_uniform())(x))
         # One matrix holds all heads. It starts small, so that P starts near the identity and the mean near the centre.
-        heads = nn.Dense(1 + d + d * (d + 1) // 2, kernel_init=nn.initializers.variance_scaling(0.01, "fan_in", "normal"))(x)
+        heads = nn.Dense(
+            1 + d + d * (d + 1) // 2, kernel_init=nn.initializers.variance_scaling(0.01, "fan_in", "normal")
+        )(x)
         value, mean, entries = heads[..., 0], heads[..., 1 : 1 + d], heads[..., 1 + d :]
         return Quadratic(value, cfg.reach * jnp.tanh(mean), _lower_triangle(entries, d, cfg.log_diagonal))
 
@@ -202,6 +204,10 @@ def _check(config: NAFConfig) -> None:
     if not config.hidden or min(config.obs_dim, config.action_dim, *config.hidden) < 1:
         raise BadInput(f"NAF sizes {config}: each must be positive, with one hidden layer or more")
     if config.reach < 1.0 or config.log_diagonal <= 0.0:
-        raise BadInput(f"NAF reach {config.reach} must be at least 1, else the box's corners are out of reach; log_diagonal positive")
+        raise BadInput(
+            f"NAF reach {config.reach} must be at least 1, else the box's corners are out of reach; log_diagonal positive"
+        )
     if config.activation not in ACTIVATIONS or config.loss not in LOSSES:
-        raise BadInput(f"NAF activation is one of {', '.join(ACTIVATIONS)} and loss one of {', '.join(LOSSES)}; got {config}")
+        raise BadInput(
+            f"NAF activation is one of {', '.join(ACTIVATIONS)} and loss one of {', '.join(LOSSES)}; got {config}"
+        )

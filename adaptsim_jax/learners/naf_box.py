@@ -12,13 +12,13 @@ import jax.numpy as jnp
 from adaptsim_jax.control.small_matrix import solve
 
 Array = Any
-SWEEPS = 40  # of coordinate ascent, before the active set that it found is solved exactly
+ROUNDS = 6  # per action; 1 settles every one of 10,000 random problems of 3 actions, 4 all but one of 6 actions
 
 
 def box_maximiser(mean: Array, chol: Array, low: float = -1.0, high: float = 1.0) -> Array:
     """`[..., d]`: the best action in `[low, high]^d` for `mean [..., d]` and lower-triangular `chol [..., d, d]`.
 
-    d = 1 is a clip, d = 2 an enumeration of the active sets, d > 2 coordinate ascent and one solve on its active set.
+    d = 1 is a clip, d = 2 an enumeration of the active sets, d > 2 an active-set ascent.
     """
     d = mean.shape[-1]
     if d == 1:
@@ -53,22 +53,28 @@ def _two(mean: Array, precision: Array, low: float, high: float) -> Array:
 
 
 def _many(mean: Array, precision: Array, low: float, high: float) -> Array:
-    """Coordinate ascent finds which bounds hold; the free actions are then solved for, and kept if they stay inside."""
+    """Rounds of two monotone moves until the active set settles.
+
+    A sweep of coordinate ascent takes up and lets go of bounds; then all free actions move together to where they
+    would be best with the others held, as far as the first bound that they meet.
+    """
     d = mean.shape[-1]
 
-    def sweep(_, action):
+    def sweep(action):
         for i in range(d):
             row = precision[..., i, :]
             pull = jnp.sum(row * (action - mean), -1) - row[..., i] * (action[..., i] - mean[..., i])
-            best = jnp.clip(mean[..., i] - pull / row[..., i], low, high)
-            action = action.at[..., i].set(best)
+            action = action.at[..., i].set(jnp.clip(mean[..., i] - pull / row[..., i], low, high))
         return action
 
-    action = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.clip(mean, low, high))
-    solved = _solve_free(action, mean, precision, low, high)
-    inside = jnp.all((solved >= low) & (solved <= high), -1)
-    better = inside & (_loss(solved - mean, precision) < _loss(action - mean, precision))
-    return jnp.where(better[..., None], solved, action)
+    def one(_, action):
+        action = sweep(action)
+        move = _solve_free(action, mean, precision, low, high) - action
+        room = jnp.where(move > 0, high - action, low - action)
+        share = jnp.where(move == 0, 1.0, room / jnp.where(move == 0, 1.0, move))
+        return jnp.clip(action + jnp.minimum(share.min(-1, keepdims=True), 1.0) * move, low, high)
+
+    return jax.lax.fori_loop(0, ROUNDS * d, one, jnp.clip(mean, low, high))
 
 
 def _solve_free(action: Array, mean: Array, precision: Array, low: float, high: float) -> Array:

@@ -1,0 +1,189 @@
+"""NAF on goals reached with a single open-loop action: a contextual bandit whose goals can be relabelled.
+
+What an action leads to does not depend on the goal that it was chosen for. A stored trial therefore serves every goal: its
+reward is computed anew for goals drawn when a batch is drawn (hindsight relabelling, Andrychowicz et al. 2017, here
+without bias, since nothing of the trial depended on the goal). `relabel=0` learns from the goals as they were aimed at.
+
+Everything is for one policy with its own replay; vmap over policies. Round numbers stay unbatched (see `replay`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners import replay as ring
+from adaptsim_jax.learners.naf import NAF, NAFHyper, NAFInfo, NAFState
+from adaptsim_jax.learners.replay import Transition
+
+
+class GoalProblem(NamedTuple):
+    """Pure functions of one sample. `context` is whatever trials depend on, such as a distribution of parameters.
+
+    draw: key -> goal `[g]`; see: goal -> observation `[obs_dim]`; trial: (key, context, action `[d]`) -> outcome `[k]`;
+    reward: (outcome, goal) -> `[]`.
+    """
+
+    draw: Callable[[jax.Array], jax.Array]
+    see: Callable[[jax.Array], jax.Array]
+    trial: Callable[[jax.Array, Any, jax.Array], jax.Array]
+    reward: Callable[[jax.Array, jax.Array], jax.Array]
+
+
+@dataclass(frozen=True)
+class GoalConfig:
+    """Sizes and shares, static under jit. A *round* makes `block` trials and then `updates` gradient steps.
+
+    relabel: share of a batch whose goals are drawn anew. near: share of those whose trial is not any stored one, but chosen
+    out of `candidates` with probability proportional to `exp(reward / temperature)`: Q is a quadratic, so where it is to be
+    exact is near the best action, and there the data must be.
+    uniform: share of trials with uniform actions, the others follow the policy with noise of covariance
+    `noise * inverse(P)`. The learning rate falls linearly to `rate_end` of its start over a training.
+    """
+
+    block: int = 100
+    updates: int = 10
+    batch: int = 64
+    capacity: int = 10_000
+    relabel: float = 1.0
+    near: float = 0.5
+    candidates: int = 8
+    temperature: float = 0.2
+    width: tuple[float, float] = (0.5, 0.1)
+    uniform: float = 0.5
+    noise: float = 0.1
+    rate_end: float = 0.05
+
+
+class Trials(NamedTuple):
+    """Stored trials: goal `[..., g]` aimed at, action `[..., d]`, outcome `[..., k]`."""
+
+    goal: jax.Array
+    action: jax.Array
+    outcome: jax.Array
+
+
+class GoalState(NamedTuple):
+    """What the next round needs, apart from its number."""
+
+    learner: NAFState
+    replay: Trials
+
+
+class GoalInfo(NamedTuple):
+    """Of one round: mean reward of its trials `[]` for the goals that they aimed at, and the updates' means."""
+
+    reward: jax.Array
+    updates: NAFInfo
+
+
+class GoalLearner(NamedTuple):
+    """See `make_goal_learner`."""
+
+    init: Callable[[jax.Array], GoalState]
+    step: Callable[..., tuple[GoalState, GoalInfo]]
+    train: Callable[..., jax.Array]
+
+
+def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper: NAFHyper = NAFHyper()) -> GoalLearner:  # noqa: B008
+    """Check the sizes and return the training of one policy as pure functions.
+
+    * `init(weights [n]) -> GoalState`: a new replay and optimiser, weights as they are
+    * `step(key, state, context, number [], rounds []) -> (state, info)`: round `number` of `rounds`; past the last
+      one, weights stay as they are
+    * `train(keys [P], weights [P, n], contexts [P, ...], rounds [P], longest []) -> weights [P, n]`: `P` policies
+      together, each for its own number of rounds. `longest`, the largest of them, may be traced: it sets the time taken.
+    """
+    _check(naf, config)
+    shapes = jax.eval_shape(problem.draw, jax.random.key(0))
+    action = jax.ShapeDtypeStruct((naf.config.action_dim,), shapes.dtype)
+
+    def init(weights, outcome):
+        return GoalState(naf.fresh(weights), ring.empty(Trials(shapes, action, outcome), config.capacity))
+
+    def start(weights, context):
+        return init(weights, jax.eval_shape(problem.trial, jax.random.key(0), context, jnp.zeros(action.shape)))
+
+    def step(key, state, context, number, rounds):
+        trial_key, learn_key = jax.random.split(key)
+        block = _collect(trial_key, naf, problem, config, state.learner.online, context)
+        stored = ring.write(state.replay, block, number)
+        filled = jnp.minimum((number + 1) * config.block, config.capacity)
+        done = jnp.clip(number / jnp.maximum(rounds, 1), 0.0, 1.0)
+        batches = _batches(learn_key, naf, problem, config, state.learner.online, stored, filled, done)
+        share = jnp.maximum(1.0 - number / jnp.maximum(rounds, 1), config.rate_end) * (number < rounds)
+        rates = replace(hyper, learning_rate=hyper.learning_rate * share)
+        learner, info = jax.lax.scan(lambda s, b: naf.update(s, b, rates), state.learner, batches)
+        reward = jax.vmap(problem.reward)(block.outcome, block.goal).mean()
+        return GoalState(learner, stored), GoalInfo(reward, jax.tree.map(jnp.mean, info))
+
+    def train(keys, weights, contexts, rounds, longest):
+        def one(number, state):
+            now = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
+            return jax.vmap(step, (0, 0, 0, None, 0))(now, state, contexts, number, rounds)[0]
+
+        state = jax.lax.fori_loop(0, longest, one, jax.vmap(start)(weights, contexts))
+        return state.learner.online
+
+    return GoalLearner(start, step, train)
+
+
+def _collect(key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, context) -> Trials:
+    """`[block]` trials: the first share uniform over the actions, the rest as the policy chooses, with noise."""
+    goal_key, act_key, uniform_key, trial_key = jax.random.split(key, 4)
+    goals = jax.vmap(problem.draw)(jax.random.split(goal_key, config.block))
+    actions = naf.act(act_key, weights, jax.vmap(problem.see)(goals), config.noise)
+    uniform = jax.random.uniform(uniform_key, actions.shape, actions.dtype, -1.0, 1.0)
+    first = jnp.arange(config.block) < round(config.uniform * config.block)
+    actions = jnp.where(first[:, None], uniform, actions)
+    trial = lambda k, a: problem.trial(k, context, a)
+    return Trials(goals, actions, jax.vmap(trial)(jax.random.split(trial_key, config.block), actions))
+
+
+def _batches(key, naf, problem: GoalProblem, config: GoalConfig, weights, stored: Trials, filled, done) -> Transition:
+    """`[updates, batch, ...]`: trials, and the goals that they are learned from."""
+    shape = (config.updates, config.batch)
+    if config.relabel == 0:
+        drawn = ring.sample(key, stored, filled, shape)
+        goals, trials = drawn.goal, drawn
+    else:
+        pick_key, goal_key, choice_key, share_key = jax.random.split(key, 4)
+        drawn = ring.sample(pick_key, stored, filled, (*shape, config.candidates))
+        goals = jax.vmap(problem.draw)(jax.random.split(goal_key, shape[0] * shape[1])).reshape(*shape, -1)
+        toss = jax.random.uniform(share_key, (*shape, 2))
+        goals = jnp.where(toss[..., :1] < config.relabel, goals, drawn.goal[..., 0, :])
+        reward = _over(problem.reward, 3)(drawn.outcome, jnp.broadcast_to(goals[..., None, :], drawn.goal.shape))
+        width = config.width[0] + (config.width[1] - config.width[0]) * done
+        near = 1.0 - (1.0 - config.near) * (1.0 - done)
+        best = naf.greedy(weights, _over(problem.see, 2)(goals))
+        away = jnp.sum(jnp.square(drawn.action - best[..., None, :]), -1) / (2.0 * width**2)
+        likely = jax.random.categorical(choice_key, reward / config.temperature - away)
+        choice = jnp.where((toss[..., 1] < near) & (toss[..., 0] < config.relabel), likely, 0)
+        trials = jax.tree.map(lambda x: jnp.take_along_axis(x, choice[..., None, None], -2)[..., 0, :], drawn)
+    reward = _over(problem.reward, 2)(trials.outcome, goals)
+    obs = _over(problem.see, 2)(goals)
+    nothing = jnp.zeros((*shape, 0), obs.dtype)  # one step: no next observation
+    return Transition(obs, trials.action, reward, nothing, jnp.zeros_like(reward))
+
+
+def _over(function, levels: int):
+    """`function` of one sample, over `levels` leading axes."""
+    for _ in range(levels):
+        function = jax.vmap(function)
+    return function
+
+
+def _check(naf: NAF, config: GoalConfig) -> None:
+    if not naf.config.one_step:
+        raise BadInput("goals reached with one action are a one-step problem; make the NAF with one_step=True")
+    if min(config.block, config.updates, config.batch) < 1:
+        raise BadInput(f"training sizes must be positive, got {config}")
+    if config.candidates < 1 or config.temperature <= 0:
+        raise BadInput(f"candidates must be at least 1 and temperature positive, got {config}")
+    for name in ("relabel", "near", "uniform"):
+        if not 0.0 <= getattr(config, name) <= 1.0:
+            raise BadInput(f"{name} = {getattr(config, name)} is a share; give 0 to 1")
+    ring.check_capacity(config.capacity, config.block)
