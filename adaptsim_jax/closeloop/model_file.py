@@ -69,7 +69,7 @@ def fitted_model(problem: "Problem", model: "Fitted", provenance: dict[str, Any]
     geometry = {k: float(v) for k, v in recording.geometry.items()}
     return ModelFile(
         recording.task, recording.model, recording.angle_zero, geometry, declared, tuple(effects), known, c.names,
-        c.refit.covariance, dict(provenance or {}),
+        c.refit.covariance, dict(provenance or {}), library=layout.effects,
     )  # fmt: skip
 
 

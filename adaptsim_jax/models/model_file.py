@@ -21,7 +21,7 @@ import numpy as np
 
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models.effects import Effect, Layout, Parameter, catalogue
+from adaptsim_jax.models.effects import Effect, Layout, Parameter, catalogue, effect_named
 from adaptsim_jax.models.plant import Plant, make_pendulum_plant
 
 SCHEMA = 1
@@ -52,7 +52,8 @@ class AddedEffect:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A model as `model.toml` holds it; `path` is where it was read from."""
+    """A model as `model.toml` holds it; `path` is where it was read from, `library` the catalogue that its effects are
+    taken from (the task's where empty)."""
 
     task: str
     model: str
@@ -65,6 +66,11 @@ class ModelFile:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     provenance: dict[str, Any] = field(default_factory=dict)
     path: str = "model.toml"
+    library: tuple[Effect, ...] = ()
+
+    def effect(self, name: str) -> Effect:
+        """What an effect's name stands for; raises BadInput where neither library nor catalogue has it."""
+        return effect_named(name, self.library or catalogue(self.task))
 
     @property
     def active(self) -> tuple[tuple[str, str], ...]:
@@ -118,7 +124,7 @@ def model_of(table: Mapping[str, Any], where: str, effects: Sequence[Effect] | N
     return ModelFile(
         task, model, table["angle_zero"], geometry, _declared(where, _table(where, table, "declared"), plant),
         _effects(where, table.get("effects", []), plant, tuple(effects or catalogue(task))), known, names, covariance,
-        _table(where, table, "provenance"), where,
+        _table(where, table, "provenance"), where, tuple(effects or ()),
     )  # fmt: skip
 
 

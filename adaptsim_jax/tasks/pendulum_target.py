@@ -10,7 +10,15 @@ from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.model_file import ModelFile
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum import PendulumPolicy
-from adaptsim_jax.tasks.pendulum_mended import MendedPolicy, World, make_world, mended_space, plain_policy, train_policy
+from adaptsim_jax.tasks.pendulum_mended import (
+    MendedPolicy,
+    World,
+    cheapest,
+    make_world,
+    mended_space,
+    plain_policy,
+    train_policy,
+)
 
 
 def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
@@ -38,10 +46,16 @@ def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
         own = _same_effects(task, given, world, empty)
     else:
         own = lambda policy: _linear(world, policy, theta, eff)
-    best = jax.jit(lambda: world.rollout(train_policy(world, theta, eff), theta, eff)[0].cost)()
+    act = lambda key, policy, params: world.rollout(own(policy), theta, eff)[0]
+
+    def best_known():
+        best = world.rollout(train_policy(world, theta, eff), theta, eff)[0].cost
+        return best if given.model == "linearized" else jnp.minimum(best, cheapest(task.space, task.train, act, None))
+
+    best = jax.jit(best_known)()
     return params, replace(
         task,
-        rollout=lambda key, policy, params: world.rollout(own(policy), theta, eff)[0],
+        rollout=act,
         reference=lambda params: best,
     )
 
