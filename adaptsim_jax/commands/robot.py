@@ -12,13 +12,23 @@ EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
   adaptsim robot next --dir robot                which policy to run on the robot now
   adaptsim robot record trial.csv --dir robot    what was measured; then `next` again
+
+RUN is the folder of `adaptsim train`. FILE is a CSV (or npz) of one trial, from the moment of letting go: columns time [s],
+q1, q2 [rad, zero upright], tau1, tau2 [N m], and v1, v2 [rad/s] where measured. `next` says the policy each time, and
+the best one when all trials are told.
 """
 STEPS = ("new", "next", "record")
 SESSION = "robot.toml"
 HOW = {
-    "pendulum": "let go hanging straight down (q1 = -pi, zero upright), torque = -gain @ [q1, q2, v1, v2] for 2.5 s;\n"
+    "pendulum": "let go hanging straight down (q1 = -pi, zero upright), {law} for 2.5 s;\n"
     "write a CSV with columns time, q1, q2, tau1, tau2 (v1, v2 where measured) in s, rad, N m"
 }
+GAIN = "torque = -gain @ [q1, q2, v1, v2]"
+CONTROLLER = """torque as this policy's controller says (it is more than its gain), every 5 ms:
+  from adaptsim_jax.tasks.pendulum_controller import read_controller
+  controller = read_controller({folder!r})
+  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m
+"""
 
 
 class Session(NamedTuple):
@@ -94,15 +104,27 @@ def ask(args: argparse.Namespace) -> None:
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
     what = "best policy" if done else f"trial {len(history) + 1} of {total}"
     print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")
+    model = _task_options(session).get("model")
     for name, value in policy_table(policy).items():
-        print(f"  {name} = {value}")
+        if model is None or name == "gain":  # the rest of a mended policy is for its controller, not for people
+            print(f"  {name} = {value}")
     path = session.folder / ("best.toml" if done else "policy.toml")
     config.write(path, {"what": what, "params": params, "policy": policy_table(policy)})
     print(f"written: {path}")
     if done:
         print(f"all {total} trials are told; best return {float(state.best_score):.6g}")
     else:
-        print(HOW[task.name])
+        print(_how(session, model))
+
+
+def _how(session: Session, model: dict[str, Any] | None) -> str:
+    """What to do on the robot; a mended model's controller needs the model beside the policy."""
+    from adaptsim_jax import config
+
+    if model is None:
+        return HOW[session.trained.phase1.task.name].format(law=GAIN)
+    config.write(session.folder / "model.toml", model)
+    return HOW[session.trained.phase1.task.name].format(law=CONTROLLER.format(folder=str(session.folder)))
 
 
 def record(args: argparse.Namespace) -> None:
