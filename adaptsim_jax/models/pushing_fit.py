@@ -22,6 +22,7 @@ from adaptsim_jax.progress import Report, silent
 
 HELD_AT = 0.2
 EARLY = 0.81
+SPREAD = (0.3, 0.3, 0.15, 0.4, 0.3, 0.15, 0.3, 0.6)  # of the first simplex, for the coefficients of a map
 
 
 class Reference(NamedTuple):
@@ -56,10 +57,10 @@ def fit_planar(
     reference: Reference, options: PushOptions = PAPER, start: PlanarCoefficients = DEFAULT, rounds: int = 1500
 ) -> Fit:
     """Coefficients of the planar model: map of e, lift, and size of the sole."""
-    pack = lambda c: np.array([*c.elasticity.frequency, *c.elasticity.damping, c.lift, c.sole])
-    unpack = lambda t: PlanarCoefficients(_map(t[:6]), float(t[6]), float(t[7]))
+    pack = lambda c: np.array([*_unmap(c.elasticity), c.lift, c.sole])
+    unpack = lambda t: PlanarCoefficients(_map(t[:8]), float(t[8]), float(t[9]))
     rows = _planar_rows(options)
-    spread = np.array([0.3, 0.3, 0.15, 0.4, 0.3, 0.15, 0.3, 0.2])
+    spread = np.array([*SPREAD, 0.3, 0.2])
     return _fit(lambda t, r: rows(unpack(t), r), pack(start), spread, unpack, reference, options, rounds, silent)
 
 
@@ -75,12 +76,16 @@ def fit_elasticity(
     def rows(theta: np.ndarray, r: Reference) -> np.ndarray:
         return make_backend("native", options, elasticity=_map(theta)).simulate(*r[:3]).state[:, :, :2]
 
-    spread = np.array([0.3, 0.3, 0.15, 0.4, 0.3, 0.15])
-    return _fit(rows, np.array([*start.frequency, *start.damping]), spread, _map, reference, options, rounds, progress)
+    return _fit(rows, _unmap(start), np.array(SPREAD), _map, reference, options, rounds, progress)
 
 
 def _map(theta: np.ndarray) -> ElasticityMap:
-    return ElasticityMap(tuple(map(float, theta[:3])), tuple(map(float, theta[3:6])))
+    frequency, damping, speed = (tuple(map(float, part)) for part in (theta[:3], theta[3:6], theta[6:8]))
+    return ElasticityMap(frequency, damping, speed)
+
+
+def _unmap(elasticity: ElasticityMap) -> np.ndarray:
+    return np.array([*elasticity.frequency, *elasticity.damping, *elasticity.speed], float)
 
 
 def _planar_rows(options: PushOptions) -> Callable[[PlanarCoefficients, Reference], np.ndarray]:

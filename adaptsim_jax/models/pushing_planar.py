@@ -2,7 +2,7 @@
 
 The paper's bottle hardly turns, so it stays on the line of the push: state (s, v) along it. The plate's edge is
 prescribed, meets the bottle as the MuJoCo scenes do (a damped spring softened by its impedance), and lifts some of its
-weight; each of four feet has the friction of what it stands on.
+weight; each point of the sole has the friction of what it stands on.
 """
 
 from __future__ import annotations
@@ -31,7 +31,11 @@ class PlanarCoefficients(NamedTuple):
     sole: Any = 1.0
 
 
-DEFAULT = PlanarCoefficients(pushing.ELASTICITY)
+DEFAULT = PlanarCoefficients(
+    ElasticityMap((3.685, 0.224, 0.268), (-1.460, 0.301, 0.055), (-0.449, 0.824)), 0.292, 1.002
+)
+"""A twin of the MuJoCo scene, DRAKE of Drake's: both by `experiments/pushing_elasticity.py --fit planar`."""
+DRAKE = PlanarCoefficients(ElasticityMap((3.620, 0.241, 0.301), (-1.480, 0.330, 0.070), (-0.670, 0.762)), 0.278, 0.899)
 
 
 def check_options(options: PushOptions) -> PushOptions:
@@ -68,7 +72,7 @@ def trajectory(
     """As `rollout`, with velocities: `[T, 4]`, x, y in m and vx, vy in m/s."""
     params, action, start = jnp.asarray(params), jnp.asarray(action), jnp.asarray(start)
     heading = jnp.stack([jnp.cos(action[1]), jnp.sin(action[1])])
-    step = _make_step(params, heading, start, options, coefficients)
+    step = _make_step(params, action, heading, start, options, coefficients)
     edge = jax.tree.map(jnp.asarray, _edge(options))
     position, speed, acceleration = (_scaled(edge, k, action[0]) for k in range(3))
     # the pusher starts behind `START`, wherever the bottle stands; all along the line of the push
@@ -104,10 +108,10 @@ def _scaled(edge: Array, k: int, speed: Array) -> Array:
     return speed * edge[2 * k] + edge[2 * k + 1]
 
 
-def _make_step(params, heading, start, options: PushOptions, c: PlanarCoefficients):
+def _make_step(params, action, heading, start, options: PushOptions, c: PlanarCoefficients):
     """`step((s, v), (gap, speed, acceleration)) -> (s, v)`: one semi-implicit Euler step of 5 ms."""
     friction = pushing.frictions(params, options.friction)
-    k, b = pushing.spring(c.elasticity, params[1], options.mass, jnp)
+    k, b = pushing.spring(c.elasticity, params[1], action[0], options.mass, jnp)
     x, y = jnp.asarray(pushing.sole().T, heading.dtype) * c.sole
     x, y = x + start[0], y + start[1]
     g, d = pushing.GRAVITY, IMPEDANCE

@@ -45,7 +45,7 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
 
     def push(params: Array, action: Array, start: Array) -> Array:
         friction = pushing.frictions(params, options.friction)
-        k, b = pushing.spring(elasticity, params[1], options.mass, jnp)
+        k, b = pushing.spring(elasticity, params[1], action[0], options.mass, jnp)
         m = base.replace(
             pair_friction=base.pair_friction.at[edge, :2].set(friction.plate),
             pair_solref=base.pair_solref.at[edge].set(jnp.stack([-k, -b])),

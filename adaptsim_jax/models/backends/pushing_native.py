@@ -74,7 +74,7 @@ class _Engine:
         """Rows `[B, T, 13]` of a block: one call of the engine a step, since friction follows the bottle."""
         steps = round(self.options.duration / self.dt)
         friction = pushing.frictions(params, self.options.friction)
-        models = self._prepare(params, friction.plate)
+        models = self._prepare(params, actions, friction.plate)
         ground = self.ground.on(friction, params[:, 3], self.options.mass, self.dt)
         control = np.zeros((len(params), steps, 3 + 10))
         control[:, :, :3] = scene.controls(actions, self.dt, steps)
@@ -124,12 +124,12 @@ class _Engine:
         )
         return piece
 
-    def _prepare(self, params: np.ndarray, plate: np.ndarray) -> list[Any]:
+    def _prepare(self, params: np.ndarray, actions: np.ndarray, plate: np.ndarray) -> list[Any]:
         """A model for each sample with its contact of plate and bottle."""
         while len(self.models) < len(params):
             self.models.append(copy.copy(self.model))
         models = self.models[: len(params)]
-        k, b = pushing.spring(self.elasticity, params[:, 1], self.options.mass)
+        k, b = pushing.spring(self.elasticity, params[:, 1], actions[:, 0], self.options.mass)
         for i, m in enumerate(models):
             m.pair_friction[self.edge, :2] = plate[i]
             m.pair_solref[self.edge] = -k[i], -b[i]

@@ -34,9 +34,9 @@ def test_friction_semantics():
 
 def test_a_stiffer_bottle_meets_a_stiffer_spring_and_a_heavier_one_gives_way_less():
     e = np.array([1e4, 1e5, 1e6])
-    k, b = pushing.spring(pushing.ELASTICITY, e, pushing.NOMINAL_MASS)
+    k, b = pushing.spring(pushing.ELASTICITY, e, 0.6, pushing.NOMINAL_MASS)
     assert np.all(np.diff(k) > 0) and np.all(b > 0)
-    heavy, _ = pushing.spring(pushing.ELASTICITY, e, 2 * pushing.NOMINAL_MASS)
+    heavy, _ = pushing.spring(pushing.ELASTICITY, e, 0.6, 2 * pushing.NOMINAL_MASS)
     np.testing.assert_allclose(heavy, k / 2)
 
 
