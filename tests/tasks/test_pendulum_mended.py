@@ -112,3 +112,21 @@ def test_bad_options_and_targets_are_told():
     )
     with pytest.raises(BadInput, match="p1"):
         in_world(make_task("pendulum", {}), rigid)
+
+
+@pytest.mark.slow
+def test_hardly_any_policy_earns_more_than_1_on_a_rigid_body():
+    """The target's own policy is no reference there: the gain is optimal near the goal, not for the swing-up."""
+    theta = {"p1": 0.376, "p3": 0.087, "h1": 0.762, "h2": 0.249, "b1": 0.017, "b2": 0.027}
+    units = {"p": "kg m^2", "h": "kg m", "b": "N m s/rad"}
+    declared = {k: Value(v, v, v, units[k[0]]) for k, v in theta.items()}
+    geometry = {"l1": 0.411, "l2": 0.414, "g": 9.81}
+    task = make_mended_pendulum(ModelFile("pendulum", "rigid_body", "hanging", geometry, declared))
+    u = jax.random.uniform(jax.random.key(0), (12, task.space.dim))
+    policies = jax.jit(jax.vmap(lambda u: task.train(None, gaussian(task.space, u), None)))(u)
+    run = lambda p: jax.vmap(lambda policy: task.rollout(None, policy, p).cost)(policies)
+    targets = task.space.physical(u)
+    cost, best = np.asarray(jax.jit(jax.vmap(run))(targets)), np.asarray(jax.jit(jax.vmap(task.reference))(targets))
+    assert np.all(best <= np.diag(cost) * 1.001)
+    assert np.mean(cost < np.diag(cost)[:, None] * 0.999) > 0.2  # what the reference of a linear model would allow
+    assert np.mean(cost < best[:, None] * 0.999) < 0.05
