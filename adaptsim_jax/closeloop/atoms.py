@@ -164,16 +164,17 @@ def _force_rows(model: Model, theta, drive, motion, effect: Effect):
     turned = _mean_sign(v[:, :-1], v[:, 1:])
     gravity = lambda q: model.plant.gravity_force(theta, q)
 
-    def at(p, pick, rows, time):
-        here, speed = pick(q[:, rows]), pick(v[:, rows])
-        answer = effect.apply(p, Motion(here, speed, pick(u), time[None], jnp.zeros_like(here), gravity))
+    def at(p, pick, rows):
+        here, speed, time = pick(q[:, rows]), pick(v[:, rows]), drive.time[rows][None]
+        motion = Motion(here, speed, pick(u), time, jnp.zeros_like(here), gravity, time + drive.clock[None, None])
+        answer = effect.apply(p, motion)
         return answer.force - answer.level * pick(turned) if isinstance(answer, Dry) else answer
 
     def one(joint, row):
         pick = (lambda z: z) if effect.scope == "base" else (lambda z: z[joint][None])
 
         def mean(p):
-            return 0.5 * (at(p, pick, slice(None, -1), drive.time[:-1]) + at(p, pick, slice(1, None), drive.time[1:]))
+            return 0.5 * (at(p, pick, slice(None, -1)) + at(p, pick, slice(1, None)))
 
         return _spread(_change(effect, row, mean), joint, n)
 

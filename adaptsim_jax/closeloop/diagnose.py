@@ -19,7 +19,7 @@ from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.model_file import fitted_model, write_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
-from adaptsim_jax.closeloop.problem import Problem, declared_fit, prepare
+from adaptsim_jax.closeloop.problem import Problem, prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, report_of
 from adaptsim_jax.closeloop.schema import check, new_report
@@ -94,9 +94,9 @@ def examine(
 ) -> Diagnosis:
     """Everything between reading and writing."""
     say(2, STAGES, "declared model")
-    problem = prepare(recording, checked, noise, effects)
-    fit = declared_fit(problem)
-    base, first = hunt.declared(problem, fit.theta, fit.eff, fit.x0)
+    problem, start = prepare_within_reach(recording, checked, noise, effects)
+    base, first = hunt.declared(problem, start)
+    problem, first = hunt.timed(problem, base, first, settings)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))

@@ -92,10 +92,12 @@ def force_kernels(lin: Linearised) -> Kernels:
     gap = np.abs(time[:, :, None] - time[:, None, :])
     out = []
     for joint in range(lin.impulse.shape[2]):
-        h = np.ascontiguousarray(lin.impulse[:, :, joint])
+        h = np.ascontiguousarray(
+            lin.impulse[:, :, joint], np.float64
+        )  # in float32 a large one is not positive definite
         for tau in CORRELATION_TIMES:
-            out.append(h @ np.exp(-gap / tau).astype(h.dtype) @ np.swapaxes(h, 1, 2))
-    return Kernels(np.stack(out).astype(np.float64))
+            out.append(h @ np.exp(-gap / tau) @ np.swapaxes(h, 1, 2))
+    return Kernels(np.stack(out))
 
 
 def _spread(windows: np.ndarray, most: int) -> np.ndarray:

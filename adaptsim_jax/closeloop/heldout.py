@@ -1,6 +1,7 @@
 """The error before and after, always of simulated data that were not fitted.
 
-Each fold's trials are left out of the shared parameters in turn; only their initial states are fitted to them. Errors
+Each fold's trials are left out of the shared parameters in turn; only their initial states are fitted to them, by least
+squares, so that a window's error is what its dynamics get wrong and not how its start was weighted. Errors
 are in radians, root mean square over the rows of windows simulated from those states, with an interval over trials.
 """
 
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.problem import Problem, at_point, refit_more
+from adaptsim_jax.closeloop.problem import Problem, initial_states, refit_more
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.score import folds
 from adaptsim_jax.closeloop.view import View
@@ -59,7 +60,7 @@ def held_out(problem: Problem, model: Fitted, view: View, *, most_folds: int = 6
     for f in np.unique(fold[fold >= 0]):
         keep = (fold >= 0) & (fold != f)
         part = refit_more(problem, start, factor, keep=keep)
-        result = at_point(problem, c.active, part.theta, part.eff, part.refit.point.x0)
+        result = initial_states(problem, c.active, part.theta, part.eff, part.refit.point.x0)
         weight = np.asarray(windows.weight)
         error = result.residual / np.where(weight > 0, weight, 1.0)
         here = fold == f

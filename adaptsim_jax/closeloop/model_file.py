@@ -67,9 +67,12 @@ def fitted_model(problem: "Problem", model: "Fitted", provenance: dict[str, Any]
         )
     known = {k: float(v) for k, v in recording.known.items()}
     geometry = {k: float(v) for k, v in recording.geometry.items()}
+    clock = {}
+    if problem.phases(c.active):
+        clock = {t.name: float(s) for t, s in zip(recording.trials, problem.windows.clock, strict=False)}
     return ModelFile(
         recording.task, recording.model, recording.angle_zero, geometry, declared, tuple(effects), known, c.names,
-        c.refit.covariance, dict(provenance or {}), library=layout.effects,
+        c.refit.covariance, dict(provenance or {}), trial_clock=clock, library=layout.effects,
     )  # fmt: skip
 
 
@@ -90,6 +93,8 @@ def text_of(model: ModelFile) -> str:
         parts.append("[[effects]]\n" + config.dumps({"name": effect.name, "where": effect.where}))
         for name, value in effect.parameters.items():
             parts.append(f"[effects.parameters.{name}]\n" + config.dumps(asdict(value)))
+    if model.trial_clock:
+        parts.append(config.dumps({"trial_clock": model.trial_clock}))
     covariance = {"names": list(model.names), "matrix": np.asarray(model.covariance).tolist()}
     provenance = {"package": f"adaptsim_jax {__version__}"} | model.provenance
     parts.append(config.dumps({"covariance": covariance, "provenance": provenance}))

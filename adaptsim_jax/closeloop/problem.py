@@ -9,6 +9,7 @@ import numpy as np
 from adaptsim_jax.closeloop.atoms import make_reach
 from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.basis import generic_forces
+from adaptsim_jax.closeloop.clocks import clock_of
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit import FitResult, Settings, fit
 from adaptsim_jax.closeloop.meta import check_known
@@ -28,6 +29,7 @@ Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 
 DIVERGED = 3  # index into fit.CODES
+FAR = 0.04  # rad that a window may stray before it is cut shorter
 
 
 class Diverged(ArithmeticError):
@@ -73,6 +75,12 @@ class Problem:
         rms = self.torque_rms
         return np.maximum(rms, 0.1 * rms.max() + 1e-9)
 
+    def phases(self, active: Active) -> int:
+        """How many phases of trials those effects use, beyond the one they have by themselves."""
+        layout = self.model.layout
+        clocked = any(layout.instances[layout.index(*a)].effect.clocked for a in active)
+        return max(len(self.recording.trials) - 1, 0) if clocked and np.any(self.windows.clock) else 0
+
     def held(self, active: Active) -> tuple[str, ...]:
         """Shape parameters that stay where the grid put them."""
         return tuple(f"{e}/{w}/{s}" for e, w in active for s in HELD_SHAPES)
@@ -105,6 +113,8 @@ def prepare(
     trials = [_masked(t, audit.valid.get(t.name)) for t in recording.trials]
     windows = cut_windows(trials, sigma, duration=duration, motions=motions, use_velocity=False)
     reach = make_reach(plant, theta0, windows)
+    if given is not None and given.trial_clock:
+        windows = replace(windows, clock=clock_of(given.trial_clock, recording, windows))
     model = make_model(plant, tuple(effects))
     merged = max(1, windows.measured.shape[1] // rows_kept)
     base, eff0 = ((), None) if given is None else (given.active, given.effect_vector(model.layout))
@@ -118,10 +128,49 @@ def _masked(trial: Trial, valid: np.ndarray | None) -> Trial:
     return replace(trial, q=np.where(valid[:, None], trial.q, np.nan))
 
 
+def prepare_within_reach(
+    recording: Recording, audit: Audit, noise: NoiseFloor, effects: Sequence[Effect], *, duration: float = 0.5
+) -> tuple[Problem, FitResult]:
+    """`prepare` with windows short enough for a fit, and its first fit (`regressed_start`).
+
+    Where the motion is unstable, or much is missing, a model strays so far within half a second that no step on its
+    linearisation is worth anything. Half the window strays a quarter as far or less.
+    """
+    least = 12.0 * max(t.dt for t in recording.trials)
+    while True:
+        problem = prepare(recording, audit, noise, effects, duration=duration)
+        start = regressed_start(problem)
+        if (start.code != DIVERGED and strayed(problem, start) < FAR) or duration < max(0.1, 2.0 * least):
+            return problem, start
+        duration *= 0.5
+
+
+def initial_states(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
+    """A model as it is, only its initial states fitted, by least squares."""
+    fixed = (*problem.plant.theta_names, *("/".join(n) for n in problem.model.layout.names()))
+    return fit(
+        problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
+        bounds=problem.bounds, fixed=fixed, settings=Settings(iterations=12, tolerance=1e-3, huber=1e3),
+    )  # fmt: skip
+
+
+def strayed(problem: Problem, result: FitResult) -> float:
+    """RMS distance [rad] of simulated from measured angles."""
+    weight = np.asarray(problem.windows.weight)
+    error = np.where(weight > 0, result.residual / np.where(weight > 0, weight, 1.0), np.nan)
+    return float(np.sqrt(np.nanmean(np.square(error))))
+
+
+def regressed_start(problem: Problem) -> FitResult:
+    """The declared parameters as the measured motion suggests them (`theta0`), initial states fitted."""
+    eff0 = problem.model.layout.off() if problem.eff0 is None else problem.eff0
+    return initial_states(problem, problem.base, problem.theta0, eff0, problem.windows.start)
+
+
 def declared_fit(
     problem: Problem, active: Active | None = None, start: FitResult | None = None, eff0=None
 ) -> FitResult:
-    """Least-squares output-error fit in which sensors are the only noise; where the statistics start from."""
+    """Least-squares output-error fit in which sensors are the only noise."""
     active = problem.base if active is None else active
     eff0 = problem.eff0 if eff0 is None else eff0
     return fit(
@@ -157,6 +206,7 @@ class Candidate:
     eff: np.ndarray
     names: tuple[str, ...]
     refit: Refit
+    phases: int = 0  # phases of trials that its effects use, beside what is in `names`
 
     @property
     def cost(self) -> float:
@@ -210,7 +260,7 @@ def _refit(
     start = Point(split.pick(theta, eff), x0)
     free = np.ones(len(names), bool)
     done = refit(linearise, start, factor, *split.bounds(), free, keep=keep, iterations=iterations, known=known)
-    return Candidate(active, *split.full(done.point.z), names, done)
+    return Candidate(active, *split.full(done.point.z), names, done, problem.phases(active))
 
 
 class _Split:

@@ -36,9 +36,14 @@ class Fitted:
     def total(self) -> float:
         return float(self.likelihood.sum())
 
+    @property
+    def size(self) -> int:
+        """How many numbers it took from the data, phases of trials included."""
+        return len(self.candidate.names) + self.candidate.phases
+
     def merit(self, price: float) -> float:
         """Log-likelihood less the price of its parameters."""
-        return self.total - price * len(self.candidate.names)
+        return self.total - price * self.size
 
     def at_bound(self) -> tuple[str, ...]:
         """Effect parameters that ended at the edge of what they may be."""

@@ -7,12 +7,22 @@ stops) the refits put right. Rivals that stay within the scatter of the windows 
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.problem import Active, Diverged, Problem, survey
+from adaptsim_jax.closeloop.clocks import clocks
+from adaptsim_jax.closeloop.fit import FitResult
+from adaptsim_jax.closeloop.problem import (
+    DIVERGED,
+    Active,
+    Diverged,
+    Problem,
+    at_point,
+    declared_fit,
+    survey,
+)
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
     Instance,
@@ -27,6 +37,7 @@ from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 from adaptsim_jax.models.effects import Layout
 
 Progress = Callable[[str], None]
+SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
 
 
 @dataclass(frozen=True)
@@ -35,7 +46,8 @@ class Settings:
 
     shortlist: leaders refitted whole. price: log-likelihood that each further parameter must earn. class_gap and
     class_z: a rival stays in the class unless it loses by more than `class_gap` nats *and* `class_z` standard errors over
-    windows. least_fall: least relative fall of the unexplained force that is worth a name.
+    windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
+    this share of the unexplained force left over, the search ends at the first effect that earns nothing.
     """
 
     alpha: float = 0.01
@@ -46,6 +58,7 @@ class Settings:
     least_fall: float = 0.1
     least_share: float = 0.004
     least_beside: float = 0.1
+    explained: float = 0.35
     most_effects: int = 3
 
 
@@ -61,6 +74,7 @@ class Found:
     tried: list[Fitted] = field(default_factory=list)
     last: list[Ranked] = field(default_factory=list)  # about the final model
     view: "View | None" = None  # of the final model
+    leading: Fitted | None = None  # the likeliest set of effects that still explains too little for a name
 
     @property
     def added(self) -> Active:
@@ -68,45 +82,96 @@ class Found:
         return tuple(a for a in self.final.active if a not in self.base.active)
 
 
-def declared(problem: Problem, theta, eff, x0) -> tuple[Fitted, View]:
-    """The declared model with its residual covariance, and all candidates scored about it."""
-    _, lin, _, result = survey(problem, problem.base, theta, eff, x0)
-    response = respond(lin)
-    parts = disturbance.estimate(lin, response.kernels)
-    base = fitted(problem, problem.base, theta, result.eff, x0, parts, response)
+def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
+    """The declared model with its residual covariance, and all candidates scored about it.
+
+    `start` is the regression on the measured motion, which no simulation can lead astray. Where much force is left
+    unexplained, least squares from there is a second start: it may find a better optimum, but it may as well flee from the
+    effect that is missing to parameters that are far off (a link too heavy to move misses least).
+    """
+    fits: list[Fitted] = []
+    for second in (False, True):
+        if fits and not np.any(fits[0].parts.force_std() > SUSPICIOUS * problem.torque_scale):
+            break
+        with suppress(Diverged, np.linalg.LinAlgError):
+            result = declared_fit(problem) if second else start
+            fits.append(_declared_from(problem, result.theta, result.eff, result.x0))
+    if not fits:
+        raise Diverged("the declared model runs away from every start; look at the signs and units of the torques")
+    base = max(fits, key=lambda m: (_sane(problem, m), m.total))
     return base, view(problem, base)
 
 
+def _sane(problem: Problem, model: Fitted) -> bool:
+    """Whether the force left unexplained is no larger than the torques themselves."""
+    return bool(np.all(model.parts.force_std() < problem.torque_scale))
+
+
+def _declared_from(problem: Problem, theta, eff, x0) -> Fitted:
+    result = at_point(problem, problem.base, theta, eff, x0)
+    if result.code == DIVERGED:
+        raise Diverged("the declared model runs away")
+    _, lin, _, result = survey(problem, problem.base, theta, eff, x0)
+    response = respond(lin)
+    parts = disturbance.estimate(lin, response.kernels)
+    return fitted(problem, problem.base, theta, result.eff, x0, parts, response)
+
+
+def timed(problem: Problem, base: Fitted, first: View, settings: Settings) -> tuple[Problem, View]:
+    """The problem with the trials' clocks set to a periodic force that runs through them, where there is one, and all
+    candidates scored again."""
+    atoms = [a for a in first.atoms if a.effect in {e.name for e in problem.model.layout.effects if e.clocked}]
+    found = None if np.any(problem.windows.clock) else clocks(problem.windows, first.scorer, atoms, settings.alpha)
+    if found is None:
+        return problem, first
+    problem = replace(problem, windows=replace(problem.windows, clock=found))
+    return problem, view(problem, base)
+
+
 def search(problem: Problem, base: Fitted, first: View, settings: Settings, say: Progress = lambda _: None) -> Found:
-    """Add effects greedily while they earn their price, with one look back after each."""
+    """Add effects greedily while they earn their price, with one look back after each.
+
+    An effect that pays for its parameters but explains too little by itself is kept for a while: of two that act together,
+    as friction at both joints does, the first leaves most of the residual. The set is judged, not its first member.
+    """
     ranked = first.ranked(exclude=base.active)
     found = Found(base, base, ranked, last=ranked, view=first)
-    seen, current = first, base
-    while len(found.added) < settings.most_effects:
-        leaders = _leaders(found.last, seen, current.active, settings)
-        if not leaders:
-            break
-        trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
-        trials = _finished(problem, trials, seen, settings)
-        found.tried += trials
-        best = _choose(problem, [t for t in trials if plausible(t, base)], base, settings)
-        if best is not None:
-            alike = _look_alikes(problem, _new(best, current), found.last, leaders)
-            more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
-            more = [settled(problem, t, seen.response) for t in more]
-            trials, found.tried = trials + more, found.tried + more
-            best = _choose(problem, [t for t in trials if plausible(t, base)], base, settings)
-        if best is None or not _earns(problem, best, current, base, settings):
+    seen, current, ranked = first, base, found.last
+    while len(current.active) - len(base.active) < settings.most_effects:
+        best, trials = _next(problem, found, current, seen, ranked, settings, say)
+        if best is None or not _pays(best, current, settings):
             break
         new = _new(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
         current = best
-        current = _look_back(problem, found, current, new, seen, settings, say)
-        found.final = current
-        seen = found.view = view(problem, current)
-        found.last = seen.ranked(exclude=current.active)
+        if _earns(problem, current, found.final, base, settings):
+            current = found.final = _look_back(problem, found, current, new, seen, settings, say)
+        elif unexplained(found.final, base) < settings.explained:
+            break
+        seen = view(problem, current)
+        ranked = seen.ranked(exclude=current.active)
+        if found.final is current:
+            found.view, found.last = seen, ranked
+    found.leading = None if current is found.final else current
+    found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
     found.classes = {e: _class_of(e, found, settings, problem.model.layout) for e in found.added}
     return found
+
+
+def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: list[Ranked], settings: Settings, say):
+    """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
+    leaders = _leaders(ranked, seen, current.active, settings)
+    trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
+    trials = _finished(problem, trials, seen, settings)
+    found.tried += trials
+    best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+    if best is not None:
+        alike = _look_alikes(problem, _new(best, current), ranked, leaders)
+        more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
+        more = [settled(problem, t, seen.response) for t in more]
+        trials, found.tried = trials + more, found.tried + more
+        best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+    return best, trials
 
 
 def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Settings) -> list[Ranked]:
@@ -194,7 +259,7 @@ def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Sett
     if not trials:
         return None
     best = max(trials, key=lambda t: t.merit(settings.price))
-    simpler = [t for t in trials if len(t.candidate.names) < len(best.candidate.names)]
+    simpler = [t for t in trials if t.size < best.size]
     enough = [t for t in simpler if not _matters(problem, best, t, base, settings, 0.2)]
     return max(enough, key=lambda t: t.merit(settings.price), default=best)
 
@@ -207,13 +272,25 @@ def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings:
     return share > strict * settings.least_share and beside > strict * settings.least_beside
 
 
+def _pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
+    """More likely by more than the price of its parameters and the selection it was picked from."""
+    extra = new.size - old.size
+    return new.total - old.total > settings.price * extra + 6.0
+
+
 def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
-    """More likely by more than its price and the selection it was picked from, and its torque matters: to the joint, and
-    beside what was unexplained at first."""
-    extra = len(new.candidate.names) - len(old.candidate.names)
-    if new.total - old.total < settings.price * extra + 6.0:
+    """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
+    if not _pays(new, old, settings):
         return False
     return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
+
+
+def _needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settings: Settings) -> bool:
+    """Whether an effect of a set earns its place. Where none of the set would by itself, it is enough that it matters."""
+    alone = len(new.active) - len(found.final.active) == 1
+    if alone:
+        return _earns(problem, new, without, found.base, settings)
+    return _pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
 
 
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
@@ -224,7 +301,7 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
         say(f"trying without {old[0]} at {old[1]}")
         without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, current.parts, seen.response)
         found.tried.append(without)
-        if plausible(without, found.base) and not _earns(problem, current, without, found.base, settings):
+        if plausible(without, found.base) and not _needed(problem, current, without, found, settings):
             found.rivals.pop(old, None)
             current = without
             continue
@@ -281,7 +358,7 @@ def _class_of(effect: Instance, found: Found, settings: Settings, layout: Layout
 def _close(best: Fitted, other: Fitted, settings: Settings) -> bool:
     """Vuong's (1989) comparison over windows: not far behind in nats, or not surely so."""
     gap = best.likelihood - other.likelihood
-    price = settings.price * (len(best.candidate.names) - len(other.candidate.names))
+    price = settings.price * (best.size - other.size)
     lead = float(gap.sum()) - price
     scatter = float(np.std(gap) * np.sqrt(len(gap))) + 1e-9
     return lead < settings.class_gap or (lead / scatter < settings.class_z and lead < 3 * settings.class_gap)

@@ -126,7 +126,7 @@ def _row_maps(model: Model, theta, eff, drive, x, memory, substeps: int):
     length, states, windows = drive.dt.shape[0], x.shape[1], x.shape[2]
     joints = model.plant.joint_dim
     batch = lambda z: jnp.moveaxis(z, 0, -2).reshape(*z.shape[1:-1], length * windows)
-    start, u, t, dt = batch(x[:-1]), batch(drive.u), batch(drive.time[:-1]), batch(drive.dt)
+    start, u, t, dt = batch(x[:-1]), batch(drive.u), batch(drive.stamps[:-1]), batch(drive.dt)
     memory = tuple(batch(w[:-1]) for w in memory)
     zero = jnp.zeros((joints, length * windows), x.dtype)
 

@@ -17,13 +17,19 @@ __all__ = ["Drive", "Model", "Push", "make_model", "measure", "row_step", "simul
 
 
 class Drive(NamedTuple):
-    """What drives the windows, time first and windows last: `u [L, U, W]` N m, `dt [L, W]` s, `time [L+1, W]` s, and
-    the effects' memory `(w [n, W], ...)` at the start."""
+    """What drives the windows, time first and windows last: `u [L, U, W]` N m, `dt [L, W]` s, `time [L+1, W]` s,
+    `clock [W]` s, and the effects' memory `(w [n, W], ...)` at the start."""
 
     u: jax.Array
     dt: jax.Array
     time: jax.Array
+    clock: jax.Array
     memory: tuple[jax.Array, ...]
+
+    @property
+    def stamps(self) -> jax.Array:
+        """Time since the trial began, and on the clock of what goes on between trials: `[L+1, 2, W]` s."""
+        return jnp.stack([self.time, self.time + self.clock[None]], 1)
 
 
 def simulate(model: Model, theta, eff, mask, windows: Windows, x0) -> tuple[jax.Array, jax.Array]:
@@ -43,7 +49,9 @@ def driven(model: Model, theta, eff, mask, windows: Windows) -> Drive:
     time = jnp.asarray(windows.times).T
     dt = jnp.diff(time, axis=0)
     applied = trial_command(model, eff, mask, windows)
-    return Drive(gather_command(applied, windows, dt), dt, time, _warm_memory(model, theta, eff, mask, windows))
+    clock = jnp.asarray(windows.clock)[windows.trial]
+    memory = _warm_memory(model, theta, eff, mask, windows)
+    return Drive(gather_command(applied, windows, dt), dt, time, clock, memory)
 
 
 def trial_command(model: Model, eff, mask, windows: Windows) -> jax.Array:
@@ -125,7 +133,7 @@ def trajectory(model: Model, theta, eff, drive: Drive, x0, substeps: int):
         new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps)
         return new, carry
 
-    last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.time[:-1], drive.dt))
+    last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.stamps[:-1], drive.dt))
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), seen, last)
 
 

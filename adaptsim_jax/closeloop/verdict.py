@@ -17,8 +17,7 @@ class Verdict:
     named: bool
 
 
-LEAST_CONFIRMED = 0.98  # held-out error after over before: less of a gain than this is none
-LEFT_TOO_MUCH = 0.35  # of the unexplained force: more than this left over, and no name is safe
+LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
 
 
 def decide(found: Found, before: Leftover, after: Leftover, settings: Settings, powered: bool) -> Verdict:
@@ -34,7 +33,7 @@ def decide(found: Found, before: Leftover, after: Leftover, settings: Settings, 
             "underpowered", "Nothing is found, but these data would not have shown an effect that matters.", False
         )
     left = unexplained(found.final, found.base)
-    if left > LEFT_TOO_MUCH and after.p_value < settings.alpha and after.share > 0.02:
+    if left > settings.explained and after.p_value < settings.alpha and after.share > 0.02:
         return Verdict("structured_unattributed", _partly(found, after, left), False)
     names = " and ".join(f"{_words(e)} at {w}" for e, w in active)
     others = [f"{_words(e)} at {w}" for rivals in found.classes.values() for e, w in rivals]

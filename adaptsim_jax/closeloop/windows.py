@@ -35,6 +35,7 @@ class Windows:
     time [N, T] s, torque [N, T, U] N m, motion_q, motion_v [N, T, n]: trials, padded at the end;
     trial [W], rows, times [W, L+1]: where the windows' boundaries lie, `rows` being the row that holds at that time;
     measured, weight [W, L+1, Y] (weight in 1 / standard deviation); start [W, S]: initial states from the data;
+    clock [N]: s to add to a trial's time for what goes on between trials (zero until `clocks.py` finds it);
     substeps: integration steps in a step of a window.
     """
 
@@ -48,6 +49,7 @@ class Windows:
     measured: np.ndarray
     weight: np.ndarray
     start: np.ndarray
+    clock: np.ndarray
     substeps: int
 
     @property
@@ -68,7 +70,7 @@ class Windows:
 jax.tree_util.register_dataclass(
     Windows,
     data_fields=[
-        "time", "torque", "motion_q", "motion_v", "trial", "rows", "times", "measured", "weight", "start",
+        "time", "torque", "motion_q", "motion_v", "trial", "rows", "times", "measured", "weight", "start", "clock",
     ],
     meta_fields=["substeps"],
 )  # fmt: skip
@@ -91,6 +93,7 @@ def cut_windows(
     max_step: float = 5.1e-3,
     motions: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
     pad_windows: int = 16,
+    most_windows: int = 96,
     use_velocity: bool = True,
 ) -> Windows:
     """Cut `trials` into windows of about `duration` s.
@@ -99,7 +102,9 @@ def cut_windows(
     sigma have no weight. Rows faster than `max_rate` Hz are merged (torque by impulse, every k-th sample kept); a step
     that is unusually long is split. Integration steps are at most about `max_step` s.
     motions: smoothed `(q [T, n], v [T, n])` per trial, for initial states; local cubics of the data where None.
-    Windows never span a gap of over 0.1 s and five median rows. Raises BadInput where a trial is too short.
+    Windows never span a gap of over 0.1 s and five median rows. Of a long recording `most_windows` are kept, evenly spread
+    over each trial: the cost of a fit grows with them, what it can tell hardly does. Raises BadInput where a trial is too
+    short.
     """
     if not trials:
         raise BadInput("no trials to cut into windows; give at least one")
@@ -109,6 +114,8 @@ def cut_windows(
     steps = max(4, round(duration / (dt * stride)))
     substeps = max(1, int(np.ceil(dt * stride / max_step - 0.05)))
     cuts = [_cut(t.time - t.time[0], stride, steps, dt, 1.3 * substeps * max_step) for t in trials]
+    share = min(1.0, most_windows / sum(len(c.rows) for c in cuts))
+    cuts = [_thinned(c, max(1, round(share * len(c.rows)))) for c in cuts]
     has_velocity = use_velocity and all(t.v is not None for t in trials)
     trial = np.concatenate([np.full(len(c.rows), i) for i, c in enumerate(cuts)]).astype(np.int32)
     pieces = [_measured(t, c, sigma, has_velocity) for t, c in zip(trials, cuts, strict=True)]
@@ -118,14 +125,16 @@ def cut_windows(
     rest = (-len(trial)) % pad_windows
     empty = lambda z: np.concatenate([z, np.zeros((rest, *z.shape[1:]), z.dtype)])
     again = lambda z: np.concatenate([*z, np.repeat(z[0][:1], rest, 0)])
+    stacked = _stacked(trials, motions)
     return Windows(
-        *_stacked(trials, motions),
+        *stacked,
         trial=empty(trial),
         rows=again([c.rows for c in cuts]).astype(np.int32),
         times=again([c.times for c in cuts]),
         measured=empty(measured),
         weight=empty(weight),
         start=again(start),
+        clock=np.zeros(len(stacked[0])),
         substeps=substeps,
     )
 
@@ -149,6 +158,12 @@ def _cut(time: np.ndarray, stride: int, steps: int, dt: float, longest: float) -
     times, sampled = (np.array(z) for z in zip(*windows, strict=True))
     rows = np.clip(np.searchsorted(time, times + 1e-9, side="right") - 1, 0, len(time) - 1)
     return _Cut(rows, times, sampled)
+
+
+def _thinned(cut: _Cut, count: int) -> _Cut:
+    """`count` of a trial's windows, evenly spread."""
+    keep = np.unique(np.linspace(0, len(cut.rows) - 1, count).round().astype(int))
+    return _Cut(*(z[keep] for z in cut))
 
 
 def _split_long(at: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:

@@ -49,7 +49,8 @@ class Parameter:
 
 class Motion(NamedTuple):
     """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [1, ...]` s since the trial began, its own
-    `memory: [n, ...]`, and `gravity(q) -> [n, ...]` of the plant."""
+    `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and `clock: [1, ...]` s, the time of what goes on whether a
+    trial runs or not (None: the same as `t`)."""
 
     q: jax.Array
     v: jax.Array
@@ -57,6 +58,7 @@ class Motion(NamedTuple):
     t: jax.Array
     memory: jax.Array
     gravity: Callable
+    clock: jax.Array | None = None
 
 
 class Dry(NamedTuple):
@@ -103,7 +105,8 @@ class Effect:
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
-    as it does not act linearly. `contains` names effects that this one includes as a special case.
+    as it does not act linearly. `contains` names effects that this one includes as a special case. `clocked`: it follows
+    `motion.clock`, a sine of which (amplitudes sine, cosine; shape frequency) may have another phase in each trial.
     """
 
     name: str
@@ -118,6 +121,7 @@ class Effect:
     memory: bool = False
     inertia: bool = False
     jump: bool = False
+    clocked: bool = False
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
 

@@ -44,7 +44,8 @@ def friction_drift(p, m: Motion):
 
 
 def periodic_disturbance(p, m: Motion):
-    phase = 2.0 * jnp.pi * p["frequency"] * m.t
+    """It goes on between trials, so each trial meets it at another phase."""
+    phase = 2.0 * jnp.pi * p["frequency"] * (m.t if m.clock is None else m.clock)
     return p["sine"] * jnp.sin(phase) + p["cosine"] * jnp.cos(phase) + 0.0 * m.q
 
 
@@ -173,7 +174,7 @@ FORCE = (
             Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
         ),
         periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
-        "long trials whose commands leave that frequency free", ("cogging",), grid=_frequencies,
+        "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=_frequencies,
     ),
     Effect(
         "hard_stop", "force",

@@ -8,6 +8,7 @@ angle_zero = "hanging"          # or "upright"
 [known]                         # parameters that were not fitted
 [declared.NAME]                 # value, low, high, unit, fitted: one table for each parameter of the model
 [[effects]]                     # name, where, then [effects.parameters.NAME] with value, low, high, unit
+[trial_clock]                   # s by trial's name: shifts of the clock of what goes on between trials
 [covariance]                    # names, matrix: of all that was fitted
 [provenance]                    # free: what made it
 """
@@ -25,7 +26,10 @@ from adaptsim_jax.models.effects import Effect, Layout, Parameter, catalogue, ef
 from adaptsim_jax.models.plant import Plant, make_pendulum_plant
 
 SCHEMA = 1
-KEYS = ("schema", "task", "model", "angle_zero", "geometry", "known", "declared", "effects", "covariance", "provenance")
+KEYS = (
+    "schema", "task", "model", "angle_zero", "geometry", "known", "declared", "effects", "trial_clock", "covariance",
+    "provenance",
+)  # fmt: skip
 NEEDED = ("schema", "task", "model", "angle_zero", "geometry", "declared")
 RENEW = "take the file that `adaptsim diagnose` wrote"
 
@@ -66,6 +70,7 @@ class ModelFile:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     provenance: dict[str, Any] = field(default_factory=dict)
     path: str = "model.toml"
+    trial_clock: dict[str, float] = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
 
     def effect(self, name: str) -> Effect:
@@ -124,7 +129,8 @@ def model_of(table: Mapping[str, Any], where: str, effects: Sequence[Effect] | N
     return ModelFile(
         task, model, table["angle_zero"], geometry, _declared(where, _table(where, table, "declared"), plant),
         _effects(where, table.get("effects", []), plant, tuple(effects or catalogue(task))), known, names, covariance,
-        _table(where, table, "provenance"), where, tuple(effects or ()),
+        _table(where, table, "provenance"), where, _numbers(where, table, "trial_clock"),
+        tuple(effects or ()),
     )  # fmt: skip
 
 

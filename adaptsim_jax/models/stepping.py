@@ -38,8 +38,10 @@ def make_model(plant: Plant, effects: tuple) -> Model:
 
 
 def motion_of(model: Model, theta, q, v, u, t, memory) -> Motion:
-    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar."""
-    return Motion(q, v, u, _lift(t, q), memory, lambda q: model.plant.gravity_force(theta, q))
+    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar; or `[2, ...]`, time and `Motion.clock`."""
+    t = _lift(t, q)
+    time, clock = (t[:1], t[1:]) if t.ndim == q.ndim > 1 and t.shape[0] == 2 else (t, t)
+    return Motion(q, v, u, time, memory, lambda q: model.plant.gravity_force(theta, q), clock)
 
 
 def relax(answer: Relaxation, w, h):
@@ -51,6 +53,12 @@ def _lift(z, like):
     """A number per lane with a first axis to broadcast over joints or states; a scalar stays one."""
     z = jnp.asarray(z)
     return z[None] if 0 < z.ndim < like.ndim else z
+
+
+def _later(t, h):
+    """Time `t: [...]`, or time and clock `[2, ...]`, after `h: [...]` s."""
+    t, h = jnp.asarray(t), jnp.asarray(h)
+    return t + (h[None] if t.ndim > h.ndim > 0 else h)
 
 
 class Acting(NamedTuple):
@@ -99,7 +107,7 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
 
     def substep(carry, i):
         x, memory = carry
-        now = t + i * h
+        now = _later(t, i * h)
         memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h)
 
         rub = _dry_force(model, theta, eff, memory, x, u, now, h, push)
@@ -108,13 +116,13 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
             slope, total = inner
             a, b = ab
             at = x + a * wide * slope
-            act = acting(model, theta, eff, memory, at, u, now + a * h)
+            act = acting(model, theta, eff, memory, at, u, _later(now, a * h))
             slope = model.plant.deriv(theta, at, u, act.force + rub + push.force, act.inertia + push.inertia)
             return (slope, total + b * slope), None
 
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
         x = x + wide * total
-        memory = remember(model, theta, eff, memory, x, u, now + h, 0.5 * h)
+        memory = remember(model, theta, eff, memory, x, u, _later(now, h), 0.5 * h)
         return (x, memory), None
 
     if substeps == 1:
@@ -140,7 +148,7 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
     answer = [solve_mass(mass, inertia, unit[j]) for j in range(n)]  # acceleration per force at each joint
     wide = _lift(h, q)
     ahead = jnp.concatenate([q, _halfway(v, free, wide)])
-    level = acting(model, theta, eff, memory, ahead, u, t + 0.5 * h).level
+    level = acting(model, theta, eff, memory, ahead, u, _later(t, 0.5 * h)).level
     stop = free + v / jnp.where(wide > 0, wide, 1.0)
     hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
     force = [_within(hold[j], level[j]) for j in range(n)]
