@@ -20,15 +20,14 @@ the best one when all trials are told.
 STEPS = ("new", "next", "record")
 SESSION = "robot.toml"
 HOW = {
-    "pendulum": "let go hanging straight down (q1 = -pi, zero upright), {law} for 2.5 s;\n"
+    "pendulum": "let go hanging straight down (q1 = -pi, zero upright); for 2.5 s, {law}\n"
     "write a CSV with columns time, q1, q2, tau1, tau2 (v1, v2 where measured) in s, rad, N m"
 }
-GAIN = "torque = -gain @ [q1, q2, v1, v2]"
-CONTROLLER = """torque as this policy's controller says (it is more than its gain), every 5 ms:
+GAIN = "torque = -gain @ [q1, q2, v1, v2];"
+CONTROLLER = """every 5 ms, the torque that this policy's controller says (it is more than its gain):
   from adaptsim_jax.tasks.pendulum_controller import read_controller
   controller = read_controller({folder!r})
-  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m
-"""
+  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""
 
 
 class Session(NamedTuple):
@@ -106,8 +105,9 @@ def ask(args: argparse.Namespace) -> None:
     print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")
     model = _task_options(session).get("model")
     for name, value in policy_table(policy).items():
-        if model is None or name == "gain":  # the rest of a mended policy is for its controller, not for people
-            print(f"  {name} = {value}")
+        # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not for people
+        if name == "gain" or (model is None and value != 0):
+            print(f"  {name} = {_digits(value)}")
     path = session.folder / ("best.toml" if done else "policy.toml")
     config.write(path, {"what": what, "params": params, "policy": policy_table(policy)})
     print(f"written: {path}")
@@ -115,6 +115,12 @@ def ask(args: argparse.Namespace) -> None:
         print(f"all {total} trials are told; best return {float(state.best_score):.6g}")
     else:
         print(_how(session, model))
+        print(f"then: adaptsim robot record FILE --dir {args.dir}")
+
+
+def _digits(value: Any) -> str:
+    """Six digits for the eye; policy.toml has them all."""
+    return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
 
 
 def _how(session: Session, model: dict[str, Any] | None) -> str:
