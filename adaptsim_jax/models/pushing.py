@@ -52,7 +52,7 @@ RISE_SPEED, PITCH_RATE = 0.1, 0.8
 FINE, DIVERGED, FALLEN, UNFIT = 0, 1, 2, 3
 MESSAGES = {
     FINE: "fine",
-    DIVERGED: "the motion ceased to be finite, or the bottle left the room",
+    DIVERGED: "the motion ceased to be finite, or the bottle left the room or sank through the table",
     FALLEN: "the bottle tilted by more than 30 degrees",
     UNFIT: "parameters, action or start are not finite, or outside of what a scene can be built with",
 }
@@ -77,6 +77,9 @@ class PushOptions:
 
 
 PAPER = PushOptions()
+HEAVY = PushOptions(mass=0.6, inertia=(0.1, 0.1, 0.004), com=(0.0, 0.004, -0.04))
+LIGHT = PushOptions(mass=0.15, inertia=(0.05, 0.05, 0.002), com=(0.0, 0.0, -0.03))
+"""Stand-ins for the paper's printed bottles, which no parameter models: they go further or less far, and turn as they go."""
 
 
 def cylinder_inertia(mass: float) -> tuple[float, float, float]:

@@ -45,20 +45,33 @@ def checked(params: Any, actions: Any, starts: Any) -> Batch:
 
 
 def finished(state: Any, batch: Batch) -> Trajectory:
-    """`state [B, T, 13]` with a code for each sample; a sample without a motion stands at its start, never NaN."""
+    """`state [B, T, 13]` with a code for each sample, and finite whatever the code.
+
+    A fallen bottle stays as it was when it had tilted too far (the MuJoCo scene lets it through the table after that); one
+    without a motion stands at its start.
+    """
     state = np.asarray(state)
-    sane = np.isfinite(state).all((1, 2)) & (np.abs(np.where(np.isfinite(state), state, 0.0)[:, :, :3]) < ROOM).all(
-        (1, 2)
-    )
-    _, x, y, _ = np.moveaxis(state[:, :, 3:7], -1, 0)
-    upright = 1 - 2 * (x * x + y * y)  # the cosine of the tilt
-    fallen = sane & (np.where(np.isfinite(upright), upright, 1.0) < np.cos(pushing.FALLEN_TILT)).any(1)
-    code = np.where(fallen, pushing.FALLEN, np.where(sane, pushing.FINE, pushing.DIVERGED))
+    fallen, state = _held_where_fallen(state)
+    known = np.where(np.isfinite(state), state, 0.0)
+    in_room = (np.abs(known[:, :, :3]) < ROOM).all((1, 2)) & (known[:, :, 2] >= 0.0).all(1)
+    sane = np.isfinite(state).all((1, 2)) & in_room
+    code = np.where(sane, np.where(fallen, pushing.FALLEN, pushing.FINE), pushing.DIVERGED)
     code = np.where(batch.fit, code, pushing.UNFIT)
     still = np.zeros((len(state), 1, STATE), state.dtype)
     still[:, 0, :2], still[:, 0, 2], still[:, 0, 3] = batch.starts, pushing.HEIGHT / 2, 1.0
-    usable = np.isin(code, (pushing.FINE, pushing.FALLEN))
-    return Trajectory(np.where(usable[:, None, None], state, still), code)
+    return Trajectory(np.where((sane & batch.fit)[:, None, None], state, still), code)
+
+
+def _held_where_fallen(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which bottles tilted too far `[B]`, and the states with the first such row to the end."""
+    x, y = state[:, :, 4], state[:, :, 5]
+    tilted = 1 - 2 * (x * x + y * y) < np.cos(
+        pushing.FALLEN_TILT
+    )  # the cosine of the tilt; False where it is not a number
+    fallen = tilted.any(1)
+    last = np.where(fallen, tilted.argmax(1) if state.shape[1] else 0, state.shape[1])
+    kept = np.minimum(np.arange(state.shape[1]), last[:, None])
+    return fallen, np.take_along_axis(state, kept[:, :, None], 1)
 
 
 def model(options: PushOptions, dt: float, drawn: bool = False) -> Any:

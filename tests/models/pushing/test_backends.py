@@ -147,9 +147,11 @@ def test_a_bottle_of_true_inertia_falls(batch):
         make_backend("planar", true)
 
 
-def test_a_heavier_bottle_goes_elsewhere(native, batch, reference):
-    heavy = make_backend("native", dataclasses.replace(PAPER, mass=0.6, inertia=(0.6, 0.6, 0.3)))
-    assert np.median(apart(heavy.simulate(*batch), reference)) > 3
+def test_heavy_and_light_bottles_go_elsewhere_and_turn(batch, reference):
+    for options, turned in ((pushing.HEAVY, 0.1), (pushing.LIGHT, 0.02)):
+        out = make_backend("native", options).simulate(*batch)
+        assert not out.code.any() and np.median(apart(out, reference)) > 10
+        assert np.abs(2 * out.state[:, -1, 6]).max() > turned
 
 
 def test_the_number_of_threads_changes_nothing(native, batch, reference):

@@ -119,12 +119,13 @@ def test_bad_shapes_are_refused():
 
 
 def test_states_without_a_motion_are_told_and_finite():
-    batch = pushing_scene.checked(*pushing.draw(0, 4))
-    state = np.zeros((4, 5, 13))
-    state[:, :, 3] = 1.0
+    batch = pushing_scene.checked(*pushing.draw(0, 5))
+    state = np.zeros((5, 5, 13))
+    state[:, :, 2:4] = 0.05, 1.0
+    state[4, 2:, 2] = -0.02
     state[1, 3, 7] = np.nan
     state[2, 2:, 0] = 1e3
     state[3, 4, 3:5] = np.cos(0.3), np.sin(0.3)  # tilted by 0.6 rad
     out = pushing_scene.finished(state, batch)
-    assert list(out.code) == [pushing.FINE, pushing.DIVERGED, pushing.DIVERGED, pushing.FALLEN]
+    assert list(out.code) == [pushing.FINE, *2 * [pushing.DIVERGED], pushing.FALLEN, pushing.DIVERGED]
     assert np.isfinite(out.state).all() and set(out.code) <= set(pushing.MESSAGES)
