@@ -56,7 +56,7 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     from adaptsim_jax.closeloop.audit import audit, usable
     from adaptsim_jax.closeloop.heldout import held_out
     from adaptsim_jax.closeloop.noise import noise_floor
-    from adaptsim_jax.closeloop.problem import declared_fit, prepare
+    from adaptsim_jax.closeloop.problem import prepare_within_reach
     from adaptsim_jax.closeloop.recording import read_recording
     from adaptsim_jax.models.effects import catalogue
 
@@ -64,9 +64,9 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     checked = audit(recording)
     recording = usable(recording, checked)
     effects = tuple(e for e in catalogue(recording.task) if e.name not in exclude)
-    problem = prepare(recording, checked, noise_floor(recording, checked), effects)
-    fit = declared_fit(problem)
-    base, view = search.declared(problem, fit.theta, fit.eff, fit.x0)
+    problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), effects)
+    base, view = search.declared(problem, start)
+    problem, view = search.timed(problem, base, view, search.Settings())
     return Declared(problem, base, view, held_out(problem, base, view))
 
 

@@ -4,7 +4,8 @@ The flexible model is the declared one with smooth forces of `basis.py` at every
 time, along the motion that was measured. It is linear in its coefficients, so it is fitted by the linear algebra of
 `score.py`, but about the right trajectory: first the force that each window asks for (`disturbance.unexplained_force`) is
 fed to the declared model until that follows the measurements, and only then is everything linearised. Held out as in
-`heldout.py`: the declared parameters and the coefficients come from the other folds, initial states from the fold itself.
+`heldout.py`: the declared parameters and the coefficients come from the other folds, initial states from the fold itself,
+by least squares.
 
 It is a benchmark, not a bound. A named effect has fewer parameters to learn and may do better, most of all with few trials
 or with jumps (dry friction); one that does much worse leaves something that smooth forces can explain.
@@ -57,7 +58,7 @@ def ceiling(problem: Problem, base: Fitted, view: View, fold: np.ndarray) -> Cei
     prior = 1.0 / max(float(base.parts.force.sum()), 1e-12)  # no coefficient beyond what is unexplained in all
     coarse, _, _ = _fitted(rows, base.parts, view, names, prior, fold)
     left = replace(rows.coarse, residual=np.where(rows.coarse.used, coarse, 0.0))
-    # with less unexplained, initial states may trust more of each window, as they do under a mended model
+    # with less unexplained, each window tells more about the coefficients, as it does under a mended model
     parts = disturbance.estimate(left, view.response.kernels, start=base.parts)
     _, fine, groups = _fitted(rows, parts, view, names, prior, fold)
     return Ceiling(*_rmse(problem, fine, fold), groups)
@@ -117,11 +118,11 @@ def _by_row(problem: Problem, force: np.ndarray) -> np.ndarray:
     return out
 
 
-def _initial(factor: np.ndarray, lin: Linearised, residual: np.ndarray) -> np.ndarray:
-    """Change of the initial states `[W, S]` that fits a residual `[W, M]` best under the whitening."""
-    seen = factor @ lin.jac_state
+def _initial(factor: np.ndarray | None, lin: Linearised, residual: np.ndarray) -> np.ndarray:
+    """Change of the initial states `[W, S]` that fits a residual `[W, M]` best, whitened or (None) by least squares."""
+    seen, left = (z if factor is None else factor @ z for z in (lin.jac_state, residual[..., None]))
     normal = np.swapaxes(seen, 1, 2) @ seen
-    slope = np.swapaxes(seen, 1, 2) @ (factor @ residual[..., None])
+    slope = np.swapaxes(seen, 1, 2) @ left
     return (np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ slope)[..., 0]
 
 
