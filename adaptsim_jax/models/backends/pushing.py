@@ -62,9 +62,6 @@ def _planar(options: PushOptions, coefficients: pushing_planar.PlanarCoefficient
     def simulate(params, commands, initial):
         batch = scene.checked(params, commands, initial)
         flat = np.asarray(run(*(jnp.asarray(a, jnp.result_type(float)) for a in batch[:3])))
-        state = np.zeros((*flat.shape[:2], scene.STATE), flat.dtype)
-        state[..., :2], state[..., 2], state[..., 3] = flat[..., :2], pushing.HEIGHT / 2, 1.0
-        state[..., 7:9] = flat[..., 2:]
-        return scene.finished(state, batch)
+        return scene.slid(flat[..., :2], flat[..., 2:], batch)
 
     return simulate

@@ -51,15 +51,31 @@ def finished(state: Any, batch: Batch) -> Trajectory:
     without a motion stands at its start.
     """
     state = np.asarray(state)
+    finite = np.isfinite(state).all((1, 2))
     fallen, state = _held_where_fallen(state)
-    known = np.where(np.isfinite(state), state, 0.0)
-    in_room = (np.abs(known[:, :, :3]) < ROOM).all((1, 2)) & (known[:, :, 2] >= 0.0).all(1)
-    sane = np.isfinite(state).all((1, 2)) & in_room
-    code = np.where(sane, np.where(fallen, pushing.FALLEN, pushing.FINE), pushing.DIVERGED)
+    place = state[:, :, :3]
+    with np.errstate(invalid="ignore"):
+        in_room = (np.abs(place) < ROOM).all((1, 2)) & (place[:, :, 2] >= 0.0).all(1)
+    code = np.where(finite & in_room, np.where(fallen, pushing.FALLEN, pushing.FINE), pushing.DIVERGED)
+    return _told(state, code, batch)
+
+
+def slid(place: np.ndarray, velocity: np.ndarray, batch: Batch) -> Trajectory:
+    """The same for bottles that only slide: `place` and `velocity` `[B, T, 2]`."""
+    state = np.zeros((*place.shape[:2], STATE), place.dtype)
+    state[..., :2], state[..., 2], state[..., 3], state[..., 7:9] = place, pushing.HEIGHT / 2, 1.0, velocity
+    finite = np.isfinite(place[:, -1]).all(1)  # a place that is not a number stays none
+    return _told(state, np.where(finite, pushing.FINE, pushing.DIVERGED), batch)
+
+
+def _told(state: np.ndarray, code: np.ndarray, batch: Batch) -> Trajectory:
     code = np.where(batch.fit, code, pushing.UNFIT)
-    still = np.zeros((len(state), 1, STATE), state.dtype)
-    still[:, 0, :2], still[:, 0, 2], still[:, 0, 3] = batch.starts, pushing.HEIGHT / 2, 1.0
-    return Trajectory(np.where((sane & batch.fit)[:, None, None], state, still), code)
+    lost = np.flatnonzero((code == pushing.DIVERGED) | (code == pushing.UNFIT))
+    if len(lost):
+        state = state.copy()
+        state[lost] = 0.0
+        state[lost, :, :2], state[lost, :, 2], state[lost, :, 3] = batch.starts[lost, None], pushing.HEIGHT / 2, 1.0
+    return Trajectory(state, code)
 
 
 def _held_where_fallen(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,6 +85,8 @@ def _held_where_fallen(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pushing.FALLEN_TILT
     )  # the cosine of the tilt; False where it is not a number
     fallen = tilted.any(1)
+    if not fallen.any():
+        return fallen, state
     last = np.where(fallen, tilted.argmax(1) if state.shape[1] else 0, state.shape[1])
     kept = np.minimum(np.arange(state.shape[1]), last[:, None])
     return fallen, np.take_along_axis(state, kept[:, :, None], 1)
