@@ -33,7 +33,11 @@ class NAF(nn.Module):
 
     def forward(self, obs, action):
         heads = self.heads(self.trunk(obs))
-        value, mean, entries = heads[:, 0], 1.5 * torch.tanh(heads[:, 1 : 1 + self.actions]), heads[:, 1 + self.actions :]
+        value, mean, entries = (
+            heads[:, 0],
+            1.5 * torch.tanh(heads[:, 1 : 1 + self.actions]),
+            heads[:, 1 + self.actions :],
+        )
         entries = torch.where(self.diagonal, torch.exp(2.0 * torch.tanh(entries)), entries)
         chol = entries.new_zeros(len(obs), self.actions, self.actions)
         chol[:, self.rows, self.columns] = entries
@@ -55,7 +59,8 @@ def main():
     nets = [NAF(args.width) for _ in range(args.policies)]
     adams = [torch.optim.Adam(net.parameters(), 1e-3) for net in nets]
     batches = [
-        (torch.randn(args.batch, 2), torch.rand(args.batch, 2) * 2 - 1, torch.rand(args.batch)) for _ in range(args.rounds)
+        (torch.randn(args.batch, 2), torch.rand(args.batch, 2) * 2 - 1, torch.rand(args.batch))
+        for _ in range(args.rounds)
     ]
     for net, adam in zip(nets, adams, strict=True):  # the first update makes Adam's buffers
         update(net, adam, *batches[0])

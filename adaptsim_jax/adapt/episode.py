@@ -40,6 +40,11 @@ def visit(key, task: Task, dist: Gaussian, policy, target, reference, obs_noise:
     """Train (or fine-tune) the task policy on `dist`, run it in `target: [D]`, look at what came of it."""
     train_key, run_key, noise_key = jax.random.split(key, 3)
     policy = task.train(train_key, dist, policy)
+    return look(run_key, noise_key, task, dist, policy, target, reference, obs_noise)
+
+
+def look(run_key, noise_key, task: Task, dist: Gaussian, policy, target, reference, obs_noise) -> Visit:
+    """Run a trained `policy` in `target: [D]` and look at what came of it."""
     trajectory = task.rollout(run_key, policy, target)
     seen = task.observe(trajectory)
     seen = seen + obs_noise * jax.random.normal(noise_key, seen.shape, seen.dtype)

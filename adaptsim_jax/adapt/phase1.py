@@ -15,7 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.adapt import reuse
 from adaptsim_jax.adapt.episode import Episode, run_episode
+from adaptsim_jax.adapt.reuse import Pool, ReuseConfig
+from adaptsim_jax.adapt.reuse_episode import run_reusing
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.learners.bdq import BDQ, BDQConfig, BDQHyper, BDQState, make_bdq
@@ -30,7 +33,8 @@ class Phase1Config:
 
     trajectories: how many adaptation trajectories in all, K / horizon; parallel: how many at once; horizon: adaptation
     steps of each; updates: gradient steps after each round; batch: transitions in each; capacity: of the replay, in
-    transitions; archive: size of S_E, distributions; warmup: rounds before the first update.
+    transitions; archive: size of S_E, distributions; warmup: rounds before the first update; reuse: of task policies, for
+    tasks whose training is dear.
     """
 
     trajectories: int = 20_000
@@ -44,6 +48,7 @@ class Phase1Config:
     hidden: tuple[int, ...] = (128, 128)
     activation: str = "elu"
     layer_norm: bool = False
+    reuse: ReuseConfig = field(default_factory=ReuseConfig)
 
     @property
     def rounds(self) -> int:
@@ -94,17 +99,19 @@ class Archive(NamedTuple):
 
 
 class Phase1State(NamedTuple):
-    """All that the next round needs, apart from its number."""
+    """All that the next round needs, apart from its number. `pool` is None where no task policies are reused."""
 
     key: jax.Array
     learner: BDQState
     replay: Transition
     archive: Archive
+    pool: Pool | None = None
 
 
 class Phase1Info(NamedTuple):
     """Of one round, each `[]`: means of the task reward over all steps and at the last step, of the shaped reward, and
-    the learner's loss, Q and gradient norm averaged over the updates (0 during warm-up)."""
+    the learner's loss, Q and gradient norm averaged over the updates (0 during warm-up). Where task policies are reused
+    (else None): simulated trials a visit that they were trained with, and the share of visits that reused one."""
 
     reward: jax.Array
     final_reward: jax.Array
@@ -113,6 +120,8 @@ class Phase1Info(NamedTuple):
     loss: jax.Array
     q: jax.Array
     grad_norm: jax.Array
+    trials: jax.Array | None = None
+    reused: jax.Array | None = None
 
 
 class Phase1(NamedTuple):
@@ -133,7 +142,7 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
     * `round(state, hyper, number []) -> (state, info)`
     * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when vmapping
     """
-    _check(config)
+    _check(config, task)
     bdq = make_bdq(
         BDQConfig(
             obs_dim=task.space.dim + task.obs_dim,
@@ -146,18 +155,24 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
 
     def init(key):
         key, net = jax.random.split(key)
-        return Phase1State(key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config))
+        return Phase1State(
+            key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config), _empty_pool(task, config)
+        )
 
     def one_round(state, hyper, number):
         act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
         epsilon = _epsilon(config, hyper, number)
-        episodes = _collect(act_key, task, bdq, config, hyper, state.learner.online, epsilon)
+        episodes, pool, reused = _collect(act_key, task, bdq, config, hyper, state, epsilon)
         batch, shaped = _transitions(episodes, hyper)
         state = state._replace(
-            replay=ring.write(state.replay, batch, number), archive=_remember(state.archive, episodes, number)
+            replay=ring.write(state.replay, batch, number),
+            archive=_remember(state.archive, episodes, number),
+            pool=pool,
         )
         learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
-        info = Phase1Info(episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats)
+        info = Phase1Info(
+            episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats, *reused
+        )
         return state._replace(learner=learner), info
 
     def run(state, hyper, numbers):
@@ -176,26 +191,27 @@ def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
     return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
 
 
-def _collect(key, task, bdq, config, hyper, weights, epsilon) -> Episode:
-    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis `parallel`."""
+def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon):
+    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis `parallel`. Also the pool after
+    them, and what Info says of reuse."""
+    act = lambda k, obs: bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
+    keys = jax.random.split(key, config.parallel)
 
-    def one(key):
+    def begin(key):
         target_key, start_key, run_key = jax.random.split(key, 3)
         target = _draw_target(target_key, task, hyper.inside)
-        start = gaussian(task.space, task.space.sample(start_key))
-        return run_episode(
-            run_key,
-            task,
-            lambda k, obs: bdq.act(k, weights, obs, epsilon, hyper.independent),
-            start,
-            task.init_policy(run_key),
-            target,
-            steps=config.horizon,
-            delta=hyper.delta,
-            obs_noise=hyper.obs_noise,
-        )
+        return run_key, gaussian(task.space, task.space.sample(start_key)), task.init_policy(run_key), target
 
-    return jax.vmap(one)(jax.random.split(key, config.parallel))
+    sizes = {"steps": config.horizon, "delta": hyper.delta, "obs_noise": hyper.obs_noise}
+    if state.pool is None:
+
+        def one(key):
+            run_key, start, policy, target = begin(key)
+            return run_episode(run_key, task, act, start, policy, target, **sizes)
+
+        return jax.vmap(one)(keys), None, ()
+    found = run_reusing(*jax.vmap(begin)(keys), task, act, state.pool, config.reuse, **sizes)
+    return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
 
 
 def _draw_target(key, task: Task, inside) -> jax.Array:
@@ -256,13 +272,21 @@ def _empty_archive(task: Task, config: Phase1Config) -> Archive:
     return ring.empty(Archive(jnp.zeros(task.space.dim), policy), config.archive)
 
 
+def _empty_pool(task: Task, config: Phase1Config) -> Pool | None:
+    if config.reuse.threshold == 0:
+        return None
+    return reuse.empty_pool(config.reuse, task.space.dim, jax.eval_shape(task.init_policy, jax.random.key(0)))
+
+
 def _remember(archive: Archive, episodes: Episode, number) -> Archive:
     """Add every distribution that an action was taken from, with its policy (Algorithm 1, line 10)."""
     used = Archive(episodes.mean, episodes.policy)
     return ring.write(archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number)
 
 
-def _check(config: Phase1Config) -> None:
+def _check(config: Phase1Config, task: Task) -> None:
+    if config.reuse.threshold > 0 and task.train_many is None:
+        raise BadInput(f"task '{task.name}' trains each policy anew at no cost; set phase1.reuse.threshold to 0")
     if config.trajectories % config.parallel or config.parallel < 1:
         raise BadInput(
             f"{config.trajectories} trajectories do not divide into rounds of {config.parallel}; "
@@ -272,3 +296,5 @@ def _check(config: Phase1Config) -> None:
         raise BadInput(f"Phase 1 sizes must be positive, got {config}")
     ring.check_capacity(config.capacity, config.parallel * config.horizon)
     ring.check_capacity(config.archive, config.parallel * config.horizon)
+    if config.reuse.threshold > 0:
+        reuse.check(config.reuse, config.parallel)

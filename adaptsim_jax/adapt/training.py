@@ -99,7 +99,7 @@ def _phase1_of(config: TrainConfig, run: RunFolder) -> Phase1:
 
 def _rows(phase1: Phase1, info: Any, done: int) -> list[dict[str, Any]]:
     """One row a round for `metrics.jsonl`; adaptation steps are counted as transitions stored."""
-    columns = {name: jax.device_get(values) for name, values in info._asdict().items()}
+    columns = {name: jax.device_get(values) for name, values in info._asdict().items() if values is not None}
     per_round = phase1.config.parallel * phase1.config.horizon
     count = len(columns["reward"])
     return [

@@ -25,8 +25,10 @@ def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
     from adaptsim_jax.commands.common import check_task
     from adaptsim_jax.config import pick
+    from adaptsim_jax.errors import BadInput
 
-    check_task(args.task)
+    if check_task(args.task) != "pendulum":
+        raise BadInput(f"effects of task '{args.task}' are not in this version yet; there are those of: pendulum")
     from adaptsim_jax.models.effects import catalogue
 
     effects = [describe(effect) for effect in catalogue(args.task)]

@@ -13,6 +13,7 @@ EXAMPLES = """
   adaptsim train pendulum --run runs/a --resume        go on after a kill, to the same bits
   adaptsim train pendulum --run runs/b --seed 3 --set phase1.trajectories=20000 --set hyper.delta=0.15
   adaptsim train pendulum --run runs/c --config runs/a/config.toml
+  adaptsim train pushing --run runs/p --set phase1.trajectories=200 --set task.trials=2000
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
 """
 
@@ -54,9 +55,10 @@ def run(args: argparse.Namespace) -> int:
 def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     """The config in `table`, with what the command line changes."""
     from adaptsim_jax import config
+    from adaptsim_jax.adapt.presets import with_defaults
     from adaptsim_jax.adapt.training import TrainConfig
 
-    start = config.from_table(TrainConfig, table, args.config or f"{args.folder}/config.toml")
+    start = config.from_table(TrainConfig, with_defaults(args.task, table), args.config or f"{args.folder}/config.toml")
     if args.model:
         start = replace(start, task=dict(start.task) | {"model": _model_table(args)})
     settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]

@@ -37,9 +37,10 @@ class GoalProblem(NamedTuple):
 class GoalConfig:
     """Sizes and shares, static under jit. A *round* makes `block` trials and then `updates` gradient steps.
 
-    relabel: share of a batch whose goals are drawn anew. near: share of those whose trial is not any stored one, but chosen
-    out of `candidates` with probability proportional to `exp(reward / temperature)`: Q is a quadratic, so where it is to be
-    exact is near the best action, and there the data must be.
+    relabel: share of a batch whose goals are drawn anew. near: share of those whose trial is not any stored one, but one of
+    `candidates`, likely in proportion to `exp(reward / temperature - |a - best|^2 / 2 width^2)`: Q is a quadratic, which
+    fits a real reward only near the best action, and there the data must be. Over a training the share rises to 1 and the
+    width goes from its first value to its second (actions span [-1, 1]).
     uniform: share of trials with uniform actions, the others follow the policy with noise of covariance
     `noise * inverse(P)`. The learning rate falls linearly to `rate_end` of its start over a training.
     """
@@ -49,9 +50,9 @@ class GoalConfig:
     batch: int = 64
     capacity: int = 10_000
     relabel: float = 1.0
-    near: float = 0.5
-    candidates: int = 8
-    temperature: float = 0.2
+    near: float = 0.9
+    candidates: int = 32
+    temperature: float = 0.1
     width: tuple[float, float] = (0.5, 0.1)
     uniform: float = 0.5
     noise: float = 0.1
@@ -143,30 +144,47 @@ def _collect(key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, c
     return Trials(goals, actions, jax.vmap(trial)(jax.random.split(trial_key, config.block), actions))
 
 
-def _batches(key, naf, problem: GoalProblem, config: GoalConfig, weights, stored: Trials, filled, done) -> Transition:
-    """`[updates, batch, ...]`: trials, and the goals that they are learned from."""
+def _batches(
+    key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, stored: Trials, filled, done
+) -> Transition:
+    """`[updates, batch, ...]`: trials, and the goals that they are learned from; `done`: how far the training is, 0 to 1."""
     shape = (config.updates, config.batch)
+    goal_key, key = jax.random.split(key)
+    first, relabelled, chosen, level = jnp.moveaxis(jax.random.uniform(key, (*shape, 4)), -1, 0)
+    first = jnp.minimum((first * filled).astype(jnp.int32), filled - 1)
+    fetch = lambda index: jax.tree.map(lambda x: jnp.take(x, index, axis=0), stored)
     if config.relabel == 0:
-        drawn = ring.sample(key, stored, filled, shape)
-        goals, trials = drawn.goal, drawn
+        trials = fetch(first)
+        goals = trials.goal
     else:
-        pick_key, goal_key, choice_key, share_key = jax.random.split(key, 4)
-        drawn = ring.sample(pick_key, stored, filled, (*shape, config.candidates))
+        anew = relabelled < config.relabel
         goals = jax.vmap(problem.draw)(jax.random.split(goal_key, shape[0] * shape[1])).reshape(*shape, -1)
-        toss = jax.random.uniform(share_key, (*shape, 2))
-        goals = jnp.where(toss[..., :1] < config.relabel, goals, drawn.goal[..., 0, :])
-        reward = _over(problem.reward, 3)(drawn.outcome, jnp.broadcast_to(goals[..., None, :], drawn.goal.shape))
-        width = config.width[0] + (config.width[1] - config.width[0]) * done
+        goals = jnp.where(anew[..., None], goals, jnp.take(stored.goal, first, axis=0))
+        # candidates lie a stride apart, so that they are of all ages: one random number finds all of them
+        stride = jnp.maximum(filled // config.candidates, 1)
+        index = (first[..., None] + stride * jnp.arange(config.candidates)[None, None]) % filled
+        likely = _likely(naf, problem, config, weights, stored, index, goals, done, level)
         near = 1.0 - (1.0 - config.near) * (1.0 - done)
-        best = naf.greedy(weights, _over(problem.see, 2)(goals))
-        away = jnp.sum(jnp.square(drawn.action - best[..., None, :]), -1) / (2.0 * width**2)
-        likely = jax.random.categorical(choice_key, reward / config.temperature - away)
-        choice = jnp.where((toss[..., 1] < near) & (toss[..., 0] < config.relabel), likely, 0)
-        trials = jax.tree.map(lambda x: jnp.take_along_axis(x, choice[..., None, None], -2)[..., 0, :], drawn)
+        trials = fetch(jnp.where(anew & (chosen < near), likely, first))
     reward = _over(problem.reward, 2)(trials.outcome, goals)
     obs = _over(problem.see, 2)(goals)
     nothing = jnp.zeros((*shape, 0), obs.dtype)  # one step: no next observation
     return Transition(obs, trials.action, reward, nothing, jnp.zeros_like(reward))
+
+
+def _likely(naf, problem, config, weights, stored: Trials, index, goals, done, level) -> jax.Array:
+    """One of the candidates `index [..., m]` for each goal: good for it, and near what the policy would do now.
+
+    `level [...]` is uniform in [0, 1]; it picks by the cumulated probability.
+    """
+    width = config.width[0] + (config.width[1] - config.width[0]) * done
+    outcome, action = (jnp.take(x, index, axis=0) for x in (stored.outcome, stored.action))
+    reward = _over(jax.vmap(problem.reward, (0, None)), 2)(outcome, goals)
+    best = naf.greedy(weights, _over(problem.see, 2)(goals))
+    away = jnp.sum(jnp.square(action - best[..., None, :]), -1) / (2.0 * width**2)
+    odds = jnp.cumsum(jax.nn.softmax(reward / config.temperature - away), -1)
+    pick = jnp.sum(odds < level[..., None], -1, keepdims=True)
+    return jnp.take_along_axis(index, jnp.minimum(pick, config.candidates - 1), -1)[..., 0]
 
 
 def _over(function, levels: int):

@@ -32,3 +32,6 @@ class Task:
     score: Callable[[Trajectory], Array]  # -> [], the raw return; higher is better; all that a real target can tell
     reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this simulated target are scaled with
     reward: Callable[[Trajectory, Reference], Array]  # -> [], at most 1; in [0, 1] where the policy is of any use
+    # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once, each with a budget of its
+    # own. None where training is too cheap to be worth sharing; see `adapt.reuse`.
+    train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None

@@ -1,0 +1,245 @@
+"""The bottle push (paper, section 5.2 and appendix A4): a NAF network chooses an open-loop push for a goal on the table.
+
+The task policy is trained in the planar model at parameters drawn from E, with goals relabelled on stored pushes. At each
+adaptation iteration it is tried on two goals; these two trajectories are all that the adaptation policy sees. In a
+simulated target the reward is the mean over a fixed set of goals, `1 - distance / 0.2 m` and at least 0.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax import space as spaces
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
+from adaptsim_jax.learners.naf_goals import GoalConfig, GoalProblem, make_goal_learner
+from adaptsim_jax.models import pushing as model
+from adaptsim_jax.models import pushing_planar as planar
+from adaptsim_jax.models.pushing import PushOptions
+from adaptsim_jax.space import Parameter, Space
+from adaptsim_jax.tasks.base import Task
+
+# Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
+SETTINGS = {
+    "wd": {"mu": 0.1, "e": 1e5, "mu_p": 0.6, "y_p": 0.05},
+    "ood-1": {"mu": 0.25, "e": 5e4, "mu_p": 0.1, "y_p": -0.1},
+    "ood-2": {"mu": 0.05, "e": 1e5, "mu_p": 0.9, "y_p": 0.05},
+    "ood-3": {"mu": 0.15, "e": 5e6, "mu_p": 0.1, "y_p": -0.15},
+    "ood-4": {"mu": 0.30, "e": 1e5, "mu_p": 0.15, "y_p": 0.1},
+}
+POINTS = 6
+WORST = 0.2  # m: a bottle this far from its goal, or farther, earns nothing
+GOAL_CENTRE, GOAL_RADII, GOAL_ANGLE = (
+    (0.45, 0.0),
+    (0.25, 0.55),
+    0.175,
+)  # a sector that x = 0.7 to 1.0 m and 10 degrees span
+_MIDDLE, _HALF = np.array([0.85, 0.0]), np.array([0.15, 0.1])  # goals to [-1, 1], and what is seen of the bottle alike
+
+
+@dataclass(frozen=True)
+class PushingConfig:
+    """Options of the task.
+
+    observation: six points of each trajectory, or the `final` position alone (the paper's state-only variant).
+    show_goal: observe also the goal of each push, without which a miss cannot be told from a far goal.
+    trajectories: pushes an iteration; tests: goals that the reward of a simulated target is averaged over.
+    targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
+    trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
+    friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
+    """
+
+    observation: Literal["points", "final"] = "points"
+    show_goal: bool = True
+    trajectories: int = 2
+    tests: int = 24
+    targets: Literal["omega", "wide"] = "wide"
+    trials: int = 10_000
+    training: GoalConfig = field(default_factory=lambda: GoalConfig(updates=40))
+    hidden: tuple[int, ...] = (64, 64)
+    learning_rate: float = 3e-3
+    friction: Literal["clean", "coupled"] = "clean"
+    duration: float = 1.3
+    mu: tuple[float, float] = (model.LOW[0], model.HIGH[0])
+    e: tuple[float, float] = (model.LOW[1], model.HIGH[1])
+    mu_p: tuple[float, float] = (model.LOW[2], model.HIGH[2])
+    y_p: tuple[float, float] = (model.LOW[3], model.HIGH[3])
+
+
+class PushingPolicy(NamedTuple):
+    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does."""
+
+    weights: jax.Array
+
+
+class PushingTrajectory(NamedTuple):
+    """goals: `[N, 2]` m; points: `[N, 6, 2]` m, the bottle at six even times, the last at the end; rewards: `[N]` of these
+    pushes; tested: `[]`, mean reward over the test goals (in simulation only; elsewhere the mean of `rewards`)."""
+
+    goals: jax.Array
+    points: jax.Array
+    rewards: jax.Array
+    tested: jax.Array
+
+
+def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
+    """Omega: two frictions, the modulus on a logarithmic scale, and the place of the patch."""
+    bounds = [
+        {"physical_low": a, "physical_high": b} for a, b in zip(model.PHYSICAL_LOW, model.PHYSICAL_HIGH, strict=True)
+    ]
+    return Space(
+        (
+            Parameter("mu", *config.mu, **bounds[0], description="friction of the table"),
+            Parameter("e", *config.e, "Pa", "log", **bounds[1], description="modulus of the bottle's contact"),
+            Parameter("mu_p", *config.mu_p, **bounds[2], description="friction of the patch"),
+            Parameter("y_p", *config.y_p, "m", **bounds[3], description="lateral place of the patch"),
+        )
+    )
+
+
+def wide_space() -> Space:
+    """A box around Omega for Phase-1 targets that Omega cannot reproduce."""
+    return Space(
+        (
+            Parameter("mu", 0.03, 0.35, "", "log"),
+            Parameter("e", 5e3, 8e6, "Pa", "log"),
+            Parameter("mu_p", 0.05, 1.0),
+            Parameter("y_p", -0.17, 0.17, "m"),
+        )
+    )
+
+
+def draw_goal(key: jax.Array) -> jax.Array:
+    """A goal `[2]` m, uniform in radius and angle over the sector of goals."""
+    return _goal_at(jax.random.uniform(key, (2,)))
+
+
+def _goal_at(u: jax.Array) -> jax.Array:
+    radius = GOAL_RADII[0] + (GOAL_RADII[1] - GOAL_RADII[0]) * u[..., 0]
+    angle = GOAL_ANGLE * (2.0 * u[..., 1] - 1.0)
+    return jnp.stack([GOAL_CENTRE[0] + radius * jnp.cos(angle), GOAL_CENTRE[1] + radius * jnp.sin(angle)], -1)
+
+
+def push_reward(final: jax.Array, goal: jax.Array) -> jax.Array:
+    """`1 - distance / 0.2 m`, at least 0, of a bottle at `final [..., 2]`; 0 where it is not finite."""
+    reward = jnp.maximum(0.0, 1.0 - jnp.linalg.norm(final - goal, axis=-1) / WORST)
+    return jnp.where(jnp.isfinite(reward), reward, 0.0)
+
+
+def physical_action(action: jax.Array) -> jax.Array:
+    """`[..., 2]` in [-1, 1] to speed m/s and angle rad."""
+    low, high = jnp.asarray(model.ACTION_LOW), jnp.asarray(model.ACTION_HIGH)
+    lead = (1,) * (action.ndim - 1)
+    return (low + high).reshape(*lead, 2) / 2 + action * (high - low).reshape(*lead, 2) / 2
+
+
+def seen_goal(goal: jax.Array) -> jax.Array:
+    """A place on the table `[..., 2]` m in the network's coordinates; goals span [-1, 1]."""
+    lead = (1,) * (goal.ndim - 1)
+    return (goal - jnp.asarray(_MIDDLE, goal.dtype).reshape(*lead, 2)) / jnp.asarray(_HALF, goal.dtype).reshape(
+        *lead, 2
+    )
+
+
+def make_pushing_naf(config: PushingConfig) -> NAF:
+    """The learner whose weights a `PushingPolicy` holds."""
+    return make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=config.hidden))
+
+
+def make_policy(config: PushingConfig = PushingConfig()) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
+    """`act(policy, goal [..., 2] m) -> [..., 2]`: the push for a goal, speed m/s and angle rad. Pure."""
+    naf = make_pushing_naf(config)
+    return lambda policy, goal: physical_action(naf.greedy(policy.weights, seen_goal(goal)))
+
+
+def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
+    """The push as a `Task`, simulated with the planar model."""
+    options = _checked(config)
+    space, naf, act = pushing_space(config), make_pushing_naf(config), make_policy(config)
+    learner = make_goal_learner(naf, _problem(space, options), config.training, _rates(config))
+    block = config.training.block
+
+    def train_many(keys, dists, policies, trials):
+        rounds = (trials + block - 1) // block
+        return PushingPolicy(learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)))
+
+    def train(key, dist, policy):
+        one = jax.tree.map(lambda x: x[None], (dist, policy.weights))
+        rounds = -(-config.trials // block)
+        weights = learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)
+        return PushingPolicy(weights[0])
+
+    grid = _test_goals(config.tests)
+
+    def rollout(key, policy, params):
+        goals = jax.vmap(draw_goal)(jax.random.split(key, config.trajectories))
+        every = jnp.concatenate([goals, grid])
+        places = jax.vmap(lambda a: planar.rollout(params, a, options))(act(policy, every))
+        return measured(
+            goals, places[: config.trajectories], tested=push_reward(places[:, -1], every)[len(goals) :].mean()
+        )
+
+    return Task(
+        name="pushing",
+        space=space,
+        targets=space if config.targets == "omega" else wide_space(),
+        obs_dim=config.trajectories * (2 * (POINTS if config.observation == "points" else 1) + 2 * config.show_goal),
+        settings=SETTINGS,
+        init_policy=lambda key: PushingPolicy(naf.init(key).online),
+        train=train,
+        rollout=rollout,
+        observe=lambda trajectory: observed(trajectory, config),
+        score=lambda trajectory: trajectory.rewards.mean(),
+        reference=lambda params: jnp.zeros(()),
+        reward=lambda trajectory, reference: trajectory.tested,
+        train_many=train_many,
+    )
+
+
+def measured(goals: jax.Array, places: jax.Array, tested: jax.Array | None = None) -> PushingTrajectory:
+    """The trajectory of `N` pushes for `goals [N, 2]` m from the bottle's `places [N, T, 2]` m at even times, from any
+    backend or from a camera; the last row is the end."""
+    T = places.shape[1]
+    rows = np.round(T * np.arange(1, POINTS + 1) / POINTS).astype(int) - 1
+    rewards = push_reward(places[:, -1], goals)
+    return PushingTrajectory(goals, places[:, rows], rewards, rewards.mean() if tested is None else tested)
+
+
+def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
+    """`[obs_dim]`: places, and goals where shown, in the network's coordinates; far out they are held at 4."""
+    points = trajectory.points if config.observation == "points" else trajectory.points[:, -1:]
+    shown = [points, trajectory.goals[:, None]] if config.show_goal else [points]
+    seen = seen_goal(jnp.concatenate(shown, 1))
+    return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
+
+
+def _problem(space: Space, options: PushOptions) -> GoalProblem:
+    def trial(key, dist, action):
+        params = space.physical(spaces.sample(key, dist))
+        return planar.rollout(params, physical_action(action), options)[-1]
+
+    return GoalProblem(draw_goal, seen_goal, trial, push_reward)
+
+
+def _test_goals(count: int) -> jax.Array:
+    """`[count, 2]` m: goals spread over the sector, the same for every policy (a golden-ratio lattice)."""
+    row = np.arange(count) + 0.5
+    u = np.stack([row / count, row * 0.6180339887 % 1.0], -1)
+    return _goal_at(jnp.asarray(u, jnp.float32))
+
+
+def _rates(config: PushingConfig) -> Any:
+    return NAFHyper(learning_rate=config.learning_rate, max_grad_norm=10.0)
+
+
+def _checked(config: PushingConfig) -> PushOptions:
+    for name in ("trajectories", "tests", "trials"):
+        if getattr(config, name) < 1:
+            raise BadInput(f"pushing, {name} = {getattr(config, name)}: give at least 1")
+    if config.learning_rate <= 0:
+        raise BadInput(f"pushing, learning_rate = {config.learning_rate}: give a positive one, such as 3e-3")
+    return planar.check_options(PushOptions(friction=config.friction, duration=config.duration))
