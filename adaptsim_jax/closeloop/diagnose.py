@@ -21,13 +21,13 @@ from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Problem, prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.results import add_ceiling, report_of
+from adaptsim_jax.closeloop.results import add_ceiling, add_leading, report_of
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide
-from adaptsim_jax.closeloop.view import View
+from adaptsim_jax.closeloop.view import View, view
 from adaptsim_jax.files import output_folder, write_bytes
 from adaptsim_jax.models.effects import Effect, catalogue
 
@@ -104,15 +104,21 @@ def examine(
     seen = found.view or first
     after = before if not found.added else leftover(problem, seen)
     powers = power(problem, seen, settings)
-    verdict = decide(found, before, after, settings, powered(powers))
     say(6, STAGES, "held-out trials, declared model")
     error_before = held_out(problem, base, first)
+    flexible = ceiling(problem, base, first, error_before.fold)
+    reached = 1.0 if flexible is None else flexible.rmse / error_before.rmse()
+    verdict = decide(found, before, after, settings, powered(powers), reached)
     say(7, STAGES, "held-out trials, mended model")
     error_after = held_out(problem, found.final, seen) if verdict.named else error_before
     verdict = confirmed(verdict, error_before, error_after)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
-    add_ceiling(report["error"], ceiling(problem, base, first, error_before.fold))
+    add_ceiling(report["error"], flexible)
+    leading = None if verdict.named else found.leading or (found.final if found.added else None)
+    if leading is not None:
+        tried = held_out(problem, leading, view(problem, leading))
+        add_leading(report, problem, leading, found, tried)
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)
     say(8, STAGES, "next experiment")

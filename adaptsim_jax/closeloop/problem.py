@@ -29,7 +29,7 @@ Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 
 DIVERGED = 3  # index into fit.CODES
-FAR = 0.04  # rad that a window may stray before it is cut shorter
+FAR = 0.15  # rad that a window may stray, times the growth of errors within it, before it is cut shorter
 
 
 class Diverged(ArithmeticError):
@@ -133,14 +133,15 @@ def prepare_within_reach(
 ) -> tuple[Problem, FitResult]:
     """`prepare` with windows short enough for a fit, and its first fit (`regressed_start`).
 
-    Where the motion is unstable, or much is missing, a model strays so far within half a second that no step on its
-    linearisation is worth anything. Half the window strays a quarter as far or less.
+    Where the motion is unstable and much is missing, a model strays so far within half a second that no step on its
+    linearisation is worth anything: what counts is how far it strays times how much a small error grows. Where errors do not
+    grow, long windows stay: they see the slow forces, short ones mostly the fast.
     """
     least = 12.0 * max(t.dt for t in recording.trials)
     while True:
         problem = prepare(recording, audit, noise, effects, duration=duration)
         start = regressed_start(problem)
-        if (start.code != DIVERGED and strayed(problem, start) < FAR) or duration < max(0.1, 2.0 * least):
+        if (start.code != DIVERGED and strayed(problem, start) * growth(problem, start) < FAR) or duration < max(0.1, 2.0 * least):
             return problem, start
         duration *= 0.5
 
@@ -152,6 +153,16 @@ def initial_states(problem: Problem, active: Active, theta: np.ndarray, eff: np.
         problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
         bounds=problem.bounds, fixed=fixed, settings=Settings(iterations=12, tolerance=1e-3, huber=1e3),
     )  # fmt: skip
+
+
+def growth(problem: Problem, result: FitResult) -> float:
+    """How much an error of the initial angles grows within a window, the median over windows; 1 if not at all."""
+    windows = problem.windows
+    count, length, channels = windows.measured.shape
+    weight = np.asarray(windows.weight)[..., None]
+    moved = result.jac_state.reshape(count, length, channels, -1)[..., : problem.plant.joint_dim]
+    moved = np.where(weight > 0, moved / np.where(weight > 0, weight, 1.0), 0.0)[windows.real]
+    return float(np.median(np.sqrt(np.square(moved).sum((2, 3)).max(1) / problem.plant.joint_dim)))
 
 
 def strayed(problem: Problem, result: FitResult) -> float:

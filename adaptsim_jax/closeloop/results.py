@@ -30,7 +30,7 @@ def report_of(
     report = new_report(
         recording.task, recording.model, verdict.name, verdict.message, data,
         effects=[_effect(problem, found, e) for e in found.added] if verdict.named else [],
-        error=_error(problem, found, error_before, error_after if verdict.named else None, rng),
+        error=_error(problem, found, error_before, error_after if verdict.named else error_before, rng),
         candidates=_candidates(found, verdict, settings),
         declared={"before": _declared(problem, found.base), "after": _declared(problem, last)},
         not_established=_not_established(problem, found, verdict, powers),
@@ -117,6 +117,25 @@ def _error(problem: Problem, found: Found, before: HeldOut, after: HeldOut | Non
         "ceiling": None, "per_channel": per_channel, "per_trial": per_trial,
         "intervals": {"before": before.interval(None, rng), "after": None if after is None else after.interval(None, rng)},
     }  # fmt: skip
+
+
+def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: Found, after: HeldOut) -> None:
+    """Put what the likeliest set of effects reaches into the report, where that set explains too little for a name."""
+    names = [e for e in model.active if e not in found.base.active]
+    layout = problem.model.layout
+    effects = []
+    for name, where in names:
+        units = {p.name: p.unit for p in layout.instances[layout.index(name, where)].effect.parameters}
+        fitted = model.candidate.parameters(name, where)
+        numbers = {p: _number(value, spread, units[p]) for p, (value, spread) in fitted.items()}
+        effects.append({"name": name, "where": where, "parameters": numbers})
+    left, reached = unexplained(model, found.base), after.rmse()
+    report["error"]["leading"] = {"effects": effects, "after": reached, "unexplained_left": left}
+    words = " and ".join(f"{name.replace('_', ' ')} at {where}" for name, where in names)
+    report["not_established"].append(
+        f"The likeliest set, {words}, would bring the held-out error from {1e3 * report['error']['before']:.3g} to "
+        f"{1e3 * reached:.3g} mrad and leave {100 * left:.0f} % of the unexplained torque: not enough for a name."
+    )
 
 
 def add_ceiling(error: dict[str, Any], found: Ceiling | None) -> None:

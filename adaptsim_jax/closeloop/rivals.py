@@ -46,9 +46,11 @@ class Fitted:
         return self.total - price * self.size
 
     def at_bound(self) -> tuple[str, ...]:
-        """Effect parameters that ended at the edge of what they may be."""
-        names = np.array(self.candidate.names)
-        return tuple(n for n in names[self.candidate.refit.at_bound] if "/" in n)
+        """Effect parameters that ended at the edge of what they may be. A shape at zero is no edge: Dahl's bristle has no
+        damping, and a lossless stop no loss."""
+        c = self.candidate
+        stuck = zip(c.names, c.refit.point.z, c.refit.at_bound, strict=True)
+        return tuple(n for n, z, at in stuck if at and "/" in n and not (z == 0.0 and n.endswith(("/damping", "/loss"))))
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,17 @@ class Verdict:
     named: bool
 
 
+PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
 LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
 
 
-def decide(found: Found, before: Leftover, after: Leftover, settings: Settings, powered: bool) -> Verdict:
-    """The verdict. `before`, `after`: the generic dictionary about the declared and the final model."""
+def decide(
+    found: Found, before: Leftover, after: Leftover, settings: Settings, powered: bool, flexible: float = 1.0
+) -> Verdict:
+    """The verdict. `before`, `after`: the generic dictionary about the declared and the final model; `flexible`: the
+    held-out error of a model with smooth forces of any shape, over the declared model's."""
     active = found.added
-    structured = _structured(found, before, settings)
+    structured = _structured(found, before, settings, flexible)
     if not active:
         if structured:
             return Verdict("structured_unattributed", _unattributed(before), False)
@@ -53,9 +57,9 @@ def confirmed(verdict: Verdict, before: HeldOut, after: HeldOut) -> Verdict:
     return Verdict("structured_unattributed", message, False)
 
 
-def _structured(found: Found, before: Leftover, settings: Settings) -> bool:
+def _structured(found: Found, before: Leftover, settings: Settings, flexible: float) -> bool:
     """Held-out structure that is more than chance: some smooth force, or a rival that was refitted, predicts it."""
-    if before.p_value < settings.alpha and before.share > 0.01:
+    if before.p_value < settings.alpha and (before.share > 0.01 or flexible < PREDICTED):
         return True
     return any(t.total - found.base.total > 20.0 for t in found.tried)
 
