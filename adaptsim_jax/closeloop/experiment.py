@@ -113,6 +113,7 @@ def _pair(problem: Problem, found: Found, named: bool, powers: list[Power]) -> t
         effect = found.added[-1]
         ours = _of(found.final, effect)
         others = [t for t in found.tried if effect not in t.active and len(t.active) == len(found.final.active)]
+        others = [t for t in others if not _holds(problem, t.active[-1], effect)]
         alike = [t for t in others if any(t.active[-1] == r for r in found.classes.get(effect, []))]
         best = max(alike or others, key=lambda t: t.total, default=None)
         return ours, _of(best, best.active[-1]) if best is not None else _of(found.base, None)
@@ -124,6 +125,12 @@ def _pair(problem: Problem, found: Found, named: bool, powers: list[Power]) -> t
     if not weak:
         return ours, None
     return ours, _with(problem, ours, max(weak, key=lambda p: p.smallest))
+
+
+def _holds(problem: Problem, wider, effect) -> bool:
+    """Whether an effect has the other as a special case: nothing can part those."""
+    layout = problem.model.layout
+    return wider[1] == effect[1] and effect[0] in layout.instances[layout.index(*wider)].effect.contains
 
 
 def _of(model: Fitted, effect) -> Rival:
