@@ -117,7 +117,7 @@ def _make_step(params, action, heading, start, options: PushOptions, c: PlanarCo
 
     def step(state, push):
         s, v = state
-        # point by point rather than as an array: one loop over the batch for the compiler, and twice the speed
+        # point by point rather than as an array: the compiler makes one loop over the batch of it, a third faster
         at = (start[0] + s * heading[0], start[1] + s * heading[1])
         covered = sum(pushing.on_patch(at[0] + c.sole * x, at[1] + c.sole * y, params[3], jnp) for x, y in points)
         mu = friction.table + covered / len(points) * (friction.patch - friction.table)

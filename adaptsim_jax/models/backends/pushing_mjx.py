@@ -29,7 +29,6 @@ def make_mjx(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005)
             state = run(*(jnp.asarray(a, kind) for a in batch[:3]))
         return scene.finished(state, batch)
 
-    simulate.run = run
     return simulate
 
 
