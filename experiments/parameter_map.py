@@ -1,11 +1,12 @@
 """Parameters that AdaptSim and SysID-Bayes end with in OOD-1, on the map of the reward (paper, figure 5).
 
-Reads what `table1_pendulum.py` left; run that first.
+Reads what `table1_pendulum.py` or `adaptsim compare pendulum` left; run one of them first.
 
-python experiments/parameter_map.py
+python experiments/parameter_map.py --results results/results.json
 """
 
 import json
+from pathlib import Path
 
 import numpy as np
 from page import parser, write_page
@@ -18,8 +19,14 @@ from adaptsim_jax.tasks.pendulum import PendulumConfig, pendulum_space
 
 
 def main() -> None:
-    args = parser(__doc__).parse_args()
-    results = json.loads((args.out / "table1_pendulum.json").read_text())
+    arguments = parser(__doc__)
+    arguments.add_argument("--results", type=Path, help="results.json of a comparison; default: OUT/table1_pendulum.json")
+    args = arguments.parse_args()
+    source = args.results or args.out / "table1_pendulum.json"
+    if not source.is_file():
+        raise SystemExit(f"{source}: no such file; run `adaptsim compare pendulum --out DIR` and give DIR/results.json")
+    results = json.loads(source.read_text())
+    args.out.mkdir(parents=True, exist_ok=True)
     setting = results["settings"]["ood-1"]
     # A box that reaches down to the target, to show what Omega does not offer.
     space = pendulum_space(PendulumConfig(b1=(1.0, 2.0)))

@@ -12,6 +12,7 @@ projected out; whitening with the result makes residuals nearly independent, wit
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -76,6 +77,13 @@ class Kernels:
     """
 
     force: np.ndarray
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """How far a unit-variance force of each joint and correlation time moves the outputs, `[n, taus]`, as a share of what
+        the most effective time does: a force that changes its mind fifty times a second moves nothing far."""
+        moved = np.trace(self.force, axis1=2, axis2=3).mean(1).reshape(-1, len(CORRELATION_TIMES))
+        return moved / np.maximum(moved.max(1, keepdims=True), 1e-300)
 
     def covariance(self, lin: Linearised, parts: "Components", windows: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Residual covariance `[W', M, M]`. Rows that are not there get unit variance: they add nothing to any likelihood."""

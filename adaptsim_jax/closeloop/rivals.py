@@ -27,6 +27,12 @@ class Fitted:
     candidate: Candidate
     parts: Components
     likelihood: np.ndarray
+    weight: np.ndarray  # [n, taus] how far forces of each kind move the outputs (`Kernels.weight`)
+
+    @property
+    def moving(self) -> np.ndarray:
+        """Variance of the unexplained force per joint `[n]` (N m)^2, each part weighed by how far it moves the outputs."""
+        return (self.parts.force * self.weight).sum(1)
 
     @property
     def active(self) -> Active:
@@ -78,7 +84,8 @@ def fitted(
 def _judged(candidate: Candidate, parts: Components, response: Response) -> Fitted:
     lin = candidate.refit.linearised
     parts = disturbance.estimate(lin, response.kernels, start=parts)
-    return Fitted(candidate, parts, disturbance.log_likelihood(lin, parts, response.kernels))
+    likelihood = disturbance.log_likelihood(lin, parts, response.kernels)
+    return Fitted(candidate, parts, likelihood, response.kernels.weight)
 
 
 def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
@@ -113,6 +120,5 @@ def plausible(model: Fitted, base: Fitted) -> bool:
 
 
 def unexplained(new: Fitted, old: Fitted) -> float:
-    """Unexplained force after over before, each joint against its own before, the worse-hit joint weighing more."""
-    before, after = old.parts.force.sum(1), new.parts.force.sum(1)
-    return float(np.sqrt(after.sum() / max(before.sum(), 1e-300)))
+    """Unexplained force after over before, over all joints, weighed by what it does to the motion."""
+    return float(np.sqrt(new.moving.sum() / max(old.moving.sum(), 1e-300)))

@@ -266,9 +266,9 @@ def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Sett
 
 def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings, strict: float = 1.0) -> bool:
     """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained."""
-    own = np.maximum(old.parts.force.sum(1) - new.parts.force.sum(1), 0.0)
+    own = np.maximum(old.moving - new.moving, 0.0)
     share = float(np.max(np.sqrt(own) / problem.torque_scale))
-    beside = np.sqrt(own.sum() / max(base.parts.force.sum(), 1e-300))
+    beside = np.sqrt(own.sum() / max(base.moving.sum(), 1e-300))
     return share > strict * settings.least_share and beside > strict * settings.least_beside
 
 
