@@ -79,6 +79,12 @@ def new(args: argparse.Namespace) -> None:
     }  # fmt: skip
     session = _session(folder, table)
     trained = session.trained
+    name = trained.phase1.task.name
+    if name not in HOW:
+        raise BadInput(
+            f"{args.what}: a run of task '{name}'; robot takes runs of {', '.join(HOW)} in this version. "
+            f"For {name} use 'adaptsim adapt', or from Python adaptsim_jax.adapt.asktell with recorded trajectories"
+        )
     files.output_folder(folder)
     start_key, key = jax.random.split(jax.random.key(args.seed))
     used = archive_size(trained.phase1, trained.rounds)
