@@ -130,7 +130,9 @@ def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: 
         numbers = {p: _number(value, spread, units[p]) for p, (value, spread) in fitted.items()}
         effects.append({"name": name, "where": where, "parameters": numbers})
     left, reached = unexplained(model, found.base), after.rmse()
-    report["error"]["leading"] = {"effects": effects, "after": reached, "unexplained_left": left}
+    interval = after.interval(None, np.random.default_rng(0))
+    told = {"effects": effects, "after": reached, "interval": interval, "unexplained_left": left}
+    report["error"]["leading"] = told
     words = " and ".join(f"{name.replace('_', ' ')} at {where}" for name, where in names)
     report["not_established"].append(
         f"The likeliest set, {words}, would bring the held-out error from {1e3 * report['error']['before']:.3g} to "
