@@ -20,7 +20,9 @@ from adaptsim_jax.tasks.pendulum import PendulumConfig, pendulum_space
 
 def main() -> None:
     arguments = parser(__doc__)
-    arguments.add_argument("--results", type=Path, help="results.json of a comparison; default: OUT/table1_pendulum.json")
+    arguments.add_argument(
+        "--results", type=Path, help="results.json of a comparison; default: OUT/table1_pendulum.json"
+    )
     args = arguments.parse_args()
     source = args.results or args.out / "table1_pendulum.json"
     if not source.is_file():

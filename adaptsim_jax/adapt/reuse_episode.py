@@ -52,7 +52,9 @@ def run_reusing(
         loan = lend(pool, config, dists.mean, policies)
         trained = train_loans(parts[:, 0], task.train_many, dists, loan, config.together)
         pool = settle(pool, config, dists.mean, trained, loan)
-        see = lambda run, noise, *rest: look(run, noise, task, *rest, obs_noise)
+        see = lambda run, noise, dist, policy, target, best: look(
+            run, noise, task, dist, policy, target, best, obs_noise
+        )
         now = jax.vmap(see)(parts[:, 1], parts[:, 2], dists, trained, targets, references)
         action = jax.vmap(act)(parts[:, 3], now.obs)
         after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta))(dists, action)
@@ -60,4 +62,5 @@ def run_reusing(
 
     (_, pool), found = jax.lax.scan(one, (starts, pool), jnp.arange(steps + 1))
     visits, actions, budgets, reused = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), found)
-    return Reusing(Episode(*visits, actions[:, :-1]), pool, budgets, reused)
+    episode = Episode(visits.mean, visits.policy, visits.obs, visits.score, visits.reward, actions[:, :-1])
+    return Reusing(episode, pool, budgets, reused)

@@ -141,7 +141,9 @@ def prepare_within_reach(
     while True:
         problem = prepare(recording, audit, noise, effects, duration=duration)
         start = regressed_start(problem)
-        if (start.code != DIVERGED and strayed(problem, start) * growth(problem, start) < FAR) or duration < max(0.1, 2.0 * least):
+        if (start.code != DIVERGED and strayed(problem, start) * growth(problem, start) < FAR) or duration < max(
+            0.1, 2.0 * least
+        ):
             return problem, start
         duration *= 0.5
 

@@ -141,8 +141,16 @@ def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: 
 
 
 def add_ceiling(error: dict[str, Any], found: Ceiling | None) -> None:
-    """Put the flexible model's held-out error into the report's `error`, and what its forces follow."""
+    """Put the flexible model's held-out error into the report's `error`, and what its forces follow.
+
+    Where its linearisation misses more than the declared model does, smooth forces help nothing: that is the ceiling.
+    """
     if found is None:
+        return
+    if found.rmse > error["before"]:
+        error["ceiling"], error["ceiling_groups"] = error["before"], []
+        for row in error["per_channel"].values():
+            row["ceiling"] = row["before"]
         return
     error["ceiling"] = found.rmse
     error["ceiling_groups"] = [f"{variable} at {joint}" for joint, variable in found.groups]

@@ -56,7 +56,9 @@ class Fitted:
         damping, and a lossless stop no loss."""
         c = self.candidate
         stuck = zip(c.names, c.refit.point.z, c.refit.at_bound, strict=True)
-        return tuple(n for n, z, at in stuck if at and "/" in n and not (z == 0.0 and n.endswith(("/damping", "/loss"))))
+        return tuple(
+            n for n, z, at in stuck if at and "/" in n and not (z == 0.0 and n.endswith(("/damping", "/loss")))
+        )
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ class GoalInfo(NamedTuple):
 class GoalLearner(NamedTuple):
     """See `make_goal_learner`."""
 
-    init: Callable[[jax.Array], GoalState]
+    init: Callable[..., GoalState]
     step: Callable[..., tuple[GoalState, GoalInfo]]
     train: Callable[..., jax.Array]
 
@@ -100,7 +100,7 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
     """
     _check(naf, config)
     shapes = jax.eval_shape(problem.draw, jax.random.key(0))
-    action = jax.ShapeDtypeStruct((naf.config.action_dim,), shapes.dtype)
+    action: Any = jax.ShapeDtypeStruct((naf.config.action_dim,), shapes.dtype)
 
     def init(weights, outcome):
         return GoalState(naf.fresh(weights), ring.empty(Trials(shapes, action, outcome), config.capacity))

@@ -50,7 +50,8 @@ def observe(backend: Backend, seed: int, samples: int) -> Reference:
     good = np.asarray(out.code) == pushing.FINE
     if good.sum() < 8:
         raise BadInput(f"calibration: {good.sum()} of {samples} pushes of {backend.name} are usable; give 8 or more")
-    return Reference(*(np.asarray(a)[good] for a in batch), np.asarray(out.state)[good, :, :2])
+    params, actions, starts = (np.asarray(a)[good] for a in batch)
+    return Reference(params, actions, starts, np.asarray(out.state)[good, :, :2])
 
 
 def fit_planar(

@@ -220,7 +220,8 @@ def _binned(x: Any, y: Any, bins: int = 24) -> tuple[np.ndarray, np.ndarray, np.
         return x[:0], y[:0], y[:0]
     index = np.clip((bins * (x - x.min()) / np.ptp(x)).astype(int), 0, bins - 1)
     groups = [index == i for i in range(bins) if np.sum(index == i) >= 5]
-    return tuple(np.array([f(z[g]) for g in groups]) for f, z in ((np.mean, x), (np.mean, y), (np.std, y)))
+    middle, mean, spread = (np.array([f(z[g]) for g in groups]) for f, z in ((np.mean, x), (np.mean, y), (np.std, y)))
+    return middle, mean, spread
 
 
 def _largest(*columns: np.ndarray) -> float:

@@ -325,7 +325,7 @@ def make_mended_pendulum(source: str | Path | Mapping[str, Any] | ModelFile, rew
 
 def cheapest(space: Space, train, rollout, params) -> jax.Array:
     """Least cost `[]` at `params` of the policies of `SPREAD` points of Omega; they are the same for all `params`."""
-    points = jnp.asarray(Sobol(space.dim, seed=0).random(SPREAD), jnp.float32)
+    points = jnp.asarray(Sobol(space.dim, rng=0).random(SPREAD), jnp.float32)
     policies = jax.vmap(lambda u: train(None, gaussian(space, u), None))(points)
     return jnp.min(jax.vmap(lambda policy: rollout(None, policy, params).cost)(policies))
 

@@ -88,7 +88,7 @@ class PushingTrajectory(NamedTuple):
 
 def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
     """Omega: two frictions, the modulus on a logarithmic scale, and the place of the patch."""
-    bounds = [
+    bounds: list[dict[str, Any]] = [
         {"physical_low": a, "physical_high": b} for a, b in zip(model.PHYSICAL_LOW, model.PHYSICAL_HIGH, strict=True)
     ]
     return Space(

@@ -90,7 +90,8 @@ def _oracle(params, goals):
     """Mean over goals of the best reward on a fine grid of actions, all of it with the model itself."""
     grid = jnp.stack(jnp.meshgrid(jnp.linspace(0.4, 0.8, 101), jnp.linspace(-0.3, 0.3, 25), indexing="ij"), -1)
     final = jax.jit(jax.vmap(lambda a: planar.rollout(params, a)[-1]))(grid.reshape(-1, 2))
-    return np.asarray(jax.vmap(lambda g: pushing.push_reward(final, g).max())(goals)).mean()
+    reward = jax.vmap(pushing.push_reward, (0, None))
+    return np.asarray(jax.vmap(lambda g: reward(final, g).max())(goals)).mean()
 
 
 @pytest.mark.slow

@@ -38,7 +38,7 @@ def checked(params: Any, actions: Any, starts: Any) -> Batch:
     low = np.array((*pushing.PHYSICAL_LOW, 0.05, -1.0, 0.3, -0.5))
     high = np.array((*pushing.PHYSICAL_HIGH, 2.0, 1.0, 1.0, 0.5))
     rows = np.concatenate(arrays, 1)
-    fit = ((rows >= low) & (rows <= high)).all(1)
+    fit = np.asarray(((rows >= low) & (rows <= high)).all(1))
     harmless = (0.1, 1e5, 0.5, 0.0, 0.4, 0.0, *pushing.START)
     rows = np.where(fit[:, None], rows, np.array(harmless))
     return Batch(rows[:, :4], rows[:, 4:6], rows[:, 6:], fit)
