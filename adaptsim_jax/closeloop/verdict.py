@@ -39,8 +39,8 @@ def decide(
     left = unexplained(found.final, found.base)
     if left > settings.explained and after.p_value < settings.alpha and after.share > 0.02:
         return Verdict("structured_unattributed", _partly(found, after, left), False)
-    names = " and ".join(f"{_words(e)} at {w}" for e, w in active)
-    others = [f"{_words(e)} at {w}" for rivals in found.classes.values() for e, w in rivals]
+    names = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in active)
+    others = [f"{_words(e)} at {_words(w)}" for rivals in found.classes.values() for e, w in rivals]
     if others:
         message = f"The residual is explained by {names}; these data cannot tell it from {', '.join(others)}."
         return Verdict("explained_class", message, True)
@@ -64,22 +64,23 @@ def _structured(found: Found, before: Leftover, settings: Settings, flexible: fl
     return any(t.total - found.base.total > 20.0 for t in found.tried)
 
 
-def _words(effect: str) -> str:
-    return effect.replace("_", " ")
+def _words(name: str) -> str:
+    """An effect or a place as a person writes it."""
+    return name.replace("_", " ").replace("joint", "joint ")
 
 
 def _unattributed(at: Leftover) -> str:
     joint, variable, share, _ = at.places[0]
     return (
-        f"There is structure that no candidate explains; it sits at {joint} and follows its {variable} "
+        f"There is structure that no candidate explains; it sits at {_words(joint)} and follows its {variable} "
         f"({100 * share:.0f} % of the residual, held out)."
     )
 
 
 def _partly(found: Found, at: Leftover, left: float) -> str:
     joint, variable, _, _ = at.places[0]
-    best = " and ".join(f"{_words(e)} at {w}" for e, w in found.final.active)
+    best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.final.active)
     return (
         f"The best candidate, {best}, leaves {100 * left:.0f} % of the unexplained torque, which is too much for a name; "
-        f"what is left sits at {joint} and follows its {variable}."
+        f"what is left sits at {_words(joint)} and follows its {variable}."
     )
