@@ -299,7 +299,10 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
         c = current.candidate
         rest = tuple(a for a in current.active if a != old)
         say(f"trying without {old[0]} at {old[1]}")
-        without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, current.parts, seen.response)
+        try:
+            without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, current.parts, seen.response)
+        except Diverged:  # it cannot be left out
+            continue
         found.tried.append(without)
         if plausible(without, found.base) and not _needed(problem, current, without, found, settings):
             found.rivals.pop(old, None)
@@ -319,7 +322,10 @@ def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, 
         eff = _merged(problem, current.candidate.eff, rival.candidate.eff, instance)
         say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
         c = current.candidate
-        swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+        try:
+            swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+        except Diverged:  # no rival in the presence of the others
+            continue
         found.tried.append(swapped)
         if plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
             found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
