@@ -52,12 +52,13 @@ class Declared:
 
 def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     """The package's own steps up to the declared model and its held-out error."""
-    from adaptsim_jax.closeloop import search
     from adaptsim_jax.closeloop.audit import audit, usable
+    from adaptsim_jax.closeloop.declared import declared, timed
     from adaptsim_jax.closeloop.heldout import held_out
     from adaptsim_jax.closeloop.noise import noise_floor
     from adaptsim_jax.closeloop.problem import prepare_within_reach
     from adaptsim_jax.closeloop.recording import read_recording
+    from adaptsim_jax.closeloop.search import Settings
     from adaptsim_jax.models.effects import catalogue
 
     recording = read_recording(folder)
@@ -65,8 +66,8 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     recording = usable(recording, checked)
     effects = tuple(e for e in catalogue(recording.task) if e.name not in exclude)
     problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), effects)
-    base, view = search.declared(problem, start)
-    problem, view = search.timed(problem, base, view, search.Settings())
+    base, view = declared(problem, start)
+    problem, view = timed(problem, base, view, Settings().alpha)
     return Declared(problem, base, view, held_out(problem, base, view))
 
 

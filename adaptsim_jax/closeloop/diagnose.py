@@ -12,6 +12,7 @@ import adaptsim_jax
 from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.ceiling import ceiling
+from adaptsim_jax.closeloop.declared import declared, timed
 from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
@@ -95,8 +96,8 @@ def examine(
     """Everything between reading and writing."""
     say(2, STAGES, "declared model")
     problem, start = prepare_within_reach(recording, checked, noise, effects)
-    base, first = hunt.declared(problem, start)
-    problem, first = hunt.timed(problem, base, first, settings)
+    base, first = declared(problem, start)
+    problem, first = timed(problem, base, first, settings.alpha)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))

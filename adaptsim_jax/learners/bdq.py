@@ -8,16 +8,15 @@ sweep.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
-from jax.flatten_util import ravel_pytree
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.learners.replay import Transition
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
@@ -112,17 +111,10 @@ def make_bdq(config: BDQConfig) -> BDQ:
     * `update(state, batch, hyper) -> (BDQState, BDQInfo)`: one Adam step on a `Transition` of `[B, ...]`
     """
     _check(config)
-    network = Network(config)
-    example = jnp.zeros((1, config.obs_dim))
-    # shapes only: running the initialisation here would compile it operation by operation
-    shapes = jax.eval_shape(network.init, jax.random.key(0), example)
-    unravel = ravel_pytree(jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))[1]
-
-    def q_values(weights, obs) -> Any:
-        return network.apply(unravel(weights), obs)
+    weights_of, q_values = flat(Network(config), config.obs_dim)
 
     def init(key):
-        online = ravel_pytree(network.init(key, example))[0]
+        online = weights_of(key)
         return BDQState(online, online, optax.scale_by_adam().init(online))
 
     def greedy(weights, obs):

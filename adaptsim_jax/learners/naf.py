@@ -8,17 +8,16 @@ pure; vmap over states trains hundreds of networks in one update.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
-from jax.flatten_util import ravel_pytree
 
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.bdq import ACTIVATIONS
+from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.learners.naf_box import box_maximiser
 from adaptsim_jax.learners.replay import Transition
 
@@ -131,19 +130,13 @@ def make_naf(config: NAFConfig) -> NAF:
     * `update(state, batch, hyper) -> (NAFState, NAFInfo)`: one Adam step on a `Transition` of `[B, ...]`, actions float
     """
     _check(config)
-    network = Network(config)
-    example = jnp.zeros((1, config.obs_dim))
-    shapes = jax.eval_shape(network.init, jax.random.key(0), example)
-    unravel = ravel_pytree(jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))[1]
-
-    def quadratic(weights, obs) -> Any:
-        return network.apply(unravel(weights), obs)
+    weights_of, quadratic = flat(Network(config), config.obs_dim)
 
     def fresh(weights):
         return NAFState(weights, None if config.one_step else weights, optax.scale_by_adam().init(weights))
 
     def init(key):
-        return fresh(ravel_pytree(network.init(key, example))[0])
+        return fresh(weights_of(key))
 
     def greedy(weights, obs):
         q = quadratic(weights, obs)

@@ -119,6 +119,8 @@ def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
     """The estimated unmodelled torque of one joint over time, two standard deviations about it."""
     time, value, std = thin(row["time"], row["value"], row.get("std", np.zeros(len(row["value"]))))
     factor, name = fmt.scaled(unit, _percentile(value))
+    limits = factor * value
+    time, value, std = _broken(time, value, std)
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
@@ -133,10 +135,17 @@ def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
         ax.plot(time, factor * value, color=BEFORE, linewidth=1.2)
         ax.axhline(0, color=MUTED, linewidth=0.7)
         ax.set(title=f"unmodelled torque at {plain(row['joint'])}", xlabel="time, s", ylabel=name)
-        _robust_limits(ax, factor * value)
+        _robust_limits(ax, limits)
         quiet(ax)
 
     return paint
+
+
+def _broken(time: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """NaN where stretches of time are left out, lest a line be drawn across."""
+    step = np.diff(time)
+    at = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else np.zeros(0, int)
+    return tuple(np.insert(np.asarray(z, float), at, np.nan) for z in (time, *values))
 
 
 def spectrum(joint: str, row: Mapping) -> Paint:

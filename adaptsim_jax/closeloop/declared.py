@@ -1,0 +1,60 @@
+"""The declared model fitted: where its fit starts, which of two fits counts, and the clocks of its trials."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.clocks import clocks
+from adaptsim_jax.closeloop.fit import FitResult
+from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit, survey
+from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond
+from adaptsim_jax.closeloop.view import View, view
+
+SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
+
+
+def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
+    """The declared model with its residual covariance, and all candidates scored about it.
+
+    `start` is the regression on the measured motion, which no simulation can lead astray. Where much force is left
+    unexplained, least squares from there is a second start: it may find a better optimum, but it may as well flee from the
+    effect that is missing to parameters that are far off (a link too heavy to move misses least).
+    """
+    fits: list[Fitted] = []
+    for second in (False, True):
+        if fits and not np.any(fits[0].parts.force_std() > SUSPICIOUS * problem.torque_scale):
+            break
+        with suppress(Diverged, np.linalg.LinAlgError):
+            result = declared_fit(problem) if second else start
+            fits.append(_declared_from(problem, result.theta, result.eff, result.x0))
+    if not fits:
+        raise Diverged("the declared model runs away from every start; look at the signs and units of the torques")
+    base = max(fits, key=lambda m: (_sane(problem, m), m.total))
+    return base, view(problem, base)
+
+
+def _sane(problem: Problem, model: Fitted) -> bool:
+    """Whether the force left unexplained is no larger than the torques themselves."""
+    return bool(np.all(model.parts.force_std() < problem.torque_scale))
+
+
+def _declared_from(problem: Problem, theta, eff, x0) -> Fitted:
+    if at_point(problem, problem.base, theta, eff, x0).code == DIVERGED:  # before its candidates are surveyed
+        raise Diverged("the declared model runs away")
+    _, lin, _, result = survey(problem, problem.base, theta, eff, x0)
+    response = respond(lin)
+    parts = disturbance.estimate(lin, response.kernels)
+    return fitted(problem, problem.base, theta, result.eff, x0, parts, response)
+
+
+def timed(problem: Problem, base: Fitted, first: View, alpha: float) -> tuple[Problem, View]:
+    """The problem with the trials' clocks set to a periodic force that runs through them, where there is one, and all
+    candidates scored again."""
+    atoms = [a for a in first.atoms if a.effect in {e.name for e in problem.model.layout.effects if e.clocked}]
+    found = None if np.any(problem.windows.clock) else clocks(problem.windows, first.scorer, atoms, alpha)
+    if found is None:
+        return problem, first
+    problem = replace(problem, windows=replace(problem.windows, clock=found))
+    return problem, view(problem, base)
