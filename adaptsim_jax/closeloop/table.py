@@ -23,13 +23,13 @@ class Table:
     row_word: str = "line"
 
 
-def read_table(path: str | Path, wanted: tuple[str, ...]) -> Table:
-    """Read the columns named in `wanted` (those that are there), list the others. Raises `BadInput`."""
+def read_table(path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS) -> Table:
+    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others. Raises `BadInput`."""
     path = Path(path)
     table = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
     n = len(table.lines)
-    if n < MIN_ROWS:
-        raise BadInput(f"{path}: has {n} data rows; a trial needs at least {MIN_ROWS}, leave this file out")
+    if n < least:
+        raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
     for name, values in table.columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -97,9 +97,7 @@ def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
 
 def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str]) -> None:
     if all(_is_number(cell) for cell in cells):
-        raise BadInput(
-            f"{path}: line 1 holds numbers, not column names; add a header line such as time,q1,q2,tau1,tau2"
-        )
+        raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(wanted)}")
     for name in header:
         if name in wanted and header.count(name) > 1:
             raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")

@@ -10,33 +10,30 @@ from typing import Any, NamedTuple
 
 EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
-  adaptsim robot next --dir robot                which policy to run on the robot now
+  adaptsim robot next --dir robot                what to run on the robot now
   adaptsim robot record trial.csv --dir robot    what was measured; then `next` again
 
-RUN is the folder of `adaptsim train`. FILE is a CSV (or npz) of one trial, from the moment of letting go: columns time [s],
-q1, q2 [rad, zero upright], tau1, tau2 [N m], and v1, v2 [rad/s] where measured. `next` says the policy each time, and
-the best one when all trials are told.
+RUN is the folder of `adaptsim train`. `next` says the policy or the actions each time, and the best ones when all is told.
+FILE, a CSV (or npz), of the pendulum: one trial, from the moment of letting go: columns time [s], q1, q2 [rad, zero
+upright], tau1, tau2 [N m], and v1, v2 [rad/s] where measured. Of the push: all pushes that `next` wrote to actions.csv:
+columns trial, time [s since the arm's start], x, y [m, arm's base frame] of the bottle.
 """
 STEPS = ("new", "next", "record")
 SESSION = "robot.toml"
-HOW = {
-    "pendulum": "let go hanging straight down (q1 = -pi, zero upright); for 2.5 s, {law}\n"
-    "write a CSV with columns time, q1, q2, tau1, tau2 (v1, v2 where measured) in s, rad, N m"
-}
-GAIN = "torque = -gain @ [q1, q2, v1, v2];"
-CONTROLLER = """every 5 ms, the torque that this policy's controller says (it is more than its gain):
-  from adaptsim_jax.tasks.pendulum_controller import read_controller
-  controller = read_controller({folder!r})
-  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""
+# what is said and read for each task: modules with TURN, opened, policy_file, show, read, remember and told
+HANDS = {"pendulum": "robot_pendulum", "pushing": "robot_pushing"}
 
 
 class Session(NamedTuple):
-    """A session on disk: where it is, how it was started, and the learned adaptation policy at work."""
+    """A session on disk: where it is, how it was started, the learned adaptation policy at work, the task's options, and
+    the module that speaks for the task."""
 
     folder: Path
     table: dict[str, Any]
     trained: Any
     loop: Any
+    options: dict[str, Any]
+    hand: Any
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,12 +76,6 @@ def new(args: argparse.Namespace) -> None:
     }  # fmt: skip
     session = _session(folder, table)
     trained = session.trained
-    name = trained.phase1.task.name
-    if name not in HOW:
-        raise BadInput(
-            f"{args.what}: a run of task '{name}'; robot takes runs of {', '.join(HOW)} in this version. "
-            f"For {name} use 'adaptsim adapt', or from Python adaptsim_jax.adapt.asktell with recorded trajectories"
-        )
     files.output_folder(folder)
     start_key, key = jax.random.split(jax.random.key(args.seed))
     used = archive_size(trained.phase1, trained.rounds)
@@ -92,14 +83,13 @@ def new(args: argparse.Namespace) -> None:
     _save(session, session.loop.init(key, starts), [])
     # written last: a folder with this file holds a whole session
     config.write(folder / SESSION, table)
-    print(f"session of {args.starts * (args.iterations + 1)} trials in {folder}")
+    print(f"{session.hand.opened(session, args.starts * (args.iterations + 1))} in {folder}")
     ask(args)
 
 
 def ask(args: argparse.Namespace) -> None:
-    """Print the policy to run now, and write it to policy.toml; when all is told, the best one."""
+    """Say and write what to run now; when all is told, the best policy."""
     from adaptsim_jax import config
-    from adaptsim_jax.commands.adapt import policy_table
 
     session = _open(Path(args.dir))
     state, history = _load(session)
@@ -107,65 +97,50 @@ def ask(args: argparse.Namespace) -> None:
     done = len(history) >= total
     mean, policy = (state.best_mean, state.best_policy) if done else (state.mean, state.policy)
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
-    what = "best policy" if done else f"trial {len(history) + 1} of {total}"
+    what = "best policy" if done else f"{session.hand.TURN} {len(history) + 1} of {total}"
     print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")
-    model = _task_options(session).get("model")
-    for name, value in policy_table(policy).items():
-        # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not for people
-        if name == "gain" or (model is None and value != 0):
-            print(f"  {name} = {_digits(value)}")
     path = session.folder / ("best.toml" if done else "policy.toml")
-    config.write(path, {"what": what, "params": params, "policy": policy_table(policy)})
+    config.write(path, {"what": what, "params": params} | session.hand.policy_file(session, policy))
+    session.hand.show(session, state, policy, done)
     print(f"written: {path}")
     if done:
-        print(f"all {total} trials are told; best return {float(state.best_score):.6g}")
+        print(f"all {total} {session.hand.TURN}s are told; best return {float(state.best_score):.6g}")
     else:
-        print(_how(session, model))
         print(f"then: adaptsim robot record FILE --dir {args.dir}")
 
 
-def _digits(value: Any) -> str:
-    """Six digits for the eye; policy.toml has them all."""
-    return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
-
-
-def _how(session: Session, model: dict[str, Any] | None) -> str:
-    """What to do on the robot; a mended model's controller needs the model beside the policy."""
-    from adaptsim_jax import config
-
-    if model is None:
-        return HOW[session.trained.phase1.task.name].format(law=GAIN)
-    config.write(session.folder / "model.toml", model)
-    return HOW[session.trained.phase1.task.name].format(law=CONTROLLER.format(folder=str(session.folder)))
-
-
 def record(args: argparse.Namespace) -> None:
-    """Take a measured trial."""
-    from adaptsim_jax.closeloop.table import read_table
+    """Take what was measured."""
     from adaptsim_jax.commands.adapt import number
     from adaptsim_jax.errors import BadInput
 
     session = _open(Path(args.dir))
-    state, history = _load(session)
-    total = session.loop.trials(state)
+    before, history = _load(session)
+    total, turn = session.loop.trials(before), session.hand.TURN
     if len(history) >= total:
-        raise BadInput(f"{session.folder}: all {total} trials are told; 'robot new' starts another session")
-    trained = session.trained
-    measured = importlib.import_module(f"adaptsim_jax.tasks.{trained.phase1.task.name}_measured")
+        raise BadInput(f"{session.folder}: all {total} {turn}s are told; 'robot new' starts another session")
     path = Path(args.what)
-    table = read_table(path, measured.COLUMNS)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    for before, trial in enumerate(history, 1):
+    digest = _digest(path)
+    for earlier, trial in enumerate(history, 1):
         if trial["sha256"] == digest:
-            raise BadInput(f"{path}: was told already, as trial {before}; name the file of trial {len(history) + 1}")
-    observation = _task_options(session).get("observation", "full")
-    trajectory = measured.measured_trajectory(table.columns, str(path), observation)
-    state, info = session.loop.tell(state, trajectory)
-    history.append({"file": str(path), "sha256": digest, "score": number(info.score)})
+            raise BadInput(f"{path}: was told already, as {turn} {earlier}; name the file of {turn} {len(history) + 1}")
+    trajectory = session.hand.read(session, before, path)
+    state, info = session.loop.tell(before, trajectory)
+    entry = {"file": str(path), "sha256": digest, "score": number(info.score)}
+    history.append(entry | session.hand.remember(session, before, trajectory))
     _save(session, state, history)
     best = ", the best so far" if bool(info.best) else ""
-    print(f"trial {len(history)} of {total}: return {float(info.score):.6g}{best}")
+    print(f"{turn} {len(history)} of {total}: return {float(info.score):.6g}{best}")
+    session.hand.told(session, before, state, trajectory, len(history) >= total)
     print(f"next: adaptsim robot next --dir {args.dir}")
+
+
+def _digest(path: Path) -> str | None:
+    """Of the file's bytes; where it cannot be read, reading it says why."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
 
 
 def _open(folder: Path) -> Session:
@@ -184,19 +159,21 @@ def _open(folder: Path) -> Session:
 def _session(folder: Path, table: dict[str, Any]) -> Session:
     from adaptsim_jax.adapt.asktell import make_ask_tell
     from adaptsim_jax.adapt.training import load_run
+    from adaptsim_jax.errors import BadInput
     from adaptsim_jax.store import RunFolder
 
-    trained = load_run(RunFolder.open(table["run"]))
+    run = RunFolder.open(table["run"])
+    if run.task not in HANDS:
+        raise BadInput(
+            f"{table['run']}: a run of task '{run.task}'; robot takes runs of {', '.join(HANDS)} in this version. For "
+            f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adapt.asktell with recorded trajectories"
+        )
+    trained = load_run(run)
     phase1 = trained.phase1
     weights, delta = trained.state.learner.target, float(trained.hyper.delta)
     loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], delta=delta)
-    return Session(folder, table, trained, loop)
-
-
-def _task_options(session: Session) -> dict[str, Any]:
-    from adaptsim_jax.store import RunFolder
-
-    return RunFolder.open(session.table["run"]).config.get("task", {})
+    hand = importlib.import_module(f"adaptsim_jax.commands.{HANDS[run.task]}")
+    return Session(folder, table, trained, loop, run.config.get("task", {}), hand)
 
 
 def _save(session: Session, state: Any, history: list[dict[str, Any]]) -> None:

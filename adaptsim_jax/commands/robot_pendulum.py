@@ -1,0 +1,74 @@
+"""What `adaptsim robot` says and reads for the pendulum: a policy's gain or controller, and one trial a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adaptsim_jax.commands.robot import Session
+
+TURN = "trial"
+HOW = (
+    "let go hanging straight down (q1 = -pi, zero upright); for 2.5 s, {law}\n"
+    "write a CSV with columns time, q1, q2, tau1, tau2 (v1, v2 where measured) in s, rad, N m"
+)
+GAIN = "torque = -gain @ [q1, q2, v1, v2];"
+CONTROLLER = """every 5 ms, the torque that this policy's controller says (it is more than its gain):
+  from adaptsim_jax.tasks.pendulum_controller import read_controller
+  controller = read_controller({folder!r})
+  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""
+
+
+def opened(session: Session, total: int) -> str:
+    """What a new session consists of."""
+    return f"session of {total} trials"
+
+
+def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+    """What `policy.toml` holds beside the parameters."""
+    from adaptsim_jax.commands.adapt import policy_table
+
+    return {"policy": policy_table(policy)}
+
+
+def show(session: Session, state: Any, policy: Any, done: bool) -> None:
+    """Print the policy, and how to run it while trials are left; a mended model's controller needs the model beside it."""
+    from adaptsim_jax import config
+    from adaptsim_jax.commands.adapt import policy_table
+
+    model = session.options.get("model")
+    for name, value in policy_table(policy).items():
+        # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not for people
+        if name == "gain" or (model is None and value != 0):
+            print(f"  {name} = {_digits(value)}")
+    if done:
+        return
+    if model is None:
+        print(HOW.format(law=GAIN))
+    else:
+        config.write(session.folder / "model.toml", model)
+        print(HOW.format(law=CONTROLLER.format(folder=str(session.folder))))
+
+
+def read(session: Session, state: Any, path: Path) -> Any:
+    """The trajectory of a measured trial."""
+    from adaptsim_jax.closeloop.table import read_table
+    from adaptsim_jax.tasks import pendulum_measured as measured
+
+    table = read_table(path, measured.COLUMNS)
+    return measured.measured_trajectory(table.columns, str(path), session.options.get("observation", "full"))
+
+
+def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
+    """What the session's history keeps beside the score."""
+    return {}
+
+
+def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+    """Nothing beside the return."""
+
+
+def _digits(value: Any) -> str:
+    """Six digits for the eye; policy.toml has them all."""
+    return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"

@@ -1,0 +1,123 @@
+"""What `adaptsim robot` says and reads for the push: speed and angle for each goal, and the bottle's tracks in one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adaptsim_jax.commands.robot import Session
+    from adaptsim_jax.tasks.pushing_measured import Pushes
+
+TURN = "iteration"
+HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that speed and angle, and track the bottle for {duration:g} s
+write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""
+GRID = 24  # goals in best_actions.csv
+
+
+def opened(session: Session, total: int) -> str:
+    """What a new session consists of."""
+    return f"session of {total} iterations of {_config(session).trajectories} pushes"
+
+
+def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+    """What `policy.toml` holds beside the parameters; `tasks.pushing_measured.read_policy` reads it."""
+    return {"hidden": list(_config(session).hidden), "policy": {"weights": policy.weights.tolist()}}
+
+
+def show(session: Session, state: Any, policy: Any, done: bool) -> None:
+    """Print the pushes to make and write them to actions.csv; when all is told, the best policy's over the sector of goals."""
+    if done:
+        _best(session, policy)
+        return
+    pushes = _pushes(session, state)
+    path = session.folder / "actions.csv"
+    for number, goal, action in zip(*pushes, strict=True):
+        print(
+            f"  trial {number}: speed {action[0]:.4f} m/s, angle {action[1]:+.4f} rad   (goal {goal[0]:.3f}, {goal[1]:+.3f} m)"
+        )
+    _write_actions(path, pushes)
+    print(f"written: {path}")
+    print(HOW.format(duration=_config(session).duration))
+
+
+def read(session: Session, state: Any, path: Path) -> Any:
+    """The trajectory of the pushes that were asked for."""
+    from adaptsim_jax.closeloop.table import read_table
+    from adaptsim_jax.tasks import pushing_measured as measured
+
+    table = read_table(path, measured.COLUMNS, least=1)
+    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+    return measured.measured_trajectory(table.columns, at, str(path), _pushes(session, state), _config(session))
+
+
+def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
+    """The pushes and what came of them, for figures and for people."""
+    import numpy as np
+
+    pushes = _pushes(session, before)
+    plain = lambda x: np.asarray(x, float).round(6).tolist()
+    rows = zip(pushes.numbers, pushes.goals, pushes.actions, trajectory.points, trajectory.rewards, strict=True)
+    return {
+        "params": _params(session, before.mean),
+        "pushes": [
+            {"trial": int(n), "goal": plain(g), "action": plain(a), "points": plain(p), "reward": plain(r)}
+            for n, g, a, p, r in rows
+        ],
+    }
+
+
+def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+    """How far each bottle ended from its goal, and which parameters are believed in now."""
+    import numpy as np
+
+    ends = np.asarray(trajectory.points[:, -1])
+    for number, goal, end, reward in zip(
+        _pushes(session, before).numbers, np.asarray(trajectory.goals), ends, trajectory.rewards, strict=True
+    ):
+        apart = 100 * np.linalg.norm(end - goal)
+        print(
+            f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its goal: reward {float(reward):.3f}"
+        )
+    if done:
+        return
+    turns = session.table["iterations"] + 1
+    fresh = int(after.told) % turns == 0
+    was, now = _params(session, before.mean), _params(session, after.mean)
+    words = [f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})") for k in now]
+    print(f"{'next start' if fresh else 'simulate now with'}: {', '.join(words)}")
+
+
+def _best(session: Session, policy: Any) -> None:
+    from adaptsim_jax.tasks.pushing_measured import pushes_over_sector
+
+    path = session.folder / "best_actions.csv"
+    _write_actions(path, pushes_over_sector(policy, _config(session), GRID))
+    print(f"written: {path}: its push for {GRID} goals; for any other:")
+    print("  from adaptsim_jax.tasks.pushing_measured import read_policy")
+    print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")
+
+
+def _write_actions(path: Path, pushes: Pushes) -> None:
+    from adaptsim_jax.files import write_bytes
+
+    rows = [f"{n},{g[0]:.6f},{g[1]:.6f},{a[0]:.6f},{a[1]:.6f}" for n, g, a in zip(*pushes, strict=True)]
+    write_bytes(path, "\n".join(["trial,goal_x,goal_y,speed,angle", *rows, ""]).encode())
+
+
+def _pushes(session: Session, state: Any) -> Pushes:
+    from adaptsim_jax.tasks.pushing_measured import pushes_to_make
+
+    return pushes_to_make(state.key, state.told, state.policy, _config(session))
+
+
+def _params(session: Session, mean: Any) -> dict[str, float]:
+    space = session.trained.phase1.task.space
+    return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
+
+
+def _config(session: Session) -> Any:
+    from adaptsim_jax import config
+    from adaptsim_jax.tasks.pushing import PushingConfig
+
+    return config.from_table(PushingConfig, session.options, str(session.table["run"]))
