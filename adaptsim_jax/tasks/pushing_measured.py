@@ -48,7 +48,7 @@ def pushes_to_make(key: jax.Array, told: Any, policy: PushingPolicy, config: Pus
 
 def pushes_over_sector(policy: PushingPolicy, config: PushingConfig, count: int) -> Pushes:
     """What the policy does for `count` goals spread over the sector."""
-    goals = pushing._test_goals(count)
+    goals = pushing.goal_lattice(count)
     actions = pushing.make_policy(config)(policy, goals)
     return Pushes(np.arange(1, count + 1), np.asarray(goals), np.asarray(actions))
 
@@ -59,13 +59,19 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
     Raises BadInput where the file holds no policy of this task.
     """
     table = configs.read(path)
-    weights, hidden = table.get("policy", {}).get("weights"), table.get("hidden")
-    config = PushingConfig(hidden=tuple(hidden)) if isinstance(hidden, list) else PushingConfig()
-    size = jax.eval_shape(lambda: pushing.make_pushing_naf(config).init(jax.random.key(0)).online).shape
-    if not isinstance(weights, list) or np.shape(weights) != size:
+    policy, hidden = table.get("policy"), table.get("hidden")
+    weights = policy.get("weights") if isinstance(policy, dict) else None
+    sized = isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden)
+    config = PushingConfig(hidden=tuple(hidden)) if sized else None
+    if config is None or not isinstance(weights, list) or np.shape(weights) != (_weights(config),):
         raise BadInput(f"{path}: holds no policy of the push; write it again with 'adaptsim robot next'")
-    act, policy = jax.jit(pushing.make_policy(config)), PushingPolicy(jnp.asarray(weights, jnp.float32))
-    return lambda goal: np.asarray(act(policy, jnp.asarray(goal, jnp.float32)))
+    act, learned = jax.jit(pushing.make_policy(config)), PushingPolicy(jnp.asarray(weights, jnp.float32))
+    return lambda goal: np.asarray(act(learned, jnp.asarray(goal, jnp.float32)))
+
+
+def _weights(config: PushingConfig) -> int:
+    naf = pushing.make_pushing_naf(config)
+    return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
 
 
 def measured_trajectory(
