@@ -60,12 +60,13 @@ def default_config(task: str) -> TrainConfig:
 
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
     """`table` over the task's default config, key by key."""
-    return _over(configs.to_table(default_config(task)), table)
+    return over(configs.to_table(default_config(task)), table)
 
 
-def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """`table` over `base`, key by key in nested tables."""
     nested = lambda name: isinstance(base.get(name), dict) and isinstance(table[name], dict)
-    return base | {name: _over(base[name], table[name]) if nested(name) else table[name] for name in table}
+    return base | {name: over(base[name], table[name]) if nested(name) else table[name] for name in table}
 
 
 PRESETS = {"paper-pendulum": paper_pendulum}

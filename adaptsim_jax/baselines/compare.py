@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax import config as configs
 from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
+from adaptsim_jax.baselines.compare_learned import compare_learned
 from adaptsim_jax.baselines.methods import METHODS, VISITING, CompareConfig, Run, Visits
 from adaptsim_jax.baselines.problem import Problem, costs, discrepancy, pendulum_problem
 from adaptsim_jax.baselines.summary import normalised, row
@@ -19,7 +20,7 @@ from adaptsim_jax.baselines.udr import Udr, udr
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.progress import silent
 from adaptsim_jax.space import Space
-from adaptsim_jax.tasks.registry import make_task
+from adaptsim_jax.tasks.registry import make_one_shot, make_task
 
 SCHEMA = 1
 PROBLEMS: dict[str, Callable[..., Problem]] = {"pendulum": pendulum_problem}
@@ -42,10 +43,12 @@ def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callab
     of E that a method visited, by one code for all methods.
     """
     made = make_task(task, config.train.task)
-    if task not in PROBLEMS:
-        raise BadInput(f"compare: task '{task}' has no exact bounds yet; there is: {', '.join(PROBLEMS)}")
     names = [configs.pick("setting", s, made.settings) for s in config.settings] or list(made.settings)
-    methods = [m.replace("-", "_") for m in config.methods] or list(METHODS)
+    if task not in PROBLEMS:
+        one = make_one_shot(task, config.train.task)
+        rows, about = compare_learned(one, names, config, progress)
+        return _stamped(task, config) | about | {"rows": rows}
+    methods = _exact_methods(task, config)
     targets = np.array([made.space.values(made.settings[name], name) for name in names])
     problem = PROBLEMS[task](made.space)
     progress(0, len(methods) + 1, "bounds")
@@ -65,6 +68,16 @@ def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callab
             rows += bound_rows(method, names, bounds, config.seeds)
         report(1, 1)
     return _results(task, names, targets, config, bounds, rows)
+
+
+def _exact_methods(task: str, config: CompareConfig) -> list[str]:
+    if config.target or config.target_options:
+        raise BadInput(f"compare: targets of task '{task}' are always its own model; leave target out")
+    methods = [m.replace("-", "_") for m in config.methods] or list(METHODS)
+    for method in methods:
+        if method not in METHODS:
+            raise BadInput(f"compare: method '{method}' is not for {task}; there is: {', '.join(METHODS)}")
+    return methods
 
 
 def find_bounds(problem: Problem, targets: np.ndarray) -> Bounds:
@@ -125,15 +138,9 @@ def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> lis
 
 
 def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
-    versions = {name: metadata.version(name) for name in ("adaptsim_jax", "jax", "flax", "numpy", "scipy")}
-    return {
-        "schema": SCHEMA,
-        "task": task,
+    return _stamped(task, config) | {
         "simulator": "exact propagation of the linearized model (JAX)",
         "target_backend": "exact propagation of the linearized model (JAX, double precision)",
-        "seeds": config.seeds,
-        "command": " ".join(["adaptsim", *sys.argv[1:]]),
-        "versions": versions | {"python": sys.version.split()[0]},
         "settings": {
             name: {
                 "params": [float(p) for p in target],
@@ -144,7 +151,20 @@ def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
             }
             for i, (name, target) in enumerate(zip(names, targets, strict=True))
         },
+        "rows": rows,
+    }
+
+
+def _stamped(task: str, config: CompareConfig) -> dict[str, Any]:
+    """What every results.json begins with."""
+    versions = {name: metadata.version(name) for name in ("adaptsim_jax", "jax", "flax", "numpy", "scipy")}
+    return {
+        "schema": SCHEMA,
+        "task": task,
+        "seeds": config.seeds,
+        "seed": config.seed,
+        "command": " ".join(["adaptsim", *sys.argv[1:]]),
+        "versions": versions | {"python": sys.version.split()[0]},
         "iterations": config.iterations,
         "starts": config.starts,
-        "rows": rows,
     }

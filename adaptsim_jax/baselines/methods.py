@@ -2,16 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import config as configs
+from adaptsim_jax.adapt.presets import default_config
 from adaptsim_jax.adapt.training import TrainConfig
 from adaptsim_jax.baselines import gradient
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
+from adaptsim_jax.baselines.bayesopt import BayesOptConfig
+from adaptsim_jax.baselines.direct import DirectConfig
 from adaptsim_jax.baselines.problem import Problem
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
@@ -28,6 +31,8 @@ class CompareConfig:
 
     starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
     visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
+    For tasks whose policies are learned: target: the engine that targets run in (empty: the task's own simulator), with
+    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt.
     """
 
     methods: tuple[str, ...] = ()
@@ -38,13 +43,23 @@ class CompareConfig:
     starts: int = 2
     train: TrainConfig = field(default_factory=TrainConfig)
     sysid: SysIdConfig = field(default_factory=SysIdConfig)
+    target: str = ""
+    target_options: dict[str, Any] = field(default_factory=dict)
+    direct: DirectConfig = field(default_factory=DirectConfig)
+    bayesopt: BayesOptConfig = field(default_factory=BayesOptConfig)
 
     def __post_init__(self):
         for name in ("seeds", "iterations", "starts"):
             if getattr(self, name) < 1:
                 raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
         for method in self.methods:
-            configs.pick("method", method, METHODS)
+            configs.pick("method", method, (*METHODS, *LEARNED_METHODS))
+
+
+def default_comparison(task: str) -> CompareConfig:
+    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have."""
+    train = default_config(task)
+    return CompareConfig(train=train, iterations=train.phase1.horizon)
 
 
 class Run(NamedTuple):
@@ -128,3 +143,14 @@ VISITING: dict[str, Callable[[Run], Visits]] = {
 }
 BOUNDS = ("udr", "best_in_omega")
 METHODS = (*VISITING, *BOUNDS)
+# For tasks whose policies are learned, see `compare_learned`.
+LEARNED_METHODS = (
+    "adaptsim",
+    "sysid_bayes",
+    "sysid_point",
+    "bayesopt",
+    "udr",
+    "udr_target",
+    "learn_in_target",
+    "oracle",
+)

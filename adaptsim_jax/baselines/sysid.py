@@ -89,7 +89,7 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
 
     def adapt(key: jax.Array, target: jax.Array) -> Identified:
         start_key, first_key, rest_key = jax.random.split(key, 3)
-        state = _start(start_key, task, estimator, config)
+        state = start(start_key, task, estimator, config)
         state, first = _iterate(first_key, state, target, task, estimator, config, config.first_fit)
 
         def one(state, step_key):
@@ -102,7 +102,8 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
     return adapt
 
 
-def _start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
+def start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
+    """Before any data of the target: E at the centre of Omega, a policy trained there."""
     policy_key, train_key, net_key = jax.random.split(key, 3)
     D = task.space.dim
     dist = Gaussian(jnp.full(D, 0.5), jnp.full(D, config.least_std))
@@ -113,8 +114,14 @@ def _start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig
 
 
 def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[State, Info]:
-    real_key, data_key, fit_key, infer_key, train_key = jax.random.split(key, 5)
+    real_key, *keys = jax.random.split(key, 5)
     real = task.observe(task.rollout(real_key, state.policy, target))
+    return learn(keys, state, real, task, estimator, config, fit_config)
+
+
+def learn(keys, state: State, real: jax.Array, task, estimator, config, fit_config) -> tuple[State, Info]:
+    """What comes after a rollout of `state.policy` in the target, of which `real [obs]` was observed; `keys [4]`."""
+    data_key, fit_key, infer_key, train_key = keys
     x, u = simulate(data_key, task, state.policy, config)
     shift, scale = mdn.standardise(x)
     noise = config.noise * jax.random.normal(jax.random.fold_in(data_key, 1), x.shape)

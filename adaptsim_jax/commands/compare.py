@@ -9,8 +9,13 @@ EXAMPLES = """
   adaptsim compare pendulum --out results
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
   adaptsim compare pendulum --out small --seeds 3 --set train.phase1.trajectories=2000
+  adaptsim compare pushing --out push --seeds 2 --settings wd,ood-2 --methods sysid-bayes,learn-in-target,oracle
+  adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 """
-METHODS = "adaptsim, adaptsim-state, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, gradient, udr, best-in-omega"
+METHODS = (
+    "pendulum: adaptsim, adaptsim-state, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, gradient, udr, "
+    "best-in-omega; pushing: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle"
+)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,8 +24,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for results.json, table and figures")
     parser.add_argument("--seeds", type=positive, metavar="N", help="seeds of each method (20)")
-    parser.add_argument("--methods", metavar="A,B", help=f"default: all of {METHODS}")
+    parser.add_argument("--methods", metavar="A,B", help=f"default: all. {METHODS}")
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
+    parser.add_argument(
+        "--target", metavar="ENGINE", help="pushing: where targets are run: planar, native, mjx or drake"
+    )
     parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
     parser.add_argument(
         "--set",
@@ -54,12 +62,14 @@ def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
     from adaptsim_jax import config
     from adaptsim_jax.adapt.phase1 import make_phase1
-    from adaptsim_jax.baselines.methods import CompareConfig
+    from adaptsim_jax.adapt.presets import over
+    from adaptsim_jax.baselines.methods import CompareConfig, default_comparison
     from adaptsim_jax.tasks.registry import make_task
 
     where = args.config or "--set"
-    start = config.from_table(CompareConfig, config.read(args.config) if args.config else {}, where)
-    given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None}
+    defaults = config.to_table(default_comparison(args.task))
+    start = config.from_table(CompareConfig, over(defaults, config.read(args.config) if args.config else {}), where)
+    given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None, "target": args.target}
     settings = [f"{name}={value}" for name, value in given.items() if value is not None]
     for name in ("methods", "settings"):
         if (text := getattr(args, name)) is not None:

@@ -87,6 +87,7 @@ class GoalLearner(NamedTuple):
     init: Callable[..., GoalState]
     step: Callable[..., tuple[GoalState, GoalInfo]]
     train: Callable[..., jax.Array]
+    tune: Callable[..., jax.Array]
 
 
 def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper: NAFHyper = NAFHyper()) -> GoalLearner:  # noqa: B008
@@ -97,6 +98,8 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
       one, weights stay as they are
     * `train(keys [P], weights [P, n], contexts [P, ...], rounds [P], longest []) -> weights [P, n]`: `P` policies
       together, each for its own number of rounds. `longest`, the largest of them, may be traced: it sets the time taken.
+    * `tune(key, weights [n], trials [N], used [], updates) -> weights [n]`: one policy from the first `used` of given
+      trials, made anywhere; none where there are none
     """
     _check(naf, config)
     shapes = jax.eval_shape(problem.draw, jax.random.key(0))
@@ -129,7 +132,14 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
         state = jax.lax.fori_loop(0, longest, one, jax.vmap(start)(weights, contexts))
         return state.learner.online
 
-    return GoalLearner(start, step, train)
+    def tune(key, weights, trials, used, updates):
+        given = replace(config, updates=updates)
+        sized = jnp.maximum(used, 1)
+        batches = _batches(key, naf, problem, given, weights, trials, sized, jnp.ones(()))
+        rates = replace(hyper, learning_rate=hyper.learning_rate * (used > 0))
+        return jax.lax.scan(lambda s, b: naf.update(s, b, rates), naf.fresh(weights), batches)[0].online
+
+    return GoalLearner(start, step, train, tune)
 
 
 def _collect(key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, context) -> Trials:

@@ -42,12 +42,14 @@ def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
     figures = []
     if any(len(r["curve"]["median"]) > 1 for r in rows):
-        figures.append((look.svg(draw.reward_over_iterations(results)), _CURVES))
+        caption = _CURVES if "reward" not in results else _PLAIN_CURVES
+        figures.append((look.svg(draw.reward_over_iterations(results)), caption))
     if reward_map is not None:
         figures.append((look.svg(_map(results, settings[0], reward_map)), _MAP))
     return {
         "results": results,
-        "headline": headline(rows),
+        "headline": headline(rows, "Reward" if "reward" in results else "Normalized reward"),
+        "scale": _scale(results),
         "settings": [(s, look.SETTINGS.get(s, s)) for s in settings],
         "methods": [(m, look.label(m), look.colour(m)) for m in methods],
         "cells": cells,
@@ -59,13 +61,21 @@ _CURVES = (
     "Reward of the best distribution at each iteration: median over seeds, shaded between the quartiles. "
     "0 is one policy for all of Omega (UDR), 1 the best policy whose parameters lie in Omega."
 )
+_PLAIN_CURVES = (
+    "Reward of the best distribution at each iteration (for methods without distributions: at each of their budgets of "
+    "target trials): median over seeds, shaded between the quartiles."
+)
+_NORMALISED = (
+    "0 is UDR, 1 the best policy of Omega; beside each mean its 95 % interval over seeds. AdaptSim spends {starts} target "
+    "rollouts an iteration, system identification one."
+)
 _MAP = (
     "What each seed's best policy was trained on. Colours are the largest reward that a pair of masses can earn in the "
     "target; the box is Omega, and the star the target's own masses, which no method may choose."
 )
 
 
-def headline(rows: list[Mapping[str, Any]]) -> str:
+def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> str:
     """One sentence: how AdaptSim did beside the better SysID baseline, in the settings where both ran."""
     by = {(r["method"], r["setting"]): r["mean"] for r in rows}
     told = []
@@ -78,8 +88,14 @@ def headline(rows: list[Mapping[str, Any]]) -> str:
         beside = f" (system identification {max(known):.2f})" if known else ""
         told.append(f"{look.SETTINGS.get(setting, setting)} {ours:.2f}{beside}")
     if not told:
-        return "Normalized rewards of the methods that ran"
-    return "Normalized reward of AdaptSim: " + ", ".join(told)
+        return f"{what}s of the methods that ran"
+    return f"{what} of AdaptSim: " + ", ".join(told)
+
+
+def _scale(results: Mapping[str, Any]) -> str:
+    if "reward" in results:
+        return f"{look.reward_of(results, long=True)}. Beside each mean its 95 % interval over seeds."
+    return _NORMALISED.format(starts=results["starts"])
 
 
 def _cell(r: Mapping[str, Any]) -> dict[str, str]:

@@ -37,7 +37,7 @@ def table(results: Mapping[str, Any]) -> str:
     across = lambda cell: _grid(head, methods, cell, settings, cells)
     spread = lambda r, *keys: f"{_number(r[keys[0]])} [{_number(r[keys[1]])}, {_number(r[keys[2]])}]"
     parts = [
-        f"Normalized reward (0 UDR, 1 best in Omega, not clipped), {results['seeds']} seeds, "
+        f"{look.reward_of(results, long=True)}, {results['seeds']} seeds, "
         f"{results['iterations']} iterations, {results['starts']} initial distributions.",
         "Mean over seeds of the best iteration [95 % interval of the mean]:",
         across(lambda r: spread(r, "mean", "low", "high")),
@@ -45,9 +45,8 @@ def table(results: Mapping[str, Any]) -> str:
         across(lambda r: spread(r, "median", "q25", "q75")),
         "Mean over seeds at the last iteration, and in brackets the best mean of any one iteration:",
         across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
-        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed over the 12 observed "
-        "points; median over seeds):",
-        across(_discrepancy),
+        *_discrepancies(rows, across),
+        *_failures(rows),
         f"Target rollouts for one target: {_trials(rows, methods)}.",
         f"Command: `{results['command']}`",
     ]
@@ -74,6 +73,23 @@ def _name(method: str) -> str:
 
 def _number(value: float | None) -> str:
     return "fails" if value is None else f"{value:.2f}"
+
+
+def _discrepancies(rows, across) -> list[str]:
+    if not any("discrepancy" in r for r in rows):
+        return []
+    return [
+        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed over the 12 observed "
+        "points; median over seeds):",
+        across(_discrepancy),
+    ]
+
+
+def _failures(rows) -> list[str]:
+    """How many trials failed, of those made, the scored ones included; nothing where that is not counted."""
+    counted = [r for r in rows if "made" in r]
+    failed, made = (sum(r[key] for r in counted) for key in ("failed", "made"))
+    return [f"Trials that failed (reward 0): {failed} of {made}."] if made else []
 
 
 def _discrepancy(r: Mapping[str, Any]) -> str:

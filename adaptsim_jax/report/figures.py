@@ -18,7 +18,11 @@ COLOURS = {
     "sysid_point": "#009E73",
     "sysid_point_state": "#6FBF8F",
     "gradient": "#CC79A7",
+    "bayesopt": "#F0E442",
     "udr": "#777777",
+    "udr_target": "#8C6BB1",
+    "learn_in_target": "#A6761D",
+    "oracle": "#000000",
     "best_in_omega": "#000000",
 }
 LABELS = {
@@ -29,13 +33,24 @@ LABELS = {
     "sysid_point": "SysID-Point",
     "sysid_point_state": "SysID-Point-State",
     "gradient": "Gradient (of the target)",
+    "bayesopt": "BayesOpt",
     "udr": "UDR",
+    "udr_target": "UDR+Target",
+    "learn_in_target": "LearnInTarget",
+    "oracle": "Oracle (best actions)",
     "best_in_omega": "Best in Ω",
 }
 MARKERS = {"adaptsim": "o", "sysid_bayes": "s", "sysid_point": "^", "gradient": "D"}
 SETTINGS = {"wd": "WD"} | {f"ood-{i}": f"OOD-{i}" for i in range(1, 5)}
 INK, MUTED, GRID = "#20262e", "#5d6875", "#dde2e8"
 REWARD = "normalized reward (0 UDR, 1 best in Ω)"
+
+
+def reward_of(results, long: bool = False) -> str:
+    """What the rewards of `results` are: in the task's own unit, or normalised as the pendulum's."""
+    if "reward" in results:
+        return f"Reward ({results['reward']}; oracle: {results['oracle']})" if long else "reward"
+    return "Normalized reward (0 UDR, 1 best in Omega, not clipped)" if long else REWARD
 
 
 def setting(name: str) -> str:

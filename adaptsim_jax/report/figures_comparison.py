@@ -26,7 +26,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
         ax.set_ylim(bottom, 1.08)
         ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         ax.set_xlabel("iteration", fontsize=8.5)
-    axes[0].set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=8.5)
+    axes[0].set_ylabel(look.reward_of(results).replace(" (", "\n("), fontsize=8.5)
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(
         handles,
@@ -64,7 +64,7 @@ def rewards(results: Mapping[str, Any], left: float = -0.4) -> Figure:
         ax.set_xlim(left, 1.08)
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
     axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
-    figure.supxlabel("best-iteration " + look.REWARD, fontsize=8.5)
+    figure.supxlabel("best-iteration " + look.reward_of(results), fontsize=8.5)
     return figure
 
 

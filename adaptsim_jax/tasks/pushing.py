@@ -145,6 +145,14 @@ def seen_goal(goal: jax.Array) -> jax.Array:
     )
 
 
+def unseen(place: jax.Array) -> jax.Array:
+    """`seen_goal` undone: `[..., 2]` m."""
+    lead = (1,) * (place.ndim - 1)
+    return place * jnp.asarray(_HALF, place.dtype).reshape(*lead, 2) + jnp.asarray(_MIDDLE, place.dtype).reshape(
+        *lead, 2
+    )
+
+
 def make_pushing_naf(config: PushingConfig) -> NAF:
     """The learner whose weights a `PushingPolicy` holds."""
     return make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=config.hidden))
@@ -160,7 +168,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
     """The push as a `Task`, simulated with the planar model."""
     options = _checked(config)
     space, naf, act = pushing_space(config), make_pushing_naf(config), make_policy(config)
-    learner = make_goal_learner(naf, _problem(space, options), config.training, _rates(config))
+    learner = make_goal_learner(naf, _problem(space, options), config.training, naf_rates(config))
     block = config.training.block
 
     def train_many(keys, dists, policies, trials):
@@ -173,7 +181,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         weights = learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)
         return PushingPolicy(weights[0])
 
-    grid = _test_goals(config.tests)
+    grid = goal_lattice(config.tests)
 
     def rollout(key, policy, params):
         goals = jax.vmap(draw_goal)(jax.random.split(key, config.trajectories))
@@ -203,10 +211,18 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
 def measured(goals: jax.Array, places: jax.Array, tested: jax.Array | None = None) -> PushingTrajectory:
     """The trajectory of `N` pushes for `goals [N, 2]` m from the bottle's `places [N, T, 2]` m at even times, from any
     backend or from a camera; the last row is the end."""
-    T = places.shape[1]
-    rows = np.round(T * np.arange(1, POINTS + 1) / POINTS).astype(int) - 1
-    rewards = push_reward(places[:, -1], goals)
-    return PushingTrajectory(goals, places[:, rows], rewards, rewards.mean() if tested is None else tested)
+    return of_points(goals, places[:, observed_rows(places.shape[1])], tested)
+
+
+def of_points(goals: jax.Array, points: jax.Array, tested: jax.Array | None = None) -> PushingTrajectory:
+    """The same from the six points `[N, 6, 2]` m alone."""
+    rewards = push_reward(points[:, -1], goals)
+    return PushingTrajectory(goals, points, rewards, rewards.mean() if tested is None else tested)
+
+
+def observed_rows(T: int) -> np.ndarray:
+    """`[6]`: which of `T` rows the six points are."""
+    return np.round(T * np.arange(1, POINTS + 1) / POINTS).astype(int) - 1
 
 
 def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
@@ -225,14 +241,14 @@ def _problem(space: Space, options: PushOptions) -> GoalProblem:
     return GoalProblem(draw_goal, seen_goal, trial, push_reward)
 
 
-def _test_goals(count: int) -> jax.Array:
+def goal_lattice(count: int) -> jax.Array:
     """`[count, 2]` m: goals spread over the sector, the same for every policy (a golden-ratio lattice)."""
     row = np.arange(count) + 0.5
     u = np.stack([row / count, row * 0.6180339887 % 1.0], -1)
     return _goal_at(jnp.asarray(u, jnp.float32))
 
 
-def _rates(config: PushingConfig) -> Any:
+def naf_rates(config: PushingConfig) -> Any:
     return NAFHyper(learning_rate=config.learning_rate, max_grad_norm=10.0)
 
 

@@ -6,10 +6,13 @@ from typing import Any
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.one_shot import OneShot
 from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
 from adaptsim_jax.tasks.pushing import PushingConfig, make_pushing
+from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
 
 TASKS = {"pendulum": (PendulumConfig, make_pendulum), "pushing": (PushingConfig, make_pushing)}
+ONE_SHOTS = {"pushing": make_pushing_one_shot}
 
 
 def _mended(name: str, options: dict[str, Any], where: str) -> Task:
@@ -41,3 +44,11 @@ def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task
             raise BadInput(f"{where}: a mended model of task '{name}' is not in this version yet; leave 'model' out")
         return _mended(name, dict(options), where)
     return make(config.from_table(kind, dict(options), where))
+
+
+def make_one_shot(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> OneShot:
+    """The task called `name` as the baselines see tasks of one decision a trial. BadInput as `make_task`."""
+    kind, _ = TASKS[config.pick("task", name, TASKS)]
+    if name not in ONE_SHOTS:
+        raise BadInput(f"task '{name}' cannot be compared yet; there is: pendulum, {', '.join(ONE_SHOTS)}")
+    return ONE_SHOTS[name](config.from_table(kind, dict(options), where))

@@ -29,7 +29,7 @@ def test_goals_lie_in_the_papers_region():
     goals = np.asarray(jax.vmap(pushing.draw_goal)(jax.random.split(jax.random.key(0), 2000)))
     assert goals[:, 0].min() > 0.69 and goals[:, 0].max() <= 1.0 and np.ptp(goals[:, 0]) > 0.29
     assert np.abs(np.arctan2(goals[:, 1], goals[:, 0] - 0.45)).max() <= 0.175 + 1e-6
-    grid = np.asarray(pushing._test_goals(24))
+    grid = np.asarray(pushing.goal_lattice(24))
     assert abs(grid.mean(0)[0] - goals.mean(0)[0]) < 0.01 and abs(grid.mean(0)[1]) < 0.01
 
 
@@ -82,7 +82,7 @@ def test_rollout_is_the_models_push_of_the_policys_action():
     np.testing.assert_allclose(got.points[:, -1], final(got.goals), atol=1e-6)
     np.testing.assert_allclose(got.rewards, pushing.push_reward(final(got.goals), got.goals), atol=1e-5)
     np.testing.assert_allclose(
-        got.tested, pushing.push_reward(final(pushing._test_goals(6)), pushing._test_goals(6)).mean(), atol=1e-5
+        got.tested, pushing.push_reward(final(pushing.goal_lattice(6)), pushing.goal_lattice(6)).mean(), atol=1e-5
     )
 
 
@@ -104,7 +104,7 @@ def test_training_reaches_most_of_what_the_model_allows():
     dist = gaussian(task.space, task.space.unit(params))
     trained = jax.jit(task.train)(jax.random.key(1), dist, policy)
     reward = lambda p: float(jax.jit(task.rollout)(jax.random.key(2), p, params).tested)
-    best = _oracle(params, pushing._test_goals(config.tests))
+    best = _oracle(params, pushing.goal_lattice(config.tests))
     assert reward(policy) < 0.7 * best
     assert reward(trained) > 0.9 * best
 

@@ -1,0 +1,134 @@
+"""Where the methods of the comparison meet their targets: batches of policies tried, observed and scored, whatever the engine.
+
+A batch `[B]` holds every seed, target and start at once. Compiled code ends at the target's door, so that a target may be
+Drake as well as a model in JAX. What a method is told of a target is what its own trials showed; the mean reward over the
+test contexts is for the table alone.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.space import gaussian
+from adaptsim_jax.tasks.one_shot import OneShot, World
+
+TOGETHER = 10  # policies trained side by side: more do not fit into a core's cache
+
+
+class Trials(NamedTuple):
+    """`N` trials of each of `B`: contexts `[B, N, g]`, actions `[B, N, d]`, outcomes `[B, N, ...]`."""
+
+    contexts: np.ndarray
+    actions: np.ndarray
+    outcomes: Any
+
+
+class Seen(NamedTuple):
+    """What a policy's own trials showed: `obs [B, obs_dim]`, raw return `score [B]`."""
+
+    obs: np.ndarray
+    score: np.ndarray
+
+
+class Arena:
+    """`targets [T, D]` (physical) in a `world`. Counts the trials that failed, by target: `failed [T]`, of `made [T]`."""
+
+    def __init__(self, one: OneShot, world: World, targets: np.ndarray):
+        self.one, self.world = one, world
+        self.targets = np.asarray(targets, np.float32)
+        self.failed, self.made = np.zeros(len(targets), int), np.zeros(len(targets), int)
+        self._draw = jax.jit(
+            jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)), static_argnums=1
+        )
+        self._act = jax.jit(jax.vmap(one.act))
+        self._act_tests = jax.jit(jax.vmap(one.act, (0, None)))
+        self._explore = jax.jit(jax.vmap(one.explore))
+        self._reward = jax.jit(jax.vmap(jax.vmap(one.reward)))
+        self._seen = jax.jit(jax.vmap(self._look))
+        self._train = jax.jit(lambda *work: jax.lax.map(lambda w: self._one(*w), work, batch_size=TOGETHER))
+
+    def _look(self, contexts, outcomes):
+        trajectory = self.one.trajectory(contexts, outcomes)
+        return self.one.task.observe(trajectory), self.one.task.score(trajectory)
+
+    def _one(self, key, mean, policy):
+        return self.one.task.train(key, gaussian(self.one.task.space, mean), policy)
+
+    def train(self, keys, means, policies):
+        """Task policies `[B, ...]` trained at `means [B, D]` (unit coordinates), going on from `policies`."""
+        return self._train(keys, jnp.asarray(means, jnp.float32), policies)
+
+    def untrained(self, keys):
+        """Policies `[B, ...]` as the task starts them."""
+        return jax.jit(jax.vmap(self.one.task.init_policy))(keys)
+
+    def contexts(self, keys, count: int) -> np.ndarray:
+        """`[B, count, g]` drawn as the task draws them."""
+        return np.asarray(self._draw(keys, count))
+
+    def visit(self, keys, where: np.ndarray, policies) -> Seen:
+        """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
+        contexts = self.contexts(keys, self.one.trials)
+        outcomes = self.run(where, contexts, np.asarray(self._act(policies, jnp.asarray(contexts))))
+        obs, score = self._seen(jnp.asarray(contexts), outcomes)
+        return Seen(np.asarray(obs), np.asarray(score))
+
+    def explored(self, keys, where: np.ndarray, policies, count: int) -> Trials:
+        """`count` trials of each policy with its learner's own noise."""
+        parts = jax.vmap(jax.random.split)(keys)
+        contexts = self.contexts(parts[:, 0], count)
+        actions = np.asarray(self._explore(parts[:, 1], policies, jnp.asarray(contexts)))
+        return Trials(contexts, actions, self.run(where, contexts, actions))
+
+    def score(self, where: np.ndarray, policies) -> np.ndarray:
+        """Mean reward `[B]` over the test contexts."""
+        return self.score_actions(where, np.asarray(self._act_tests(policies, jnp.asarray(self.one.tests))))
+
+    def score_actions(self, where: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """The same for `actions [B, G, d]`, one for each test context."""
+        contexts = np.broadcast_to(self.one.tests, (len(where), *self.one.tests.shape))
+        return np.asarray(self._reward(self.run(where, contexts, actions), jnp.asarray(contexts))).mean(1)
+
+    def run(self, where: np.ndarray, contexts: np.ndarray, actions: np.ndarray) -> Any:
+        """Outcomes `[B, N, ...]` of `actions [B, N, d]` in each one's target."""
+        B, N = actions.shape[:2]
+        flat = lambda x: np.ascontiguousarray(x).reshape(B * N, *x.shape[2:])
+        params = np.repeat(self.targets[where], N, 0)
+        outcomes, codes = self.world.run(params, flat(contexts), flat(actions))
+        np.add.at(self.failed, np.repeat(where, N), codes != 0)
+        np.add.at(self.made, np.repeat(where, N), 1)
+        return jax.tree.map(lambda x: np.asarray(x).reshape(B, N, *np.shape(x)[1:]), outcomes)
+
+
+class Lanes(NamedTuple):
+    """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a key for each."""
+
+    where: np.ndarray
+    seed: np.ndarray
+    keys: jax.Array
+    shape: tuple[int, int, int]
+
+    def grid(self, flat: np.ndarray) -> np.ndarray:
+        """`[B, ...] -> [T, S, N, ...]`."""
+        return np.asarray(flat).reshape(*self.shape, *np.shape(flat)[1:])
+
+    def at(self, number: int) -> jax.Array:
+        """Keys `[B]` of a visit."""
+        return jax.vmap(jax.random.fold_in, (0, None))(self.keys, number)
+
+
+def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> Lanes:
+    """Every target, seed and start. `label` tells methods apart, so that no two of them share randomness."""
+    t, s, n = (x.ravel() for x in np.meshgrid(range(targets), range(len(seeds)), range(starts), indexing="ij"))
+
+    def key(seed, lane):
+        return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), label), lane)
+
+    keys = jax.vmap(key)(jnp.asarray(np.asarray(seeds)[s], jnp.uint32), jnp.asarray(t * starts + n))
+    return Lanes(t, s, keys, (targets, len(seeds), starts))
+
+
+Progress = Callable[..., None]

@@ -1,0 +1,103 @@
+"""`adaptsim compare` for tasks whose policies are learned: the methods tried in a world, and the rows of results.json.
+
+Rewards are as the task gives them (for the push, as in the paper's Table 1, 20 cm is the most that counts): no normalising
+between UDR and the best of Omega. The oracle is what the best action for each test context earns in the target itself.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.baselines.arena import Arena
+from adaptsim_jax.baselines.bayesopt import bayesopt
+from adaptsim_jax.baselines.direct import learn_in_target, udr, udr_target
+from adaptsim_jax.baselines.learned import Bout, Trip, adaptsim, sysid_bayes, sysid_point
+from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig
+from adaptsim_jax.baselines.summary import row
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.progress import silent
+from adaptsim_jax.tasks.one_shot import OneShot, World
+
+RUNS: dict[str, Callable[[Bout], Trip]] = {
+    "adaptsim": adaptsim,
+    "sysid_bayes": sysid_bayes,
+    "sysid_point": sysid_point,
+    "bayesopt": bayesopt,
+    "udr": udr,
+    "udr_target": udr_target,
+    "learn_in_target": learn_in_target,
+}
+
+
+def compare_learned(
+    one: OneShot, names: list[str], config: CompareConfig, progress: Callable = silent
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows of `config.methods` (all) in the settings `names`, and what else results.json says of them."""
+    targets = np.array([one.task.space.values(one.task.settings[name], name) for name in names])
+    world = one.world(config.target or one.engine, **config.target_options)
+    methods = [m.replace("-", "_") for m in config.methods] or list(LEARNED_METHODS)
+    for method in methods:
+        if method not in LEARNED_METHODS:
+            raise BadInput(
+                f"compare: method '{method}' needs a task that is solved exactly; for {one.task.name} there is: "
+                f"{', '.join(LEARNED_METHODS)}"
+            )
+    progress(0, len(methods) + 1, "oracle")
+    oracle = np.array([np.mean(one.oracle(world, target)) for target in targets])
+    seeds, rows, cache = np.arange(config.seed, config.seed + config.seeds), [], {}
+    for i, method in enumerate(methods):
+
+        def report(done, of, note="", i=i, method=method):
+            progress(1 + i + done / max(of, 1), len(methods) + 1, f"{method} {note}".strip())
+
+        report(0, 1)
+        if method == "oracle":
+            curves = np.broadcast_to(oracle[:, None, None], (len(names), config.seeds, 1))
+            rows += [
+                row(method, n, c, oracle=o, target_trials=None) for n, c, o in zip(names, curves, oracle, strict=True)
+            ]
+        else:
+            arena = Arena(one, world, targets)
+            rows += trip_rows(method, names, RUNS[method](Bout(config, arena, seeds, report, cache)), oracle, arena)
+        report(1, 1)
+    return rows, _about(one, world, names, targets, oracle)
+
+
+def trip_rows(method: str, names: list[str], trip: Trip, oracle: np.ndarray, arena: Arena) -> list[dict[str, Any]]:
+    """A row for each target: at each iteration the best of the distributions that a method adapts at once."""
+    out, space = [], arena.one.task.space
+    for i, name in enumerate(names):
+        extras: dict[str, Any] = {
+            "trials": trip.spent,
+            "failed": int(arena.failed[i]),
+            "made": int(arena.made[i]),
+            "of_oracle": trip.rewards[i].max(axis=1).max(axis=1).mean() / oracle[i],
+        }
+        if trip.means is not None:
+            S = trip.rewards.shape[1]
+            best = trip.rewards[i].reshape(S, -1).argmax(1)
+            flat = trip.means[i].reshape(S, -1, space.dim)[np.arange(S), best]
+            last = trip.means[i][:, :, -1].reshape(-1, space.dim)
+            extras |= {"best_params": _physical(space, flat), "final_params": _physical(space, last)}
+        curves = trip.rewards[i].max(axis=1)
+        out.append(row(method, name, curves, oracle=oracle[i], target_trials=int(trip.spent[-1]), **extras))
+    return out
+
+
+def _physical(space: Any, means: np.ndarray) -> np.ndarray:
+    return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
+
+
+def _about(one: OneShot, world: World, names: list[str], targets: np.ndarray, oracle: np.ndarray) -> dict[str, Any]:
+    return {
+        "simulator": one.simulator,
+        "target_backend": world.name,
+        "reward": one.reward_unit,
+        "oracle": one.oracle_means,
+        "settings": {
+            name: {"params": [float(p) for p in target], "oracle_reward": float(best)}
+            for name, target, best in zip(names, targets, oracle, strict=True)
+        },
+    }

@@ -1,0 +1,122 @@
+"""The methods that adapt E, for tasks whose policies are learned: each visits distributions in every target, for every seed.
+
+`adaptsim`, the two SysID baselines and BayesOpt (`bayesopt.py`) train the same task policies in the same simulator and
+differ in how they choose where. All seeds, targets and starts advance together, a visit at a time.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.adapt.phase1 import make_phase1
+from adaptsim_jax.adapt.sweep import TrainedMany, stack, starts_of, train_many
+from adaptsim_jax.baselines import sysid
+from adaptsim_jax.baselines.arena import Arena, Progress, lanes
+from adaptsim_jax.baselines.sysid_bayes import mixture_estimator
+from adaptsim_jax.baselines.sysid_point import point_estimator
+from adaptsim_jax.progress import silent
+from adaptsim_jax.space import gaussian, step
+
+
+class Trip(NamedTuple):
+    """What a method did: `rewards [T, S, N, I + 1]` of its policies over the test contexts, `means [T, S, N, I + 1, D]` (unit
+    coordinates; None where it adapts no E), target trials spent by each visit `spent [I + 1]`, cumulated."""
+
+    rewards: np.ndarray
+    means: np.ndarray | None
+    spent: np.ndarray
+
+
+@dataclass
+class Bout:
+    """What a method is given: the comparison's config, the arena, seeds `[S]`, and a report."""
+
+    config: Any
+    arena: Arena
+    seeds: np.ndarray
+    report: Progress = silent
+    cache: dict[str, Any] = field(default_factory=dict)  # what several methods start from, such as UDR's policies
+
+
+def adaptsim(bout: Bout) -> Trip:
+    """Phase 1 from scratch for every seed, Phase 2 in every target."""
+    phase1 = make_phase1(bout.arena.one.task, bout.config.train.phase1)
+    hypers = stack([bout.config.train.hyper] * len(bout.seeds))
+    trained = train_many(phase1, hypers, bout.seeds, progress=bout.report)
+    return phase2(bout, phase1, trained, bout.config.starts, bout.config.iterations)
+
+
+def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iterations: int) -> Trip:
+    """Greedy steps from `starts` members of each run's own S_E (paper, Algorithm 2), in the arena's targets."""
+    arena, space = bout.arena, phase1.task.space
+    batch = lanes(len(arena.targets), bout.seeds, starts, label=1)
+    first = starts_of(phase1, trained, bout.seeds, starts)
+    # lanes run over targets, seeds, starts; the same starts serve all targets
+    pick = lambda x: jnp.tile(x.reshape(-1, *x.shape[2:]), (len(arena.targets), *(1,) * (x.ndim - 2)))
+    mean, policies = np.asarray(pick(first.mean)), jax.tree.map(pick, first.policy)
+    weights, delta = trained.weights[batch.seed], trained.hyper.delta[batch.seed]
+
+    @jax.jit
+    def advance(mean, obs):
+        seen = jnp.concatenate([2.0 * mean - 1.0, obs], -1)
+        action = jax.vmap(phase1.bdq.greedy)(weights, seen)
+        return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, delta)
+
+    means, rewards = [], []
+    for i in range(iterations + 1):
+        train_keys, visit_keys = two_keys(batch.at(i))
+        policies = arena.train(train_keys, mean, policies)
+        seen = arena.visit(visit_keys, batch.where, policies)
+        means.append(mean)
+        rewards.append(arena.score(batch.where, policies))
+        mean = np.asarray(advance(jnp.asarray(mean), jnp.asarray(seen.obs)))
+        bout.report(i + 1, iterations + 1, "Phase 2")
+    spent = starts * arena.one.trials * np.arange(1, iterations + 2)
+    return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
+
+
+def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
+    """A SysID baseline from the centre of Omega: the loop of `sysid.py`, with a target of any engine."""
+    arena, task = bout.arena, bout.arena.one.task
+    config = replace(bout.config.sysid, iterations=bout.config.iterations)
+    network = estimator(task.space.dim, config)
+    batch = lanes(len(arena.targets), bout.seeds, 1, label)
+    begin = jax.jit(lambda keys: jax.lax.map(lambda k: sysid.start(k, task, network, config), keys))
+
+    def fitted(fit_config):
+        one = lambda k, s, o: sysid.learn(jax.random.split(k, 4), s, o, task, network, config, fit_config)
+        return jax.jit(lambda *work: jax.lax.map(lambda w: one(*w), work))
+
+    state, learn = begin(batch.keys), fitted(config.first_fit)
+    means, rewards = [], []
+    for i in range(config.iterations + 1):
+        learn_keys, visit_keys = two_keys(batch.at(i))
+        means.append(np.asarray(state.dist.mean))
+        rewards.append(arena.score(batch.where, state.policy))
+        bout.report(i + 1, config.iterations + 1)
+        if i == config.iterations:
+            break
+        seen = arena.visit(visit_keys, batch.where, state.policy)
+        state, _ = learn(learn_keys, state, jnp.asarray(seen.obs))
+        learn = fitted(config.next_fit) if i == 0 else learn
+    spent = arena.one.trials * np.arange(1, config.iterations + 2)
+    return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
+
+
+def sysid_bayes(bout: Bout) -> Trip:
+    """Mixture-density posterior within Omega; the policy is trained on its mean and spread."""
+    return identify(bout, mixture_estimator, label=2)
+
+
+def sysid_point(bout: Bout) -> Trip:
+    """One point regressed from the newest trials."""
+    return identify(bout, point_estimator, label=3)
+
+
+def two_keys(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+    parts = jax.vmap(jax.random.split)(keys)
+    return parts[:, 0], parts[:, 1]

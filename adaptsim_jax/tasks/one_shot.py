@@ -1,0 +1,105 @@
+"""Tasks with one decision a trial: a policy sees a context (a goal, where a piece lies) and chooses an action; the trial is open loop.
+
+What the baselines need of such a task beyond `Task`, so that they know nothing of what is pushed or scooped. Targets are
+*worlds*: the task's own simulator, or any other engine, that run trials one by one outside of compiled code.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.tasks.base import Task
+
+Array = Any
+Outcome = Any  # a pytree
+
+
+class World(NamedTuple):
+    """Where policies are tried. `run(params [B, D], contexts [B, g], actions [B, d]) -> (outcomes [B, ...], codes [B])`.
+
+    Actions span [-1, 1]. `codes` are 0, or why a trial failed, as `messages` say; its outcome is not-a-number, and its reward 0.
+    """
+
+    name: str
+    run: Callable[[Array, Array, Array], tuple[Outcome, np.ndarray]]
+    messages: dict[int, str]
+
+
+@dataclass(frozen=True)
+class OneShot:
+    """A `Task` of one decision a trial, as pure functions of one sample (`[...]` where any leading axes may stand).
+
+    tests: `[G, g]` contexts that a policy is scored on, the same for all. trials: a visit of the adaptation.
+    """
+
+    task: Task
+    tests: np.ndarray
+    trials: int
+    action_dim: int
+    draw: Callable[[Array], Array]  # (key) -> context [g]
+    act: Callable[[Any, Array], Array]  # (policy, contexts [N, g]) -> [N, d] in [-1, 1]
+    explore: Callable[[Array, Any, Array], Array]  # (key, policy, contexts [N, g]) -> [N, d], with the learner's noise
+    reward: Callable[[Outcome, Array], Array]  # (outcome, context [g]) -> [] in [0, 1]; 0 for what is not finite
+    trajectory: Callable[[Array, Outcome], Any]  # (contexts [N, g], outcomes [N, ...]) -> the task's trajectory
+    train_uniform: Callable[[Array], Any]  # (key) -> one policy for all of Omega (UDR)
+    # (key, policy, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> policy, from the first `used` trials
+    tune: Callable[[Array, Any, Array, Array, Outcome, Array], Any]
+    inputs: Callable[[Array, Array], Array]  # (context, action) -> [p]: what an outcome depends on
+    outputs: Callable[[Outcome], Array]  # outcome -> [k]: what of it is predicted
+    worth: Callable[[Array, Array], Array]  # (predicted [k], context) -> []: the reward of it
+    world: Callable[..., World]  # (backend) -> World; BadInput for one that is not there
+    oracle: Callable[[World, np.ndarray], np.ndarray]  # (world, params [D]) -> [G] rewards of the best actions
+    engine: str  # the world that is the simulator
+    simulator: str  # in words, as results.json says it
+    reward_unit: str
+    oracle_means: str
+
+
+def action_grid(points: tuple[int, ...]) -> np.ndarray:
+    """`[A, d]`: a regular grid over `[-1, 1]^d`, `points[i]` a side."""
+    return np.array(list(product(*(np.linspace(-1.0, 1.0, n) for n in points))), np.float32)
+
+
+def best_actions(
+    world: World,
+    params: np.ndarray,
+    contexts: np.ndarray,
+    reward: Callable[[Outcome, Array], Array],
+    points: tuple[int, ...],
+    *,
+    shared: bool = False,
+    rounds: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`(rewards [G], actions [G, d])` of the best of a grid of actions for each of `contexts [G, g]` in `params [D]`.
+
+    `shared`: outcomes do not depend on the context, so that one grid serves all. Each of `rounds` then tries the
+    neighbours of each context's best action at half the spacing before.
+    """
+    G, d = len(contexts), len(points)
+    grid = action_grid(points)
+    valued = jax.jit(jax.vmap(reward))
+    if shared:
+        outcomes, _ = world.run(np.tile(params, (len(grid), 1)), np.tile(contexts[:1], (len(grid), 1)), grid)
+        every = np.asarray(jax.jit(jax.vmap(jax.vmap(reward, (0, None)), (None, 0)))(outcomes, jnp.asarray(contexts)))
+    else:
+        pairs = np.repeat(contexts, len(grid), 0)
+        outcomes, _ = world.run(np.tile(params, (len(pairs), 1)), pairs, np.tile(grid, (G, 1)))
+        every = np.asarray(valued(outcomes, jnp.asarray(pairs))).reshape(G, -1)
+    best, rewards = grid[every.argmax(1)], every.max(1)
+    spacing = 2.0 / (np.array(points) - 1)
+    around = action_grid((3,) * d)
+    around = around[np.abs(around).sum(1) > 0]
+    for k in range(rounds):
+        tried = np.clip(best[:, None] + around[None] * spacing / 2 ** (k + 1), -1.0, 1.0).astype(np.float32)
+        pairs, flat = np.repeat(contexts, len(around), 0), tried.reshape(-1, d)
+        outcomes, _ = world.run(np.tile(params, (len(flat), 1)), pairs, flat)
+        found = np.asarray(valued(outcomes, jnp.asarray(pairs))).reshape(G, -1)
+        better = found.max(1) > rewards
+        best = np.where(better[:, None], tried[np.arange(G), found.argmax(1)], best)
+        rewards = np.maximum(rewards, found.max(1))
+    return rewards, best

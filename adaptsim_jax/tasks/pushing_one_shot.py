@@ -1,0 +1,109 @@
+"""The push as the baselines see it: one push for a goal, tried in any of the four engines."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.errors import BadInput
+from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
+from adaptsim_jax.models import pushing as model
+from adaptsim_jax.models import pushing_planar as planar
+from adaptsim_jax.models.backends.pushing import make_backend
+from adaptsim_jax.models.pushing import PushOptions
+from adaptsim_jax.tasks import pushing as task
+from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
+from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy
+
+UDR_BUDGETS = 3  # UDR has to serve all of Omega: as many times the trials of one policy (M_max of the paper by M)
+TUNE_UPDATES = 200  # gradient steps on a target's trials, after each lot of them
+BOTTLES = {"paper": model.PAPER, "heavy": model.HEAVY, "light": model.LIGHT}
+
+
+def make_pushing_one_shot(config: PushingConfig) -> OneShot:
+    """The push with `config` for the comparison. Contexts are goals `[2]` m, outcomes the bottle's places `[6, 2]` m."""
+    made, naf = task.make_pushing(config), task.make_pushing_naf(config)
+    options = PushOptions(friction=config.friction, duration=config.duration)
+    space = made.space
+    learner = make_goal_learner(naf, _everywhere(space, options), config.training, task.naf_rates(config))
+    rounds = -(-UDR_BUDGETS * config.trials // config.training.block)
+
+    def train_uniform(key):
+        init_key, train_key = jax.random.split(key)
+        weights = naf.init(init_key).online[None]
+        return PushingPolicy(learner.train(train_key[None], weights, jnp.zeros(1), jnp.full(1, rounds), rounds)[0])
+
+    def tune(key, policy, goals, actions, points, used):
+        trials = Trials(goals, actions, points[:, -1])
+        return PushingPolicy(learner.tune(key, policy.weights, trials, used, TUNE_UPDATES))
+
+    def explore(key, policy, goals):
+        return naf.act(key, policy.weights, task.seen_goal(goals), config.training.noise)
+
+    def oracle(world, params):
+        points, zooms = ((161, 31), 0) if world.name == "planar" else ((17, 9), 3)
+        return best_actions(world, params, tests, _reward, points, shared=True, rounds=zooms)[0]
+
+    tests = np.asarray(task.goal_lattice(config.tests))
+    return OneShot(
+        task=made,
+        tests=tests,
+        trials=config.trajectories,
+        action_dim=2,
+        draw=task.draw_goal,
+        act=lambda policy, goals: naf.greedy(policy.weights, task.seen_goal(goals)),
+        explore=explore,
+        reward=_reward,
+        trajectory=lambda goals, points: task.of_points(goals, points),
+        train_uniform=train_uniform,
+        tune=tune,
+        inputs=lambda goal, action: action,
+        outputs=lambda points: task.seen_goal(points[-1]),
+        worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(task.unseen(seen) - goal) / task.WORST),
+        world=lambda backend, **settings: pushing_world(backend, options, **settings),
+        oracle=oracle,
+        engine="planar",
+        simulator="planar model of the push (JAX)",
+        reward_unit=f"1 - distance / {task.WORST} m, at least 0, mean over {config.tests} goals",
+        oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
+        "(in other engines than planar 17 x 9, then three rounds of neighbours)",
+    )
+
+
+def pushing_world(backend: str, options: PushOptions = model.PAPER, bottle: str = "paper", **settings: Any) -> World:
+    """The push in `backend` (planar, native, mjx, drake). Pushes that fail give not-a-number, hence reward 0.
+
+    bottle: `heavy` and `light` are the stand-ins whose mass and inertia no parameter models (not in planar). coefficients:
+    of planar, `drake` for its twin of Drake. Others are the engine's own, see `make_backend`.
+    """
+    if bottle not in BOTTLES:
+        raise BadInput(f"pushing, bottle = {bottle!r}: unknown; use one of {', '.join(BOTTLES)}")
+    if settings.get("coefficients") in ("drake", "native"):
+        settings["coefficients"] = planar.DRAKE if settings["coefficients"] == "drake" else planar.DEFAULT
+    body = BOTTLES[bottle]
+    chosen = PushOptions(options.friction, options.duration, body.mass, body.com, body.inertia)
+    simulate = make_backend(backend, chosen, **settings).simulate
+    rows = task.observed_rows(model.rows(chosen))
+
+    def run(params, goals, actions):
+        physical = np.asarray(task.physical_action(jnp.asarray(actions)))
+        found = simulate(np.asarray(params), physical, np.tile(model.START, (len(physical), 1)))
+        points = np.asarray(found.state[:, rows, :2], np.float32)
+        return np.where((found.code == model.FINE)[:, None, None], points, np.nan), np.asarray(found.code)
+
+    return World(backend, run, dict(model.MESSAGES))
+
+
+def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
+    return task.push_reward(points[-1], goal)
+
+
+def _everywhere(space: Any, options: PushOptions) -> GoalProblem:
+    """Pushes at parameters spread uniformly over Omega, a new draw for each."""
+
+    def trial(key, context, action):
+        params = space.physical(space.sample(key))
+        return planar.rollout(params, task.physical_action(action), options)[-1]
+
+    return GoalProblem(task.draw_goal, task.seen_goal, trial, task.push_reward)
