@@ -11,6 +11,7 @@ EXAMPLES = """
   adaptsim adapt runs/a --target my_robot.toml     m1 = 1.4, m2 = 0.6, ... one line each
   adaptsim adapt runs/a --target out/model.toml    the mended model of `adaptsim diagnose` as the target
   adaptsim adapt runs/a --target wd --starts 4 --iterations 20
+  adaptsim adapt runs/p --target ood-2 --video     a run of the push: figures, and a film of its first and best policy
 """
 
 
@@ -22,6 +23,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=positive, default=2, metavar="N", help="initial distributions (2)")
     parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)")
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
+    parser.add_argument(
+        "--video", action="store_true", help="pushing: a film too (mp4 with the extra [video], else gif)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,10 +37,13 @@ def run(args: argparse.Namespace) -> int:
 
     from adaptsim_jax.adapt.training import adapt_run, load_run
     from adaptsim_jax.commands.common import output, read_target
+    from adaptsim_jax.errors import BadInput
     from adaptsim_jax.files import write_json
 
     trained = load_run(folder)
     task = trained.phase1.task
+    if args.video and task.name != "pushing":
+        raise BadInput(f"--video: there is no film of task '{task.name}'; leave it out")
     name, params, world = read_target(args.target, task)
     if world is not None:
         task = world
@@ -47,6 +54,11 @@ def run(args: argparse.Namespace) -> int:
         write_json(out / "result.json", found)
     _show(found)
     print(f"written: {out / 'result.json'}")
+    if task.name == "pushing":
+        from adaptsim_jax.commands.adapt_pushing import show
+
+        for line in show(trained, folder.config.get("task", {}), found, result, out, args.video):
+            print(line)
     return 0
 
 

@@ -101,7 +101,7 @@ def ask(args: argparse.Namespace) -> None:
     print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")
     path = session.folder / ("best.toml" if done else "policy.toml")
     config.write(path, {"what": what, "params": params} | session.hand.policy_file(session, policy))
-    session.hand.show(session, state, policy, done)
+    session.hand.show(session, state, policy, history, done)
     print(f"written: {path}")
     if done:
         print(f"all {total} {session.hand.TURN}s are told; best return {float(state.best_score):.6g}")

@@ -32,7 +32,7 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     return {"policy": policy_table(policy)}
 
 
-def show(session: Session, state: Any, policy: Any, done: bool) -> None:
+def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
     """Print the policy, and how to run it while trials are left; a mended model's controller needs the model beside it."""
     from adaptsim_jax import config
     from adaptsim_jax.commands.adapt import policy_table

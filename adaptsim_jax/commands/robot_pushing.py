@@ -25,10 +25,11 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     return {"hidden": list(_config(session).hidden), "policy": {"weights": policy.weights.tolist()}}
 
 
-def show(session: Session, state: Any, policy: Any, done: bool) -> None:
+def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
     """Print the pushes to make and write them to actions.csv; when all is told, the best policy's over the sector of goals."""
     if done:
         _best(session, policy)
+        print(f"written: {_figure(session, history)}")
         return
     pushes = _pushes(session, state)
     path = session.folder / "actions.csv"
@@ -96,6 +97,29 @@ def _best(session: Session, policy: Any) -> None:
     print(f"written: {path}: its push for {GRID} goals; for any other:")
     print("  from adaptsim_jax.tasks.pushing_measured import read_policy")
     print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")
+
+
+def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
+    """The pushes as they were measured, a row a start, and the parameters of the start that holds the best."""
+    import numpy as np
+
+    from adaptsim_jax.commands.adapt_pushing import axes, picked
+    from adaptsim_jax.report import figures as look
+    from adaptsim_jax.report import figures_pushing as draw
+
+    turns = session.table["iterations"] + 1
+    starts = [history[i : i + turns] for i in range(0, len(history), turns)]
+    scores = np.array([[visit["score"] or 0.0 for visit in start] for start in starts])
+    best = int(scores.max(1).argmax())
+    panels, heads = [], []
+    for first, row, start in zip(range(1, len(history) + 1, turns), scores, starts, strict=True):
+        shown = picked(turns, int(row.argmax()))
+        panels.append([[draw.Push(p["goal"], p["points"], p["reward"]) for p in start[i]["pushes"]] for i in shown])
+        heads.append([f"iteration {first + i}" for i in shown])
+    params = np.array([list(visit["params"].values()) for visit in starts[best]])
+    space = session.trained.phase1.task.space
+    figure = draw.pushes_over_iterations(panels, heads, params, axes(space), first=1 + best * turns)
+    return look.save(figure, session.folder / "pushes.png")
 
 
 def _write_actions(path: Path, pushes: Pushes) -> None:

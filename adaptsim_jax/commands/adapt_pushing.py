@@ -1,0 +1,99 @@
+"""What `adaptsim adapt` shows of the push: table tops over iterations, and a film of the first and the best policy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+COLUMNS = 6
+GOALS = ((0.78, 0.05), (0.93, -0.06))  # m: a near one on the left and a far one on the right
+
+
+def show(
+    trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
+) -> list[str]:
+    """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
+    from adaptsim_jax import config
+    from adaptsim_jax.report import figures as look
+    from adaptsim_jax.report import figures_pushing as draw
+    from adaptsim_jax.tasks.pushing import PushingConfig
+
+    task, made = trained.phase1.task, config.from_table(PushingConfig, options, found["run"])
+    start, best = np.unravel_index(np.nanargmax(np.asarray(result.history.score)), result.history.score.shape)
+    target = np.array(list(found["target"]["params"].values()))
+    goals, actions, tracks, rewards = _pushes(made, result, int(start), target)
+    shown = picked(len(tracks), int(best))
+    panels = [[[draw.Push(goals[g], tracks[i, g], rewards[i, g])] for i in shown] for g in range(len(goals))]
+    params = np.asarray(task.space.physical(result.history.mean[start]))
+    figure = draw.pushes_over_iterations(
+        panels,
+        [[f"iteration {i}" + (" (best)" if i == best else "") for i in shown]],
+        params,
+        axes(task.space),
+        patch=float(target[3]),
+        target=target.tolist(),
+    )
+    lines = [f"written: {look.save(figure, out / 'pushes.png')}"]
+    if video:
+        pair = [(0, "first"), (int(best), "best")] if best else [(0, "best")]
+        lines.append(_film(made, target, goals[1], [(i, word, actions[i, 1]) for i, word in pair], out))
+    return lines
+
+
+def axes(space: Any) -> list[Any]:
+    """Omega as the figures need it."""
+    from adaptsim_jax.report.figures_pushing import Axis
+
+    return [Axis(p.name, p.low, p.high, p.scale == "log") for p in space.parameters]
+
+
+def picked(count: int, best: int) -> list[int]:
+    """The first, the last and evenly between them; the best takes the place of the one nearest to it."""
+    shown = sorted({round(i) for i in np.linspace(0, count - 1, min(COLUMNS, count))})
+    if best not in shown:
+        last = len(shown) - 1
+        shown[min(range(len(shown)), key=lambda k: (abs(shown[k] - best), k in (0, last)))] = best
+    return shown
+
+
+def _pushes(made: Any, result: Any, start: int, target: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Goals `[G, 2]`, and for each visit of the start: actions `[I + 1, G, 2]`, tracks `[I + 1, G, T, 2]`, rewards `[I + 1, G]`."""
+    import jax
+    import jax.numpy as jnp
+
+    from adaptsim_jax.models import pushing_planar as planar
+    from adaptsim_jax.models.pushing import PushOptions
+    from adaptsim_jax.tasks import pushing
+
+    policy = jax.tree.map(lambda x: x[start], result.history.policy)
+    options = PushOptions(friction=made.friction, duration=made.duration)
+    goals, act = jnp.asarray(GOALS), pushing.make_policy(made)
+
+    @jax.jit
+    def run(policy):
+        actions = jax.vmap(lambda p: act(p, goals))(policy)
+        one = lambda a: planar.rollout(jnp.asarray(target, jnp.float32), a, options)
+        tracks = jax.vmap(jax.vmap(one))(actions)
+        return actions, tracks, pushing.push_reward(tracks[..., -1, :], goals[None])
+
+    return tuple(map(np.asarray, (goals, *run(policy))))
+
+
+def _film(made: Any, target: np.ndarray, goal: np.ndarray, picked: list[tuple[int, str, np.ndarray]], out: Path) -> str:
+    """The pushes in the MuJoCo scene, on film."""
+    from adaptsim_jax.models.backends.pushing import make_backend
+    from adaptsim_jax.models.pushing import START, PushOptions
+    from adaptsim_jax.report.push_video import Clip, write_push_video
+
+    actions = np.stack([action for _, _, action in picked])
+    scene = make_backend("native", PushOptions(friction=made.friction, duration=made.duration))
+    states, _ = scene.simulate(np.tile(target, (len(picked), 1)), actions, np.tile(START, (len(picked), 1)))
+    clips = []
+    for (iteration, word, action), state in zip(picked, states, strict=True):
+        apart = 100 * np.linalg.norm(state[-1, :2] - goal)
+        text = f"iteration {iteration} ({word}): {apart:.0f} cm from the goal"
+        clips.append(Clip(state, action, goal, float(target[3]), text))
+    path, how = write_push_video(clips, out)
+    return f"written: {path}, {how}"
