@@ -20,7 +20,7 @@ from adaptsim_jax.report.video_file import write_video
 
 WIDTH, HEIGHT = 640, 360
 YELLOW, WAY = (0.95, 0.75, 0.05, 1.0), (0.0, 0.35, 0.6, 1.0)
-CAMERA = {"azimuth": 115.0, "elevation": -44.0, "distance": 0.72, "lookat": (0.82, 0.0, 0.02)}
+CAMERA = {"azimuth": 115.0, "elevation": -44.0, "distance": 0.64, "lookat": (0.78, 0.07, 0.03)}
 
 
 def main(clips: str, film: str) -> None:
