@@ -90,7 +90,7 @@ def sparse_regression(d: Declared, python: str) -> Active:
 
 def bic_forward(d: Declared, python: str) -> Active:
     """Least squares and BIC, every sample counted as independent."""
-    from adaptsim_jax.closeloop.fit import MAX_ACTIVE
+    from adaptsim_jax.closeloop.fit import ROOM
     from adaptsim_jax.closeloop.problem import fit_plain
     from adaptsim_jax.closeloop.search import started
     from adaptsim_jax.closeloop.view import view
@@ -109,7 +109,7 @@ def bic_forward(d: Declared, python: str) -> Active:
         c, tried = current.candidate, []
         for r in seen.ranked(exclude=current.active, plain=True)[:SHORTLIST]:
             active = (*current.active, r.instance)
-            if _size(problem, active) > MAX_ACTIVE:
+            if _size(problem, active) > ROOM[-1]:
                 continue  # more than the package's fit takes at once
             result = fit_plain(problem, active, c.theta, started(problem, current, r), c.refit.point.x0)
             tried.append((bic(result), active, result))

@@ -27,6 +27,7 @@ from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
+from adaptsim_jax.closeloop.trim import trimmed
 from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide
 from adaptsim_jax.closeloop.view import View, view
 from adaptsim_jax.files import output_folder, write_bytes
@@ -102,6 +103,7 @@ def examine(
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
+    found, tested = trimmed(problem, found, first, settings)
     seen = found.view or first
     after = before if not found.added else leftover(problem, seen)
     powers = power(problem, seen, settings)
@@ -111,7 +113,7 @@ def examine(
     reached = 1.0 if flexible is None else flexible.rmse / error_before.rmse()
     verdict = decide(found, before, after, settings, powered(powers), reached)
     say(7, STAGES, "held-out trials, mended model")
-    error_after = held_out(problem, found.final, seen) if verdict.named else error_before
+    error_after = (tested or held_out(problem, found.final, seen)) if verdict.named else error_before
     verdict = confirmed(verdict, error_before, error_after)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))

@@ -154,7 +154,7 @@ def estimate(
     if start is not None:
         first = np.log(np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12))
     bounds = [(np.log(0.05), np.log(50.0))] * n_sensor + [(np.log(1e-8), np.log(1e12))] * len(force)
-    options = {"maxiter": 40, "ftol": 1e-8}
+    options = {"maxiter": 40, "ftol": 1e-7}
     found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     a = np.exp(found.x) / scale
     return Components(a[:n_sensor], a[n_sensor:].reshape(lin.impulse.shape[2], len(CORRELATION_TIMES)))

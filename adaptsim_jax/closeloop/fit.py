@@ -17,7 +17,7 @@ from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure
 from adaptsim_jax.closeloop.windows import Windows
 
 CODES = ("converged", "reached the iteration limit", "no step lowers the cost", "diverged: cost is not finite")
-MAX_ACTIVE = 8
+ROOM = (4, 8)  # effect parameters that a compiled fit has room for: few, or the most that can be fitted at once
 Array = Any  # of JAX in a trace, of NumPy outside
 
 
@@ -132,9 +132,10 @@ def _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial
     held = layout.vector(lambda p, i: p.held or f"{i.effect.name}/{i.where}/{p.name}" in fixed).astype(bool)
     owner = np.array([k for k, i in enumerate(layout.instances) for _ in i.effect.parameters], int)
     free_eff = np.flatnonzero(np.asarray(mask, bool)[owner] & ~held & (low < high)) if layout.size else np.zeros(0, int)
-    if len(free_eff) > MAX_ACTIVE:
-        raise ValueError(f"{len(free_eff)} effect parameters at once; at most {MAX_ACTIVE} can be fitted")
-    active = np.concatenate([free_eff, np.full(MAX_ACTIVE - len(free_eff), -1)]).astype(int)
+    if len(free_eff) > ROOM[-1]:
+        raise ValueError(f"{len(free_eff)} effect parameters at once; at most {ROOM[-1]} can be fitted")
+    room = next(r for r in ROOM if len(free_eff) <= r)
+    active = np.concatenate([free_eff, np.full(room - len(free_eff), -1)]).astype(int)
     free = np.array([n not in fixed for n in plant.theta_names]) & (np.asarray(plant.low) < np.asarray(plant.high))
     prior = prior or Prior(np.zeros(len(free) + layout.size), np.zeros(len(free) + layout.size))
     pick = lambda a, b, spare: np.concatenate([a, np.where(active >= 0, np.append(b, spare)[active], spare)])
@@ -162,7 +163,7 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
     def simulated(theta, eff, x0):
         on = model.layout.masked(eff, problem.mask)
         drive = driven(model, theta, on, problem.mask, windows)
-        x, _ = trajectory(model, theta, on, drive, x0, windows.substeps)
+        x, _ = trajectory(model, theta, on, problem.mask, drive, x0, windows.substeps)
         return weight * measure(model, on, problem.mask, drive.time, x, first_angles(windows, x0), measured.shape[1])
 
     tangents = _tangents(problem, theta, eff, x0)

@@ -95,18 +95,19 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
             found.view, found.last = seen, ranked
     found.leading = None if current is found.final else current
     found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
-    found.classes = {e: _class_of(e, found, settings, problem.model.layout) for e in found.added}
+    found.classes = {e: class_of(e, found, settings, problem.model.layout) for e in found.added}
     return found
 
 
 def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: list[Ranked], settings: Settings, say):
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
-    leaders = _leaders(ranked, seen, current.active, settings)
+    done = unexplained(current, found.base) < settings.explained  # little is left: a shorter list will do
+    leaders = _leaders(ranked, seen, current.active, settings, settings.shortlist // 2 if done else settings.shortlist)
     trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
     trials = _finished(problem, trials, seen, settings)
     found.tried += trials
     best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
-    if best is not None:
+    if best is not None and _pays(best, current, settings):
         alike = _look_alikes(problem, _new(best, current), ranked, leaders)
         more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
         more = [settled(problem, t, seen.response) for t in more]
@@ -115,8 +116,8 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     return best, trials
 
 
-def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Settings) -> list[Ranked]:
-    """Candidates worth a whole refit: where anything is there at all, those that explain most by either linear score.
+def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Settings, count: int) -> list[Ranked]:
+    """The `count` candidates worth a whole refit: where anything is there, those that explain most by either score.
 
     The score of one candidate may be blunt (its effect is not small, or moves reversals), so what must be significant is
     the structure: some candidate, or some smooth force. And a slow effect hides in the covariance that it has inflated,
@@ -125,11 +126,11 @@ def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Setting
     seen = any(r.corrected(len(ranked)) < settings.alpha for r in ranked)
     if not seen and generic_p_value(view) >= settings.alpha:
         return []
-    half = settings.shortlist // 2
+    half = count // 2
     plain = [r for r in view.ranked(active, plain=True) if r.score.retained > 1e-3][:half]
     names = {r.instance for r in plain}
     fine = [r for r in ranked if r.score.retained > 1e-3 and r.instance not in names]
-    return plain + fine[: settings.shortlist - len(plain)]
+    return plain + fine[: count - len(plain)]
 
 
 def _finished(problem: Problem, trials: list[Fitted], seen: View, settings: Settings) -> list[Fitted]:
@@ -227,11 +228,12 @@ def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: S
 
 
 def _needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settings: Settings) -> bool:
-    """Whether an effect of a set earns its place. Where none of the set would by itself, it is enough that it matters."""
+    """Whether an effect of a set earns its place. Where none of the set would by itself, half the usual gain will do."""
     alone = len(new.active) - len(found.final.active) == 1
     if alone:
         return _earns(problem, new, without, found.base, settings)
-    return _pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
+    falls = unexplained(new, without) < 1.0 - 0.5 * settings.least_fall
+    return falls and _pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
 
 
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
@@ -282,7 +284,7 @@ def _merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Inst
     return out
 
 
-def _class_of(effect: Instance, found: Found, settings: Settings, layout: Layout) -> list[Instance]:
+def class_of(effect: Instance, found: Found, settings: Settings, layout: Layout) -> list[Instance]:
     """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival."""
     final = found.final
     wider = {i.effect.name for i in layout.instances if effect[0] in i.effect.contains}

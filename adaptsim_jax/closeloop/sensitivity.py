@@ -17,7 +17,16 @@ from adaptsim_jax.closeloop.atoms import Columns, columns_of, force_rows, measur
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit import FitResult
 from adaptsim_jax.closeloop.score import Atom
-from adaptsim_jax.closeloop.simulate import Model, Push, driven, first_angles, measure, row_step, trajectory
+from adaptsim_jax.closeloop.simulate import (
+    Model,
+    Push,
+    driven,
+    first_angles,
+    measure,
+    row_step,
+    switched_on,
+    trajectory,
+)
 from adaptsim_jax.closeloop.windows import Windows
 from adaptsim_jax.models.effects import Reach
 
@@ -105,9 +114,9 @@ def _linearised(result: FitResult, windows: Windows, path: Path, atoms: np.ndarr
 def _signatures(model: Model, windows: Windows, theta, eff, mask, x0, columns: Columns):
     eff = model.layout.masked(eff, mask)
     drive = driven(model, theta, eff, mask, windows)
-    x, memory = trajectory(model, theta, eff, drive, x0.T, windows.substeps)
+    x, memory = trajectory(model, theta, eff, mask, drive, x0.T, windows.substeps)
     weight = jnp.asarray(windows.weight).transpose(1, 2, 0)
-    phi, gamma = _row_maps(model, theta, eff, drive, x, memory, windows.substeps)
+    phi, gamma = _row_maps(model, theta, eff, mask, drive, x, memory, windows.substeps)
     see = partial(_sensed, model, eff, mask, drive, x, first_angles(windows, x[0]))
     impulse = _impulse(see, phi, gamma, weight)
     rows = force_rows(model, theta, eff, mask, windows, drive, x, columns)
@@ -117,7 +126,7 @@ def _signatures(model: Model, windows: Windows, theta, eff, mask, x0, columns: C
     return path, rows, change
 
 
-def _row_maps(model: Model, theta, eff, drive, x, memory, substeps: int):
+def _row_maps(model: Model, theta, eff, mask, drive, x, memory, substeps: int):
     """Derivatives of each row's end state by its start `[L, S, S, W]` and by a held force `[L, S, n, W]`.
 
     All rows are independent given the trajectory, so they are one batch. Memories are held: their own change with the
@@ -129,9 +138,10 @@ def _row_maps(model: Model, theta, eff, drive, x, memory, substeps: int):
     start, u, t, dt = batch(x[:-1]), batch(drive.u), batch(drive.stamps[:-1]), batch(drive.dt)
     memory = tuple(batch(w[:-1]) for w in memory)
     zero = jnp.zeros((joints, length * windows), x.dtype)
+    on = switched_on(model, mask)
 
     def end(x, force):
-        return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps)[0]
+        return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on)[0]
 
     _, push = jax.linearize(end, start, zero)
     eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((1, 1, length * windows), x.dtype)

@@ -39,7 +39,7 @@ def simulate(model: Model, theta, eff, mask, windows: Windows, x0) -> tuple[jax.
     """
     eff = model.layout.masked(eff, mask)
     drive = driven(model, theta, eff, mask, windows)
-    x, _ = trajectory(model, theta, eff, drive, x0.T, windows.substeps)
+    x, _ = trajectory(model, theta, eff, mask, drive, x0.T, windows.substeps)
     y = measure(model, eff, mask, drive.time, x, first_angles(windows, x0.T), windows.measured.shape[-1])
     return jnp.moveaxis(y, -1, 0), jnp.moveaxis(x, -1, 0)
 
@@ -91,6 +91,11 @@ def _any(model: Model, effects: list, mask):
     return jnp.asarray(mask, bool)[jnp.array(picked)].any()
 
 
+def switched_on(model: Model, mask) -> list:
+    """For each effect whether any instance of it acts."""
+    return [_any(model, [effect], mask) for effect in model.layout.effects]
+
+
 def mean_speed(v) -> jax.Array:
     """Mean of the speeds at the two ends of each row, time first: what carries a memory over the row."""
     return jnp.concatenate([0.5 * (v[1:] + v[:-1]), v[-1:]])
@@ -123,14 +128,15 @@ def _warm_memory(model: Model, theta, eff, mask, windows: Windows) -> tuple[jax.
     return tuple(out)
 
 
-def trajectory(model: Model, theta, eff, drive: Drive, x0, substeps: int):
+def trajectory(model: Model, theta, eff, mask, drive: Drive, x0, substeps: int):
     """States `[L+1, S, W]` and memories at every boundary from `x0: [S, W]`."""
     zero = jnp.zeros((model.plant.joint_dim, x0.shape[1]), x0.dtype)
     push = Push(zero, zero)
+    on = switched_on(model, mask)
 
     def row(carry, now):
         (u, t, dt), (x, memory) = now, carry
-        new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps)
+        new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps, on)
         return new, carry
 
     last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.stamps[:-1], drive.dt))

@@ -4,6 +4,7 @@ Any axes of a batch lie last. Effects are evaluated once for all joints and the 
 the graph stays small and vectorises.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -69,38 +70,56 @@ class Acting(NamedTuple):
     inertia: jax.Array
 
 
-def acting(model: Model, theta, eff, memory, x, u, t) -> Acting:
-    """What the force effects do at `x: [S, ...]`."""
+def acting(model: Model, theta, eff, memory, x, u, t, on=None) -> Acting:
+    """What the force effects do at `x: [S, ...]`. on `[effects]`: those that are False are skipped, at no cost but the
+    question; all count where None."""
     n = model.plant.joint_dim
     q, v = x[:n], x[n:]
-    force, level, inertia = jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
+    total = Acting(jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q))
     memories = iter(memory)
     for effect in model.layout.placed("force"):
         p = model.layout.params(effect, eff, q.ndim - 1)
         if effect.inertia:
-            inertia = inertia + effect.apply(p)
+            total = total._replace(inertia=total.inertia + effect.apply(p))
             continue
         w = next(memories) if effect.memory else jnp.zeros_like(q)
-        answer = effect.apply(p, motion_of(model, theta, q, v, u, t, w))
-        if isinstance(answer, Dry):
-            level = level + answer.level
-        force = force + (answer.force if isinstance(answer, (Dry, Relaxation)) else answer)
-    return Acting(force, level, inertia)
+
+        def add(total: Acting, p, theta, q, v, u, t, w, effect=effect) -> Acting:
+            answer = effect.apply(p, motion_of(model, theta, q, v, u, t, w))
+            level = total.level + answer.level if isinstance(answer, Dry) else total.level
+            force = answer.force if isinstance(answer, (Dry, Relaxation)) else answer
+            return Acting(total.force + force, level, total.inertia)
+
+        total = _where_on(model, effect, on, add, total, p, theta, q, v, u, t, w)
+    return total
 
 
-def remember(model: Model, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
+def remember(model: Model, theta, eff, memory, x, u, t, h, on=None) -> tuple[jax.Array, ...]:
+    """The effects' memories after `h` s at a constant state; those that are off stay as they are."""
     n = model.plant.joint_dim
     effects = [e for e in model.layout.placed("force") if e.memory]
     out = []
     for effect, w in zip(effects, memory, strict=True):
         p = model.layout.params(effect, eff, 1)
-        out.append(relax(effect.apply(p, motion_of(model, theta, x[:n], x[n:], u, t, w)), w, h))
+
+        def later(w, p, theta, x, u, t, h, effect=effect):
+            return relax(effect.apply(p, motion_of(model, theta, x[:n], x[n:], u, t, w)), w, h)
+
+        out.append(_where_on(model, effect, on, later, w, p, theta, x, u, t, h))
     return tuple(out)
 
 
-def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int):
+def _where_on(model: Model, effect, on, change: Callable, value, *args):
+    """`change(value, *args)` if `effect` is on, else `value`."""
+    if on is None:
+        return change(value, *args)
+    index = model.layout.effects.index(effect)
+    return jax.lax.cond(on[index], change, lambda value, *_: value, value, *args)
+
+
+def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int, on=None):
     """State and memories after a row of `dt: [W]` s from `x: [S, W]`: Runge-Kutta 4, memories relaxed exactly by half a
-    substep on each side of it (Strang splitting)."""
+    substep on each side of it (Strang splitting). on `[effects]`: as of `acting`."""
     h = dt / substeps
     wide = _lift(h, x)
     stages = (jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype), jnp.array([1.0, 2.0, 2.0, 1.0], x.dtype) / 6.0)
@@ -108,21 +127,21 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
     def substep(carry, i):
         x, memory = carry
         now = _later(t, i * h)
-        memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h)
+        memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h, on)
 
-        rub = _dry_force(model, theta, eff, memory, x, u, now, h, push)
+        rub = _dry_force(model, theta, eff, memory, x, u, now, h, push, on)
 
         def stage(inner, ab):
             slope, total = inner
             a, b = ab
             at = x + a * wide * slope
-            act = acting(model, theta, eff, memory, at, u, _later(now, a * h))
+            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on)
             slope = model.plant.deriv(theta, at, u, act.force + rub + push.force, act.inertia + push.inertia)
             return (slope, total + b * slope), None
 
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
         x = x + wide * total
-        memory = remember(model, theta, eff, memory, x, u, _later(now, h), 0.5 * h)
+        memory = remember(model, theta, eff, memory, x, u, _later(now, h), 0.5 * h, on)
         return (x, memory), None
 
     if substeps == 1:
@@ -130,7 +149,7 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
     return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=x.dtype))[0]
 
 
-def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on):
     """Mean force `[n, W]` of dry friction over a step of `h: [W]` s.
 
     Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
@@ -140,7 +159,7 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
     """
     n, plant = model.plant.joint_dim, model.plant
     q, v = x[:n], x[n:]
-    act = acting(model, theta, eff, memory, x, u, t)
+    act = acting(model, theta, eff, memory, x, u, t, on)
     inertia = act.inertia + push.inertia
     free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
     mass = plant.mass(plant.constants, theta, q)
@@ -148,7 +167,7 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push):
     answer = [solve_mass(mass, inertia, unit[j]) for j in range(n)]  # acceleration per force at each joint
     wide = _lift(h, q)
     ahead = jnp.concatenate([q, _halfway(v, free, wide)])
-    level = acting(model, theta, eff, memory, ahead, u, _later(t, 0.5 * h)).level
+    level = acting(model, theta, eff, memory, ahead, u, _later(t, 0.5 * h), on).level
     stop = free + v / jnp.where(wide > 0, wide, 1.0)
     hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
     force = [_within(hold[j], level[j]) for j in range(n)]
