@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.one_shot import OneShot, World
 
 TOGETHER = 10  # policies trained side by side: more do not fit into a core's cache
@@ -48,18 +47,20 @@ class Arena:
         self._explore = jax.jit(jax.vmap(one.explore))
         self._reward = jax.jit(jax.vmap(jax.vmap(one.reward)))
         self._seen = jax.jit(jax.vmap(self._look))
-        self._train = jax.jit(lambda *work: jax.lax.map(lambda w: self._one(*w), work, batch_size=TOGETHER))
+        self._train = jax.jit(jax.vmap(one.task.train))
 
     def _look(self, contexts, outcomes):
         trajectory = self.one.trajectory(contexts, outcomes)
         return self.one.task.observe(trajectory), self.one.task.score(trajectory)
 
-    def _one(self, key, mean, policy):
-        return self.one.task.train(key, gaussian(self.one.task.space, mean), policy)
-
-    def train(self, keys, means, policies):
-        """Task policies `[B, ...]` trained at `means [B, D]` (unit coordinates), going on from `policies`."""
-        return self._train(keys, jnp.asarray(means, jnp.float32), policies)
+    def train(self, keys, dists, policies):
+        """Task policies `[B, ...]` trained on `dists [B]`, going on from `policies`: one compiled program for every `B`."""
+        B = len(keys)
+        room = jnp.minimum(jnp.arange(-(-B // TOGETHER) * TOGETHER), B - 1)  # the last group is filled up
+        work = jax.tree.map(lambda x: x[room], (keys, dists, policies))
+        groups = [jax.tree.map(lambda x, i=i: x[i : i + TOGETHER], work) for i in range(0, len(room), TOGETHER)]
+        parts = [self._train(*group) for group in groups]
+        return jax.tree.map(lambda *x: jnp.concatenate(x)[:B], *parts)
 
     def untrained(self, keys):
         """Policies `[B, ...]` as the task starts them."""

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
@@ -9,6 +11,7 @@ from adaptsim_jax.baselines import gp
 from adaptsim_jax.baselines.arena import lanes
 from adaptsim_jax.baselines.learned import Bout, Trip, two_keys
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.space import gaussian
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ def bayesopt(bout: Bout) -> Trip:
     arena, config = bout.arena, bout.config.bayesopt
     total = config.points or bout.config.starts * (bout.config.iterations + 1)
     batch = lanes(len(arena.targets), bout.seeds, 1, label=7)
-    D = arena.one.task.space.dim
+    space, D = arena.one.task.space, arena.one.task.space.dim
     rngs = [
         np.random.default_rng([7, int(bout.seeds[s]), int(t)]) for t, s in zip(batch.where, batch.seed, strict=True)
     ]
@@ -44,7 +47,8 @@ def bayesopt(bout: Bout) -> Trip:
             for b, rng in enumerate(rngs):
                 points[b, i] = gp.propose(gp.fit(points[b, :i], told[b, :i], rng), rng)
         train_keys, visit_keys = two_keys(batch.at(i))
-        policies = arena.train(train_keys, points[:, i], arena.untrained(train_keys))
+        dists = jax.vmap(lambda m: gaussian(space, m))(jnp.asarray(points[:, i], jnp.float32))
+        policies = arena.train(train_keys, dists, arena.untrained(train_keys))
         told[:, i] = arena.visit(visit_keys, batch.where, policies).score
         rewards[:, i] = arena.score(batch.where, policies)
         bout.report(i + 1, total)

@@ -66,10 +66,11 @@ def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iteration
         action = jax.vmap(phase1.bdq.greedy)(weights, seen)
         return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, delta)
 
+    at = lambda m: gaussian(space, m)
     means, rewards = [], []
     for i in range(iterations + 1):
         train_keys, visit_keys = two_keys(batch.at(i))
-        policies = arena.train(train_keys, mean, policies)
+        policies = arena.train(train_keys, jax.vmap(at)(mean), policies)
         seen = arena.visit(visit_keys, batch.where, policies)
         means.append(mean)
         rewards.append(arena.score(batch.where, policies))
@@ -85,24 +86,24 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
     config = replace(bout.config.sysid, iterations=bout.config.iterations)
     network = estimator(task.space.dim, config)
     batch = lanes(len(arena.targets), bout.seeds, 1, label)
-    begin = jax.jit(lambda keys: jax.lax.map(lambda k: sysid.start(k, task, network, config), keys))
+    begin = jax.vmap(lambda a, b: sysid.untrained(a, b, task, network, config))
 
-    def fitted(fit_config):
-        one = lambda k, s, o: sysid.learn(jax.random.split(k, 4), s, o, task, network, config, fit_config)
+    def infers(fit_config):
+        one = lambda k, s, o: sysid.infer(jax.random.split(k, 3), s, o, task, network, config, fit_config)[0]
         return jax.jit(lambda *work: jax.lax.map(lambda w: one(*w), work))
 
-    state, learn = begin(batch.keys), fitted(config.first_fit)
+    state, infer = jax.jit(begin)(*two_keys(batch.keys)), infers(config.first_fit)
     means, rewards = [], []
     for i in range(config.iterations + 1):
-        learn_keys, visit_keys = two_keys(batch.at(i))
+        train_keys, visit_keys, infer_keys = (jax.vmap(jax.random.fold_in, (0, None))(batch.at(i), j) for j in range(3))
+        state = state._replace(policy=arena.train(train_keys, state.dist, state.policy))
         means.append(np.asarray(state.dist.mean))
         rewards.append(arena.score(batch.where, state.policy))
         bout.report(i + 1, config.iterations + 1)
-        if i == config.iterations:
-            break
-        seen = arena.visit(visit_keys, batch.where, state.policy)
-        state, _ = learn(learn_keys, state, jnp.asarray(seen.obs))
-        learn = fitted(config.next_fit) if i == 0 else learn
+        if i < config.iterations:
+            seen = arena.visit(visit_keys, batch.where, state.policy)
+            state = infer(infer_keys, state, jnp.asarray(seen.obs))
+            infer = infers(config.next_fit) if i == 0 and config.next_fit != config.first_fit else infer
     spent = arena.one.trials * np.arange(1, config.iterations + 2)
     return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
 

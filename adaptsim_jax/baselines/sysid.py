@@ -105,23 +105,31 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
 def start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
     """Before any data of the target: E at the centre of Omega, a policy trained there."""
     policy_key, train_key, net_key = jax.random.split(key, 3)
+    state = untrained(net_key, policy_key, task, estimator, config)
+    return state._replace(policy=task.train(train_key, state.dist, state.policy))
+
+
+def untrained(net_key, policy_key, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
+    """The same with the policy as the task starts it."""
     D = task.space.dim
     dist = Gaussian(jnp.full(D, 0.5), jnp.full(D, config.least_std))
-    policy = task.train(train_key, dist, task.init_policy(policy_key))
     variables = estimator.init(net_key, task.obs_dim)
-    draws = jax.eval_shape(estimator.infer, key, variables, jnp.zeros(task.obs_dim)).shape
-    return State(dist, policy, variables, jnp.zeros((config.iterations, *draws)), jnp.zeros((), int))
+    draws = jax.eval_shape(estimator.infer, net_key, variables, jnp.zeros(task.obs_dim)).shape
+    kept = jnp.zeros((config.iterations, *draws))
+    return State(dist, task.init_policy(policy_key), variables, kept, jnp.zeros((), int))
 
 
 def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[State, Info]:
     real_key, *keys = jax.random.split(key, 5)
     real = task.observe(task.rollout(real_key, state.policy, target))
-    return learn(keys, state, real, task, estimator, config, fit_config)
+    *keys, train_key = keys
+    told, info = infer(keys, state, real, task, estimator, config, fit_config)
+    return told._replace(policy=task.train(train_key, told.dist, state.policy)), info
 
 
-def learn(keys, state: State, real: jax.Array, task, estimator, config, fit_config) -> tuple[State, Info]:
-    """What comes after a rollout of `state.policy` in the target, of which `real [obs]` was observed; `keys [4]`."""
-    data_key, fit_key, infer_key, train_key = keys
+def infer(keys, state: State, real: jax.Array, task, estimator, config, fit_config) -> tuple[State, Info]:
+    """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was; `keys [3]`."""
+    data_key, fit_key, infer_key = keys
     x, u = simulate(data_key, task, state.policy, config)
     shift, scale = mdn.standardise(x)
     noise = config.noise * jax.random.normal(jax.random.fold_in(data_key, 1), x.shape)
@@ -131,9 +139,8 @@ def learn(keys, state: State, real: jax.Array, task, estimator, config, fit_conf
     used = kept if config.pool else draws[None]
     told = (jnp.arange(kept.shape[0]) <= state.count) if config.pool else jnp.ones(1, bool)
     dist, inside = within_omega(used, told, config.least_std)
-    policy = task.train(train_key, dist, state.policy)
     info = Info(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
-    return State(dist, policy, fitted.variables, kept, state.count + 1), info
+    return State(dist, state.policy, fitted.variables, kept, state.count + 1), info
 
 
 def simulate(key: jax.Array, task: Task, policy, config: SysIdConfig) -> tuple[jax.Array, jax.Array]:
