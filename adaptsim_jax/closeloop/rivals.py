@@ -52,12 +52,14 @@ class Fitted:
         return self.total - price * self.size
 
     def at_bound(self) -> tuple[str, ...]:
-        """Effect parameters that ended at the edge of what they may be. A shape at zero is no edge: Dahl's bristle has no
-        damping, and a lossless stop no loss."""
+        """Effect parameters that ended at the edge of what they may be. Some shapes have natural ends: Dahl's bristle has no
+        damping, a lossless stop no loss, and before a recording there was no torque, or the first one."""
         c = self.candidate
         stuck = zip(c.names, c.refit.point.z, c.refit.at_bound, strict=True)
         return tuple(
-            n for n, z, at in stuck if at and "/" in n and not (z == 0.0 and n.endswith(("/damping", "/loss")))
+            n
+            for n, z, at in stuck
+            if at and "/" in n and not n.endswith("/before") and not (z == 0.0 and n.endswith(("/damping", "/loss")))
         )
 
 

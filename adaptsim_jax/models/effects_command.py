@@ -33,26 +33,26 @@ def delay(p, t, u):
     duration = _durations(t)
     integral = jnp.concatenate([jnp.zeros_like(u[:1]), jnp.cumsum(u * duration, 0)[:-1]])
     t, late = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
-    arrived = _integral_at(t, u, integral, late)
+    arrived = _integral_at(t, u, integral, late, p["before"] * u[:1])
     mean = jnp.diff(arrived, axis=0) / jnp.where(duration > 0, duration, 1.0)[:-1]
     return jnp.concatenate([jnp.where(duration[:-1] > 0, mean, u[:-1]), u[-1:]])
 
 
-def _integral_at(t, u, integral, at):
-    """Running integral of the held command at times `at`; before the first row its value is held."""
+def _integral_at(t, u, integral, at, before):
+    """Running integral of the held command at times `at`, with a command `before: [1, ...]` ahead of the first row."""
 
-    def one(t, u, integral, at):
+    def one(t, u, integral, at, before):
         row = jnp.clip(
             jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 1
         )  # left: a knot belongs to the row before
-        return integral[row] + u[row] * (at - t[row])
+        return integral[row] + jnp.where(at < t[0], before[0], u[row]) * (at - t[row])
 
-    flat = [z.reshape(z.shape[0], -1) for z in (t, u, integral, at)]
+    flat = [z.reshape(z.shape[0], -1) for z in (t, u, integral, at, before)]
     return jax.vmap(one, 1, 1)(*flat).reshape(u.shape)
 
 
 def actuator_lag(p, t, u):
-    """First-order lag from the first command on: exact state at each row, exact mean over it."""
+    """First-order lag, from a share of the first command on: exact state at each row, exact mean over it."""
     duration = _durations(t) * jnp.ones_like(u)
     lag = jnp.maximum(p["lag"], 1e-9)
     keep = jnp.exp(-duration / lag)
@@ -61,7 +61,7 @@ def actuator_lag(p, t, u):
         u, keep = now
         return u + (state - u) * keep, state
 
-    _, state = jax.lax.scan(row, u[0], (u, keep))
+    _, state = jax.lax.scan(row, (p["before"] * u[:1])[0], (u, keep))
     share = p["lag"] * (1.0 - keep) / jnp.where(duration > 0, duration, 1.0)
     return u + (state - u) * share
 
@@ -82,9 +82,12 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
 
 
+BEFORE = Parameter("before", "1", 0.0, 1.0, 0.0, None)
+"""The torque as the recording begins, as a share of the first command: no log says what was commanded before it."""
+
 COMMAND = (
     Effect(
-        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1),), delay,
+        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
         "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
         jump=True, grid=_delays,
     ),
@@ -107,7 +110,7 @@ COMMAND = (
         ("load_friction", "rotor_inertia"),
     ),
     Effect(
-        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15),), actuator_lag,
+        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
         "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
         jump=True, grid=_lags,
     ),

@@ -190,7 +190,22 @@ def test_delay_and_lag_keep_the_impulse():
         u = jnp.zeros((400, 1)).at[20:24].set(2.0)
         for effect, p in (("delay", 0.0123), ("actuator_lag", 0.02)):
             (entry,) = (e for e in catalogue() if e.name == effect)
-            late = entry.apply({entry.parameters[0].name: jnp.array([[p]])}, t, u)
+            late = entry.apply({entry.parameters[0].name: jnp.array([[p]]), "before": jnp.array([[0.0]])}, t, u)
             np.testing.assert_allclose(late.sum() * 5e-3, u.sum() * 5e-3, rtol=1e-9)
             mean = (late * (t + 2.5e-3)).sum() / late.sum() - (u * (t + 2.5e-3)).sum() / u.sum()
             assert abs(float(mean) - p) < 2e-3 if effect == "delay" else abs(float(mean) - p) < 5e-3
+
+
+
+def test_what_was_commanded_before_the_recording_fades():
+    """A held command arrives at once where it was there before, late where it was not; later rows do not know."""
+    with jax.enable_x64(True):
+        t, u = jnp.arange(100)[:, None] * 5e-3, jnp.full((100, 1), 2.0)
+        for effect, size in (("delay", 0.0123), ("actuator_lag", 0.01)):
+            (entry,) = (e for e in catalogue() if e.name == effect)
+            p = {entry.parameters[0].name: jnp.array([[size]])}
+            held = entry.apply(p | {"before": jnp.array([[1.0]])}, t, u)
+            fresh = entry.apply(p | {"before": jnp.array([[0.0]])}, t, u)
+            np.testing.assert_allclose(held, u, rtol=1e-9)
+            assert abs(float((held - fresh)[:-1].sum() * 5e-3) - 2.0 * size) < 1e-9  # the impulse that is missing
+            np.testing.assert_allclose(fresh[60:], u[60:], rtol=1e-9)
