@@ -102,11 +102,16 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
 def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: list[Ranked], settings: Settings, say):
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
     done = unexplained(current, found.base) < settings.explained  # little is left: a shorter list will do
-    leaders = _leaders(ranked, seen, current.active, settings, settings.shortlist // 2 if done else settings.shortlist)
-    trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
-    trials = _finished(problem, trials, seen, settings)
-    found.tried += trials
+    count = settings.shortlist // 2 if done else settings.shortlist
+    leaders = _leaders(ranked, seen, current.active, settings, count)
+    trials = _refitted(problem, found, current, leaders, seen, settings, say)
     best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+    if current is found.base and (best is None or not _earns(problem, best, current, found.base, settings)):
+        tried = {r.instance for r in leaders}
+        more = [r for r in _leaders(ranked, seen, current.active, settings, 2 * count) if r.instance not in tried]
+        leaders = leaders + more  # scores of a model that is far off are blunt: look further down both lists
+        trials = trials + _refitted(problem, found, current, more, seen, settings, say)
+        best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     if best is not None and _pays(best, current, settings):
         alike = _look_alikes(problem, _new(best, current), ranked, leaders)
         more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
@@ -114,6 +119,16 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         trials, found.tried = trials + more, found.tried + more
         best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     return best, trials
+
+
+def _refitted(
+    problem: Problem, found: Found, current: Fitted, leaders: list[Ranked], seen: View, settings: Settings, say
+):
+    """The current model with each of the leaders in turn, refitted whole."""
+    trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
+    trials = _finished(problem, trials, seen, settings)
+    found.tried += trials
+    return trials
 
 
 def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Settings, count: int) -> list[Ranked]:
