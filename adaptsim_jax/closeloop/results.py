@@ -12,10 +12,9 @@ from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
 from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.closeloop.spread import NINETY, reach_over_classes
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.closeloop.view import Ranked, View
-
-NINETY = 1.6449
 
 
 def report_of(
@@ -39,6 +38,8 @@ def report_of(
         power=[_power(p) for p in powers],
         noise={"message": problem.noise.message, "source": problem.noise.source},
     )  # fmt: skip
+    if verdict.named:
+        reach_over_classes(report["declared"]["after"], problem, found)
     report["error"]["noise_floor_source"] = problem.noise.source
     return report, _evidence(problem, error_before, error_after if verdict.named else None, report)
 

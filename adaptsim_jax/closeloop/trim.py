@@ -40,7 +40,7 @@ def confirms(with_effect: HeldOut, without: HeldOut) -> bool:
     squared = [h.squared.sum(1) for h in (with_effect, without)]
     trials = np.unique(without.trial[without.fold >= 0])
     better = [squared[0][without.trial == t].sum() < squared[1][without.trial == t].sum() for t in trials]
-    return with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better)
+    return bool(with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better))
 
 
 def _without(problem: Problem, found: Found, effect: Instance) -> Fitted | None:

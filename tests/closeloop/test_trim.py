@@ -1,0 +1,46 @@
+"""Whether left-out trials confirm an effect, and how far declared parameters reach over a class."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.closeloop.heldout import HeldOut
+from adaptsim_jax.closeloop.spread import reach_over_classes
+from adaptsim_jax.closeloop.trim import confirms
+
+
+def held_out(errors):
+    """A held-out simulation of one window a trial with these errors."""
+    squared = np.array(errors, float)[:, None] ** 2
+    trial = np.arange(len(errors))
+    return HeldOut(np.zeros((len(errors), 1, 1)), squared, np.ones_like(squared), trial, trial)
+
+
+@pytest.mark.parametrize(
+    ("with_effect", "without", "expected"),
+    [
+        ([1.0, 1.0, 1.0, 1.0], [2.0, 2.0, 2.0, 2.0], True),
+        ([1.0, 1.0, 1.0, 1.0], [1.01, 1.01, 1.01, 1.01], False),  # too little
+        ([1.02, 1.02, 1.02, 0.2], [1.0, 1.0, 1.0, 1.0], False),  # one trial alone
+        ([1.0, 1.0, 0.1, 0.1], [1.0, 1.0, 1.0, 1.0], True),
+    ],
+)
+def test_left_out_trials_confirm_an_effect(with_effect, without, expected):
+    assert confirms(held_out(with_effect), held_out(without)) is expected
+
+
+def model(active, z, error):
+    refit = SimpleNamespace(point=SimpleNamespace(z=np.array([z])), covariance=np.array([[error**2]]))
+    return SimpleNamespace(active=active, total=0.0, candidate=SimpleNamespace(names=("m1",), refit=refit))
+
+
+def test_an_interval_reaches_over_the_class():
+    here, there = ("torque_gain", "joint1"), ("torque_gain", "joint2")
+    rival, stranger = model((there,), 1.3, 0.01), model((("bias", "joint1"),), 9.0, 0.01)
+    found = SimpleNamespace(classes={here: [there]}, final=model((here,), 1.0, 0.01), tried=[rival, stranger])
+    declared = {"m1": {"value": 1.0, "low": 0.98, "high": 1.02}}
+    reach_over_classes(declared, SimpleNamespace(plant=SimpleNamespace(theta_names=("m1",))), found)
+    assert declared["m1"]["value"] == 1.0
+    assert declared["m1"]["low"] == 0.98
+    assert declared["m1"]["high"] == pytest.approx(1.3 + 1.6449 * 0.01)
