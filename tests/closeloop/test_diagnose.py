@@ -33,3 +33,16 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path):
     assert report["verdict"] in ("within_noise", "underpowered")
     assert report["effects"] == []
     assert report["error"]["before"] < 1.3 * report["error"]["noise_floor"]
+
+
+@pytest.mark.slow
+def test_a_known_mass_that_is_wrong_is_not_called_an_effect(tmp_path):
+    data = make_dataset(301, n_trials=4, seconds=4.0, world="linearized")
+    folder = Path(write_dataset(data, tmp_path / "data"))
+    true = data.truth["declared"]["m2"]
+    with (folder / "meta.toml").open("a") as file:
+        file.write(f"\n[known]\nm2 = {1.2 * true}\n")
+    report = diagnose(folder)
+    assert report["verdict"] == "confounded_with_declared"
+    assert report["effects"] == []
+    assert f"{true:.3g}"[:4] in report["message"]
