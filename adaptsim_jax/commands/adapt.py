@@ -30,20 +30,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 2 of a trained run: result.json, and a few lines for a person."""
+    from adaptsim_jax.errors import BadInput
     from adaptsim_jax.store import RunFolder
 
     folder = RunFolder.open(args.folder)
+    if args.video and folder.task != "pushing":
+        raise BadInput(f"{args.folder}: there is no film of task '{folder.task}'; leave --video out")
     import jax
 
     from adaptsim_jax.adapt.training import adapt_run, load_run
     from adaptsim_jax.commands.common import output, read_target
-    from adaptsim_jax.errors import BadInput
     from adaptsim_jax.files import write_json
 
     trained = load_run(folder)
     task = trained.phase1.task
-    if args.video and task.name != "pushing":
-        raise BadInput(f"--video: there is no film of task '{task.name}'; leave it out")
     name, params, world = read_target(args.target, task)
     if world is not None:
         task = world

@@ -37,8 +37,9 @@ def show(
     )
     lines = [f"written: {look.save(figure, out / 'pushes.png')}"]
     if video:
-        pair = [(0, "first"), (int(best), "best")] if best else [(0, "best")]
-        lines.append(_film(made, target, goals[1], [(i, word, actions[i, 1]) for i, word in pair], out))
+        visits = [(0, "first"), (int(best), "best")] if best else [(0, "best")]
+        takes = [(f"iteration {i} ({word})", actions[i, g], goals[g]) for g in range(len(goals)) for i, word in visits]
+        lines.append(_film(made, target, takes, out))
     return lines
 
 
@@ -81,19 +82,18 @@ def _pushes(made: Any, result: Any, start: int, target: np.ndarray) -> tuple[np.
     return tuple(map(np.asarray, (goals, *run(policy))))
 
 
-def _film(made: Any, target: np.ndarray, goal: np.ndarray, picked: list[tuple[int, str, np.ndarray]], out: Path) -> str:
-    """The pushes in the MuJoCo scene, on film."""
+def _film(made: Any, target: np.ndarray, takes: list[tuple[str, np.ndarray, np.ndarray]], out: Path) -> str:
+    """Pushes (who, action, goal) in the MuJoCo scene, on film."""
     from adaptsim_jax.models.backends.pushing import make_backend
     from adaptsim_jax.models.pushing import START, PushOptions
     from adaptsim_jax.report.push_video import Clip, write_push_video
 
-    actions = np.stack([action for _, _, action in picked])
+    actions, count = np.stack([action for _, action, _ in takes]), len(takes)
     scene = make_backend("native", PushOptions(friction=made.friction, duration=made.duration))
-    states, _ = scene.simulate(np.tile(target, (len(picked), 1)), actions, np.tile(START, (len(picked), 1)))
+    states, _ = scene.simulate(np.tile(target, (count, 1)), actions, np.tile(START, (count, 1)))
     clips = []
-    for (iteration, word, action), state in zip(picked, states, strict=True):
+    for (who, action, goal), state in zip(takes, states, strict=True):
         apart = 100 * np.linalg.norm(state[-1, :2] - goal)
-        text = f"iteration {iteration} ({word}): {apart:.0f} cm from the goal"
-        clips.append(Clip(state, action, goal, float(target[3]), text))
+        clips.append(Clip(state, action, goal, float(target[3]), f"{who}: {apart:.0f} cm from the goal"))
     path, how = write_push_video(clips, out)
     return f"written: {path}, {how}"

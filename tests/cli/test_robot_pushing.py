@@ -1,4 +1,4 @@
-"""`adaptsim robot` on a run of the push, with Drake as the robot in another process."""
+"""`adaptsim robot` on a run of the push, with Drake as the robot in another process; the figures of `adaptsim adapt`."""
 
 import csv
 import errno
@@ -8,12 +8,21 @@ import sys
 import tomllib
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 from adaptsim_jax import files
+from adaptsim_jax.adapt import training
+from adaptsim_jax.adapt.episode import Episode
+from adaptsim_jax.adapt.phase2 import best_of
 from adaptsim_jax.cli import main
 from adaptsim_jax.commands import robot as command
+from adaptsim_jax.models import pushing_planar
+from adaptsim_jax.report import push_video
+from adaptsim_jax.store import RunFolder
 from adaptsim_jax.tasks.pushing_measured import read_policy
 
 pytestmark = pytest.mark.slow
@@ -159,3 +168,40 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
     state, history = command._load(command._open(folder))
     np.testing.assert_array_equal(state.mean, state.starts.mean[1])
     assert [push["trial"] for visit in history for push in visit["pushes"]] == [1, 2, 3, 4]
+
+
+def three_visits(trained, *_, **__):
+    """What Phase 2 gives, of three untrained policies of which the second is the best: to draw, without the compiling."""
+    task = trained.phase1.task
+    policies = jax.vmap(task.init_policy)(jax.random.split(jax.random.key(0), 3))
+    means, score = jnp.linspace(0.2, 0.6, 12).reshape(1, 3, 4), jnp.array([[0.2, 0.6, 0.4]])
+    policies, obs, action = jax.tree.map(lambda x: x[None], policies), jnp.zeros((1, 3, 2)), jnp.zeros((1, 2, 4))
+    return best_of(Episode(means, policies, obs, score, score, action))
+
+
+def test_adapt_leaves_a_figure_and_films_the_pushes_that_it_found(run, tmp_path, capsys, monkeypatch):
+    taken = []
+    monkeypatch.setattr(training, "adapt_run", three_visits)
+    monkeypatch.setattr(
+        push_video, "write_push_video", lambda clips, folder: taken.extend(clips) or (folder / "p", "how")
+    )
+    assert main(["adapt", str(run), "--target", "wd", "--out", str(tmp_path), "--video"]) == 0
+    said = capsys.readouterr().out
+    with Image.open(tmp_path / "pushes.png") as figure:
+        assert figure.width > 800 and figure.height > 600 and len(np.unique(np.asarray(figure.convert("L")))) > 20
+    assert f"written: {tmp_path / 'pushes.png'}" in said and f"written: {tmp_path / 'p'}, how" in said
+    # two policies at two goals, in the scene that the planar model is a twin of
+    assert [clip.text[:18] for clip in taken] == ["iteration 0 (first", "iteration 1 (best)"] * 2
+    assert all(clip.patch == pytest.approx(0.05) for clip in taken)
+    params = jnp.array([0.1, 1e5, 0.6, 0.05])
+    for clip in taken:
+        end = pushing_planar.rollout(params, jnp.asarray(clip.action))[-1]
+        np.testing.assert_allclose(clip.state[-1, :2], end, atol=0.02)
+        apart = 100 * np.linalg.norm(clip.state[-1, :2] - clip.goal)
+        assert f": {apart:.0f} cm from the goal" in clip.text
+
+
+def test_there_is_no_film_of_the_pendulum(tmp_path, capsys):
+    RunFolder.create(tmp_path / "run", {"seed": 0}, task="pendulum")
+    assert main(["adapt", str(tmp_path / "run"), "--target", "wd", "--video"]) == 2
+    assert "there is no film of task 'pendulum'; leave --video out" in capsys.readouterr().err
