@@ -28,7 +28,7 @@ class Parameter:
 
     low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
     serves a finger and an excavator. `sign` is +1 where only positive values are that effect. A `held` shape is chosen on
-    the grid and not fitted.
+    the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is `default` there.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Parameter:
     sign: int = 0
     plausible: float | None = None
     held: bool = False
+    optional: bool = False
 
     def bounds(self, torque: float) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m."""

@@ -82,7 +82,7 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
 
 
-BEFORE = Parameter("before", "1", 0.0, 1.0, 0.0, None)
+BEFORE = Parameter("before", "1", 0.0, 1.0, 0.0, None, optional=True)
 """The torque as the recording begins, as a share of the first command: no log says what was commanded before it."""
 
 COMMAND = (

@@ -95,7 +95,8 @@ class ModelFile:
         out = layout.off()
         for e in self.effects:
             instance = layout.instances[layout.index(e.name, e.where)]
-            out[instance.at] = [e.parameters[p.name].value for p in instance.effect.parameters]
+            given = {name: value.value for name, value in e.parameters.items()}
+            out[instance.at] = [given.get(p.name, p.default) for p in instance.effect.parameters]
         return out
 
 
@@ -224,7 +225,8 @@ def _effect(where: str, key: str, row: Mapping, plant: Plant, known: Mapping[str
         if parameter not in {p.name for p in effect.parameters}:
             wanted = ", ".join(p.name for p in effect.parameters)
             raise BadInput(f"{where}: unknown parameter '{key}.parameters.{parameter}'; {name} has {wanted}")
-    values = {p.name: _parameter(where, f"{key}.parameters.{p.name}", table, p) for p in effect.parameters}
+    stated = [p for p in effect.parameters if p.name in table or not p.optional]
+    values = {p.name: _parameter(where, f"{key}.parameters.{p.name}", table, p) for p in stated}
     return AddedEffect(name, row["where"], values)
 
 
