@@ -61,7 +61,8 @@ def _structured(found: Found, before: Leftover, settings: Settings, flexible: fl
     """Held-out structure that is more than chance: some smooth force, or a rival that was refitted, predicts it."""
     if before.p_value < settings.alpha and (before.share > 0.01 or flexible < PREDICTED):
         return True
-    return any(t.total - found.base.total > 20.0 for t in found.tried)
+    fall = 1.0 - settings.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
+    return any(t.total - found.base.total > 20.0 and unexplained(t, found.base) < fall for t in found.tried)
 
 
 def _words(name: str) -> str:
