@@ -93,8 +93,29 @@ class Space:
         return (y - low.reshape(*lead, -1)) / (high - low).reshape(*lead, -1)
 
     def sample(self, key: jax.Array, shape: tuple[int, ...] = ()) -> jax.Array:
-        """Uniform over the box, in unit coordinates `[*shape, D]`."""
-        return jax.random.uniform(key, (*shape, self.dim))
+        """Uniform over the box, in unit coordinates `[*shape, D]`; every category of a categorical parameter as likely."""
+        u = jax.random.uniform(key, (*shape, self.dim))
+        if not self.is_categorical.any():
+            return u
+        steps, lead = self._categories().astype(u.dtype), (1,) * len(shape)
+        steps = jnp.asarray(steps).reshape(*lead, -1)
+        drawn = jnp.minimum(jnp.floor(u * (steps + 1.0)), steps) / steps
+        return jnp.where(jnp.asarray(self.is_categorical).reshape(*lead, -1), drawn, u)
+
+    def snap(self, u: jax.Array) -> jax.Array:
+        """`u [..., D]` with categorical coordinates moved to the category that they are rounded to.
+
+        Between two categories there is nothing: distances and steps are only right from one to another.
+        """
+        if not self.is_categorical.any():
+            return u
+        lead = (1,) * (u.ndim - 1)
+        steps = jnp.asarray(self._categories().astype(u.dtype)).reshape(*lead, -1)
+        return jnp.where(jnp.asarray(self.is_categorical).reshape(*lead, -1), jnp.round(u * steps) / steps, u)
+
+    def _categories(self) -> np.ndarray:
+        """Steps from the first category to the last, `[D]`; 1 for other parameters."""
+        return np.array([max(p.high - p.low, 1.0) if p.scale == "categorical" else 1.0 for p in self.parameters])
 
     def values(self, settings: Mapping[str, float], where: str = "parameters") -> np.ndarray:
         """Named physical values to an array `[D]`, each checked: all names there, none unknown, physically possible."""
@@ -137,8 +158,11 @@ class Gaussian(NamedTuple):
 
 
 def gaussian(space: Space, mean: jax.Array, std: float | Sequence[float] = 1e-4) -> Gaussian:
-    """E with the given mean (unit coordinates, clipped to the box) and standard deviation in fractions of the range."""
-    mean = jnp.clip(jnp.asarray(mean), 0.0, 1.0)
+    """E with the given mean (unit coordinates, clipped to the box) and standard deviation in fractions of the range.
+
+    A categorical parameter's mean is one of its categories.
+    """
+    mean = space.snap(jnp.clip(jnp.asarray(mean), 0.0, 1.0))
     return Gaussian(mean, jnp.broadcast_to(jnp.asarray(std, mean.dtype), mean.shape))
 
 
@@ -161,7 +185,7 @@ def step(space: Space, dist: Gaussian, action: jax.Array, delta: jax.Array | flo
 
     `delta` is a fraction of the range; a categorical parameter moves by a whole category. Clipped to the box.
     """
-    categories = np.array([max(p.high - p.low, 1.0) for p in space.parameters])
-    size = jnp.where(jnp.asarray(space.is_categorical), jnp.asarray(1.0 / categories, dist.mean.dtype), delta)
+    one = jnp.asarray(1.0 / space._categories(), dist.mean.dtype)
+    size = jnp.where(jnp.asarray(space.is_categorical), one, delta)
     move = jnp.array([-1.0, 1.0, 0.0], dist.mean.dtype)[action] * size
     return dist._replace(mean=jnp.clip(dist.mean + move, 0.0, 1.0))

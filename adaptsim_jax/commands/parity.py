@@ -10,6 +10,7 @@ EXAMPLES = """
   adaptsim parity pendulum
   adaptsim parity pendulum --samples 200 --json
   adaptsim parity pushing --samples 200
+  adaptsim parity scooping --samples 200
 """
 
 
@@ -36,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(found, indent=1))
     elif args.task == "pushing":
         _show_pushing(found)
+    elif args.task == "scooping":
+        _show_scooping(found)
     else:
         _show(found)
     return 0
@@ -63,6 +66,31 @@ def _show_pushing(found: dict[str, Any]) -> None:
         wrong = "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
         speeds = f"{row['pushes_per_second']:10.1f} {row['pushes_per_cpu_second']:13.1f} {row['first_call_s']:9.1f} s"
         print(f"{row['engine']:18} {speeds}{wrong}")
+
+
+def _show_scooping(found: dict[str, Any]) -> None:
+    print(
+        f"scooping: {found['samples']} random trials of {found['seconds']:g} s; share that ended alike, with 95 % intervals\n"
+    )
+    print(f"{'pair':36} {'alike':>6} {'interval':>14} {'compared':>9}")
+    for row in found["pairs"]:
+        name = " - ".join(row["pair"])
+        if not row["compared"]:
+            print(f"{name:36} no trial went well in both")
+            continue
+        print(f"{name:36} {row['alike']:6.3f} {row['low']:6.3f} - {row['high']:5.3f} {row['compared']:9}")
+    print("\ndrake with itself at another mesh or step is the ceiling; low: hardly any dissipation\n")
+    print(
+        f"{'engine':18} {'success':>8} {'ellipsoid':>9} {'cylinder':>9} {'trials/s':>9} {'per CPU s':>9} {'first call':>11}"
+    )
+    for row in found["engines"]:
+        if not row["ran"]:
+            print(f"{row['engine']:18} did not run: {row['why']}")
+            continue
+        shapes = " ".join(f"{'-' if v is None else f'{v:.3f}':>9}" for v in row["success_by_shape"].values())
+        speeds = f"{row['trials_per_second']:9.1f} {row['trials_per_cpu_second']:9.1f} {row['first_call_s']:9.1f} s"
+        wrong = "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
+        print(f"{row['engine']:18} {row['success']:8.3f} {shapes} {speeds}{wrong}")
 
 
 def _show(found: dict[str, Any]) -> None:

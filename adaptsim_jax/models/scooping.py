@@ -70,7 +70,7 @@ class ScoopOptions:
     press: speed at which the arm sinks while sliding, m/s; 0 in the paper, 0.01 in the release.
     """
 
-    clearance: float = 0.0
+    clearance: float = 5e-5
     noise: tuple[float, ...] = (0.012, 0.04, 0.0)
     press: float = 0.0
 

@@ -10,9 +10,15 @@ from adaptsim_jax.tasks.one_shot import OneShot
 from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
 from adaptsim_jax.tasks.pushing import PushingConfig, make_pushing
 from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
+from adaptsim_jax.tasks.scooping import ScoopingConfig, make_scooping
+from adaptsim_jax.tasks.scooping_one_shot import make_scooping_one_shot
 
-TASKS = {"pendulum": (PendulumConfig, make_pendulum), "pushing": (PushingConfig, make_pushing)}
-ONE_SHOTS = {"pushing": make_pushing_one_shot}
+TASKS = {
+    "pendulum": (PendulumConfig, make_pendulum),
+    "pushing": (PushingConfig, make_pushing),
+    "scooping": (ScoopingConfig, make_scooping),
+}
+ONE_SHOTS = {"pushing": make_pushing_one_shot, "scooping": make_scooping_one_shot}
 
 
 def _mended(name: str, options: dict[str, Any], where: str) -> Task:

@@ -144,14 +144,14 @@ def test_a_comparison(tmp_path, capsys, more, says):
 
 
 def test_a_run_of_another_task(tmp_path, capsys):
-    run = RunFolder.create(tmp_path / "run", {"seed": 0}, task="scooping")
+    run = RunFolder.create(tmp_path / "run", {"seed": 0}, task="stirring")
     before = (run.path / "config.toml").read_bytes()
     for command in (
         ("train", "pendulum", "--run", run.path, "--resume"),
         ("robot", "new", run.path, "--dir", tmp_path / "robot"),
         ("adapt", run.path, "--target", "wd"),
     ):
-        assert "scooping" in refused(capsys, *command)
+        assert "stirring" in refused(capsys, *command)
     assert (run.path / "config.toml").read_bytes() == before
     assert not (tmp_path / "robot").exists()
 

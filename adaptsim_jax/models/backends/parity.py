@@ -14,7 +14,7 @@ from adaptsim_jax.models.backends import pendulum, pendulum_scene
 from adaptsim_jax.progress import Report, silent
 
 REFERENCE = "native"
-TASKS = ("pendulum", "pushing")
+TASKS = ("pendulum", "pushing", "scooping")
 
 
 def parity(
@@ -33,6 +33,10 @@ def parity(
         from adaptsim_jax.models.backends.pushing_parity import pushing_parity
 
         return pushing_parity(samples=samples, seed=seed, progress=progress)
+    if task == "scooping":
+        from adaptsim_jax.models.backends.scooping_parity import scooping_parity
+
+        return scooping_parity(samples=samples, seed=seed, progress=progress)
     inputs = pendulum_scene.draw(seed, samples, steps)
     rows, reference = [], None
     order = (REFERENCE, *(name for name in pendulum.NAMES if name != REFERENCE))

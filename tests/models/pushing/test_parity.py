@@ -50,8 +50,3 @@ def test_pushes_that_went_wrong_are_left_out_and_counted():
     assert row["compared"] == 2 and row["max_mm"] == pytest.approx(3 * 2**0.5)
     assert pushing_parity._row(a)["went_wrong"] == {pushing.MESSAGES[2]: 1, pushing.MESSAGES[3]: 1}
     assert pushing_parity._apart(a, b._replace(code=code[::-1] * 0 + 1)) == {"compared": 0}
-
-
-def test_scooping_is_not_there_yet(capsys):
-    assert main(["parity", "scooping"]) == 2
-    assert "there is: pendulum, pushing" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""Scooping as the baselines see it: one scoop of one piece, tried in either engine."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
+from adaptsim_jax.models import scooping as model
+from adaptsim_jax.models.backends import scooping as backends
+from adaptsim_jax.models.scooping import ScoopOptions
+from adaptsim_jax.models.scooping_hydro import Numerics
+from adaptsim_jax.tasks import scooping as task
+from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
+from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
+
+UDR_BUDGETS = 3  # UDR has to serve all of Omega: about as many times the trials of one policy (M_max of the paper by M)
+TUNE_UPDATES = 200  # gradient steps on a target's trials, after each lot of them
+GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
+FINALISTS = 8  # and how many of them it tries in all test contexts
+HEIGHT_UNIT = 0.02  # m
+
+
+def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
+    """Scooping with `config` for the comparison. Contexts are `scooping.CONTEXT`, outcomes `[9, 2]` as `make_trial`'s."""
+    made, naf, options = task.make_scooping(config), task.make_scooping_naf(config), task.checked(config)
+    anywhere = lambda key, context: made.space.physical(made.space.sample(key))
+    learner = make_goal_learner(naf, task.training_problem(config, anywhere), config.training, task.naf_rates(config))
+    rounds = -(-UDR_BUDGETS * config.trials // config.training.block)
+    tests = task.test_contexts(config.tests)
+
+    def train_uniform(key):
+        init_key, train_key = jax.random.split(key)
+        weights = naf.init(init_key).online[None]
+        return ScoopingPolicy(learner.train(train_key[None], weights, jnp.zeros(1), jnp.full(1, rounds), rounds)[0])
+
+    def tune(key, policy, contexts, actions, outcomes, used):
+        trials = Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
+        return ScoopingPolicy(learner.tune(key, policy.weights, trials, used, TUNE_UPDATES))
+
+    def explore(key, policy, contexts):
+        return naf.act(key, policy.weights, task.seen_place(contexts), config.training.noise)
+
+    return OneShot(
+        task=made,
+        tests=tests,
+        trials=config.trajectories,
+        action_dim=3,
+        draw=task.draw_context,
+        act=lambda policy, contexts: naf.greedy(policy.weights, task.seen_place(contexts)),
+        explore=explore,
+        reward=lambda outcome, context: task.success(outcome),
+        trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
+        train_uniform=train_uniform,
+        tune=tune,
+        inputs=lambda context, action: action,
+        outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
+        worth=lambda seen, context: seen[0],
+        world=lambda backend, **settings: scooping_world(backend, options, config.numerics, **settings),
+        oracle=lambda world, params: best_shared_action(world, params, tests),
+        engine="hydro",
+        simulator="hydroelastic engine (JAX)",
+        reward_unit=f"share of pieces on the spatula at the end, over {config.tests} places and execution errors",
+        oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the target: all are tried in one test "
+        f"context, the {FINALISTS} that are best there and around in all",
+    )
+
+
+def scooping_world(
+    backend: str,
+    options: ScoopOptions,
+    numerics: Numerics = Numerics(),  # noqa: B008
+    **settings: Any,
+) -> World:
+    """Scooping in `backend` (hydro, drake). Trials that fail give not-a-number, hence reward 0."""
+    own = {"numerics": numerics} if backend == "hydro" else {}
+    simulate = backends.make_backend(backend, options, **own, **settings).simulate
+    rows = np.maximum(np.round(np.array(model.SEEN_AT) / backends.ROW).astype(int) - 1, 0)
+    execute = jax.jit(jax.vmap(lambda a, c: task.executed(a, c, options)))
+
+    def run(params, contexts, actions):
+        done = np.asarray(execute(jnp.asarray(actions), jnp.asarray(contexts)))
+        found = simulate(np.asarray(params), done, np.zeros((len(done), 2)))
+        lies, above = backends.outcome(found.state)
+        places = found.state[:, rows, :2].copy()
+        places[:, 0] = 0.0  # seen before it moves
+        outcomes = np.concatenate([places, np.stack([lies, above], -1)[:, None]], 1).astype(np.float32)
+        lost = np.isin(found.code, (model.DIVERGED, model.UNFIT))
+        return np.where(lost[:, None, None], np.nan, outcomes), np.where(lost, found.code, 0)
+
+    return World(backend, run, dict(model.MESSAGES))
+
+
+def best_shared_action(world: World, params: np.ndarray, tests: np.ndarray) -> np.ndarray:
+    """`[G]` rewards of the best single action in `params [D]`: nobody knows a trial's errors when choosing.
+
+    Actions of the grid are tried in one context and smoothed over their neighbours; the finalists are tried in all.
+    """
+    grid = action_grid(GRID)
+    won = _rewards(world, params, np.tile(tests[:1] * np.array([1, 1, 0, 0, 1], np.float32), (len(grid), 1)), grid)
+    spacing = 2.0 / (np.array(GRID) - 1)
+    near = np.exp(-0.5 * (((grid[:, None] - grid[None]) / spacing) ** 2).sum(-1))
+    chosen = grid[np.argsort(-(near @ won) / near.sum(1), kind="stable")[:FINALISTS]]
+    pairs = np.repeat(chosen, len(tests), 0)
+    rewards = _rewards(world, params, np.tile(tests, (len(chosen), 1)), pairs).reshape(len(chosen), -1)
+    return rewards[rewards.mean(1).argmax()]
+
+
+def _rewards(world: World, params: np.ndarray, contexts: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    outcomes, _ = world.run(np.tile(params, (len(actions), 1)), contexts, actions)
+    return np.asarray(task.success(jnp.asarray(outcomes)))
