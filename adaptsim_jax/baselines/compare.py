@@ -47,7 +47,7 @@ def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callab
     if task not in PROBLEMS:
         one = make_one_shot(task, config.train.task)
         rows, about = compare_learned(one, names, config, progress)
-        return _stamped(task, config) | about | {"rows": rows}
+        return stamped(task, config) | about | {"rows": rows}
     methods = _exact_methods(task, config)
     targets = np.array([made.space.values(made.settings[name], name) for name in names])
     problem = PROBLEMS[task](made.space)
@@ -138,7 +138,7 @@ def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> lis
 
 
 def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
-    return _stamped(task, config) | {
+    return stamped(task, config) | {
         "simulator": "exact propagation of the linearized model (JAX)",
         "target_backend": "exact propagation of the linearized model (JAX, double precision)",
         "settings": {
@@ -155,7 +155,7 @@ def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
     }
 
 
-def _stamped(task: str, config: CompareConfig) -> dict[str, Any]:
+def stamped(task: str, config: CompareConfig) -> dict[str, Any]:
     """What every results.json begins with."""
     versions = {name: metadata.version(name) for name in ("adaptsim_jax", "jax", "flax", "numpy", "scipy")}
     return {

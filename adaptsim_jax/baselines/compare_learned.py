@@ -60,19 +60,25 @@ def compare_learned(
             ]
         else:
             arena = Arena(one, world, targets)
-            rows += trip_rows(method, names, RUNS[method](Bout(config, arena, seeds, report, cache)), oracle, arena)
+            trip = RUNS[method](Bout(config, arena, seeds, report, cache))
+            rows += trip_rows(method, names, trip, oracle, one.task.space, arena.failed, arena.made)
         report(1, 1)
-    return rows, _about(one, world, names, targets, oracle)
+    return rows, about(one, world, names, targets, oracle)
 
 
-def trip_rows(method: str, names: list[str], trip: Trip, oracle: np.ndarray, arena: Arena) -> list[dict[str, Any]]:
-    """A row for each target: at each iteration the best of the distributions that a method adapts at once."""
-    out, space = [], arena.one.task.space
+def trip_rows(
+    method: str, names: list[str], trip: Trip, oracle: np.ndarray, space: Any, failed: np.ndarray, made: np.ndarray
+) -> list[dict[str, Any]]:
+    """A row for each target: at each iteration the best of the distributions that a method adapts at once.
+
+    `oracle [T]`: rewards; `failed`, `made` `[T]`: trials, as the arena counted them.
+    """
+    out = []
     for i, name in enumerate(names):
         extras: dict[str, Any] = {
             "trials": trip.spent,
-            "failed": int(arena.failed[i]),
-            "made": int(arena.made[i]),
+            "failed": int(failed[i]),
+            "made": int(made[i]),
             "of_oracle": trip.rewards[i].max(axis=1).max(axis=1).mean() / oracle[i],
         }
         if trip.means is not None:
@@ -90,7 +96,7 @@ def _physical(space: Any, means: np.ndarray) -> np.ndarray:
     return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
 
 
-def _about(one: OneShot, world: World, names: list[str], targets: np.ndarray, oracle: np.ndarray) -> dict[str, Any]:
+def about(one: OneShot, world: World, names: list[str], targets: np.ndarray, oracle: np.ndarray) -> dict[str, Any]:
     return {
         "simulator": one.simulator,
         "target_backend": world.name,

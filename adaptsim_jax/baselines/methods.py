@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import config as configs
-from adaptsim_jax.adapt.presets import default_config
+from adaptsim_jax.adapt.presets import comparison_config
 from adaptsim_jax.adapt.training import TrainConfig
-from adaptsim_jax.baselines import gradient
+from adaptsim_jax.baselines import gradient, mdn
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.direct import DirectConfig
@@ -58,8 +58,15 @@ class CompareConfig:
 
 def default_comparison(task: str) -> CompareConfig:
     """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have."""
-    train = default_config(task)
-    return CompareConfig(train=train, iterations=train.phase1.horizon)
+    train = comparison_config(task)
+    plain = CompareConfig(train=train, iterations=train.phase1.horizon)
+    return plain if task == "pendulum" else replace(plain, seeds=10, sysid=LEARNED_SYSID)
+
+
+# SysID where policies are learned: half the simulations and fits of the pendulum's, for a visit there costs a training
+LEARNED_SYSID = SysIdConfig(
+    simulations=1000, first_fit=mdn.FitConfig(updates=1000), next_fit=mdn.FitConfig(updates=300, rate=1e-3)
+)
 
 
 class Run(NamedTuple):

@@ -31,6 +31,7 @@ SETTINGS = {
     "ood-3": {"mu": 0.15, "e": 5e6, "mu_p": 0.1, "y_p": -0.15},
     "ood-4": {"mu": 0.30, "e": 1e5, "mu_p": 0.15, "y_p": 0.1},
 }
+TWINS = {"native": planar.DEFAULT, "drake": planar.DRAKE}
 POINTS = 6
 WORST = 0.2  # m: a bottle this far from its goal, or farther, earns nothing
 GOAL_CENTRE, GOAL_RADII, GOAL_ANGLE = (
@@ -50,6 +51,7 @@ class PushingConfig:
     trajectories: pushes an iteration; tests: goals that the reward of a simulated target is averaged over.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
     trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
+    coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
     friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
 
@@ -64,6 +66,7 @@ class PushingConfig:
     )
     hidden: tuple[int, ...] = (64, 64)
     learning_rate: float = 3e-3
+    coefficients: Literal["native", "drake"] = "native"
     friction: Literal["clean", "coupled"] = "clean"
     duration: float = 1.3
     mu: tuple[float, float] = (model.LOW[0], model.HIGH[0])
@@ -168,9 +171,9 @@ def make_policy(config: PushingConfig = PushingConfig()) -> Callable[[PushingPol
 
 def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
     """The push as a `Task`, simulated with the planar model."""
-    options = _checked(config)
+    options, twin = _checked(config), TWINS[config.coefficients]
     space, naf, act = pushing_space(config), make_pushing_naf(config), make_policy(config)
-    learner = make_goal_learner(naf, _problem(space, options), config.training, naf_rates(config))
+    learner = make_goal_learner(naf, _problem(space, options, twin), config.training, naf_rates(config))
     block = config.training.block
 
     def train_many(keys, dists, policies, trials):
@@ -187,7 +190,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
 
     def rollout(key, policy, params):
         goals = jax.vmap(draw_goal)(jax.random.split(key, config.trajectories))
-        push = jax.vmap(lambda a: planar.rollout(params, a, options))
+        push = jax.vmap(lambda a: planar.rollout(params, a, options, twin))
         # apart, so that the compiler leaves the test goals out where only the observation is asked for
         tested = push_reward(push(act(policy, grid))[:, -1], grid).mean()
         return measured(goals, push(act(policy, goals)), tested)
@@ -234,10 +237,10 @@ def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
     return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
 
 
-def _problem(space: Space, options: PushOptions) -> GoalProblem:
+def _problem(space: Space, options: PushOptions, twin: planar.PlanarCoefficients) -> GoalProblem:
     def trial(key, dist, action):
         params = space.physical(spaces.sample(key, dist))
-        return planar.rollout(params, physical_action(action), options)[-1]
+        return planar.rollout(params, physical_action(action), options, twin)[-1]
 
     return GoalProblem(draw_goal, seen_goal, trial, push_reward)
 

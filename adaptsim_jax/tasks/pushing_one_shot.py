@@ -25,8 +25,8 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     """The push with `config` for the comparison. Contexts are goals `[2]` m, outcomes the bottle's places `[6, 2]` m."""
     made, naf = task.make_pushing(config), task.make_pushing_naf(config)
     options = PushOptions(friction=config.friction, duration=config.duration)
-    space = made.space
-    learner = make_goal_learner(naf, _everywhere(space, options), config.training, task.naf_rates(config))
+    space, twin = made.space, task.TWINS[config.coefficients]
+    learner = make_goal_learner(naf, _everywhere(space, options, twin), config.training, task.naf_rates(config))
     rounds = -(-UDR_BUDGETS * config.trials // config.training.block)
 
     def train_uniform(key):
@@ -40,6 +40,10 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
 
     def explore(key, policy, goals):
         return naf.act(key, policy.weights, task.seen_goal(goals), config.training.noise)
+
+    def world(backend, **settings):
+        own = {"coefficients": twin} if backend == "planar" else {}
+        return pushing_world(backend, options, **(own | settings))
 
     def oracle(world, params):
         points, zooms = ((161, 31), 0) if world.name == "planar" else ((17, 9), 3)
@@ -61,7 +65,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
         worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(task.unseen(seen) - goal) / task.WORST),
-        world=lambda backend, **settings: pushing_world(backend, options, **settings),
+        world=world,
         oracle=oracle,
         engine="planar",
         simulator="planar model of the push (JAX)",
@@ -79,8 +83,8 @@ def pushing_world(backend: str, options: PushOptions = model.PAPER, bottle: str 
     """
     if bottle not in BOTTLES:
         raise BadInput(f"pushing, bottle = {bottle!r}: unknown; use one of {', '.join(BOTTLES)}")
-    if settings.get("coefficients") in ("drake", "native"):
-        settings["coefficients"] = planar.DRAKE if settings["coefficients"] == "drake" else planar.DEFAULT
+    if settings.get("coefficients") in task.TWINS:
+        settings["coefficients"] = task.TWINS[settings["coefficients"]]
     body = BOTTLES[bottle]
     chosen = PushOptions(options.friction, options.duration, body.mass, body.com, body.inertia)
     simulate = make_backend(backend, chosen, **settings).simulate
@@ -99,11 +103,11 @@ def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
     return task.push_reward(points[-1], goal)
 
 
-def _everywhere(space: Any, options: PushOptions) -> GoalProblem:
+def _everywhere(space: Any, options: PushOptions, twin: planar.PlanarCoefficients) -> GoalProblem:
     """Pushes at parameters spread uniformly over Omega, a new draw for each."""
 
     def trial(key, context, action):
         params = space.physical(space.sample(key))
-        return planar.rollout(params, task.physical_action(action), options)[-1]
+        return planar.rollout(params, task.physical_action(action), options, twin)[-1]
 
     return GoalProblem(task.draw_goal, task.seen_goal, trial, task.push_reward)

@@ -1,0 +1,90 @@
+"""Table 1 of the paper, pushing columns, in parts that can be stopped and gone on with: a file for each method and seed.
+
+    python experiments/table1_pushing.py --out OUT --seeds 10                       planar as simulator and target
+    python experiments/table1_pushing.py --out OUT --seeds 10 --target drake        deployed in Drake
+    python experiments/table1_pushing.py --out OUT --settings wd --target drake --bottle heavy --iterations 12 \\
+        --methods adaptsim learn_in_target udr_target bayesopt                      Table 2: 4 trials an iteration
+
+`adaptsim compare pushing` is the same in one go. What is there is not computed again; `table.md` shows what is there so far.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from adaptsim_jax import compile_cache
+from adaptsim_jax.baselines.arena import Arena
+from adaptsim_jax.baselines.compare import stamped
+from adaptsim_jax.baselines.compare_learned import RUNS, about, trip_rows
+from adaptsim_jax.baselines.learned import Bout, Trip
+from adaptsim_jax.baselines.methods import default_comparison
+from adaptsim_jax.files import output_folder
+from adaptsim_jax.report.comparison import table, write_comparison
+from adaptsim_jax.tasks.registry import make_one_shot
+
+METHODS = ("udr", "learn_in_target", "udr_target", "sysid_point", "adaptsim", "sysid_bayes", "bayesopt")
+
+
+def run_one(path: Path, method: str, seed: int, config, one, world, targets) -> None:
+    """One method with one seed in every target, into `path`."""
+    begin, arena = time.process_time(), Arena(one, world, targets)
+    trip = RUNS[method](Bout(config, arena, np.array([seed])))
+    means = {} if trip.means is None else {"means": trip.means}
+    cpu = time.process_time() - begin
+    np.savez(path, rewards=trip.rewards, spent=trip.spent, failed=arena.failed, made=arena.made, cpu=cpu, **means)
+    print(f"{method}, seed {seed}: {trip.rewards.max((2, 3))[:, 0].round(3)}, {cpu:.0f} s of CPU time", flush=True)
+
+
+def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, space) -> list[dict]:
+    """Rows of all seeds of `method` that have a file."""
+    parts = [np.load(path) for path in sorted(out.glob(f"{method}-seed*.npz"))]
+    if not parts:
+        return []
+    together = lambda key: np.concatenate([p[key] for p in parts], 1)
+    trip = Trip(together("rewards"), together("means") if "means" in parts[0] else None, parts[0]["spent"])
+    rows = trip_rows(method, names, trip, oracle, space, sum(p["failed"] for p in parts), sum(p["made"] for p in parts))
+    return [row | {"cpu_seconds": float(sum(p["cpu"] for p in parts))} for row in rows]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--methods", nargs="+", default=METHODS[:-1], choices=METHODS)
+    parser.add_argument("--settings", nargs="+", default=["wd", "ood-1", "ood-2", "ood-3", "ood-4"])
+    parser.add_argument("--target", default="planar")
+    parser.add_argument("--bottle", default="paper")
+    parser.add_argument("--iterations", type=int, default=8)
+    args = parser.parse_args()
+    compile_cache.enable()
+    out = output_folder(Path(args.out))
+    config = replace(default_comparison("pushing"), iterations=args.iterations, seeds=args.seeds, seed=args.first)
+    options = dict(config.train.task)
+    if args.target == "drake":
+        options["coefficients"] = "drake"  # the planar twin of Drake is what we adapt in
+    one = make_one_shot("pushing", options)
+    world = one.world(args.target, **({} if args.bottle == "paper" else {"bottle": args.bottle}))
+    targets = np.array([one.task.space.values(one.task.settings[name], name) for name in args.settings])
+    kept = out / "oracle.npy"
+    if not kept.exists():
+        np.save(kept, np.array([np.mean(one.oracle(world, target)) for target in targets]))
+    oracle = np.load(kept)
+    for seed in range(args.first, args.first + args.seeds):
+        for method in args.methods:
+            path = out / f"{method}-seed{seed:03d}.npz"
+            if not path.exists():
+                run_one(path, method, seed, config, one, world, targets)
+                jax.clear_caches()
+    rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one.task.space)]
+    results = stamped("pushing", config) | about(one, world, args.settings, targets, oracle) | {"rows": rows}
+    write_comparison(results, out)
+    print(table(results))
+
+
+if __name__ == "__main__":
+    main()
