@@ -42,7 +42,7 @@ def test_trials_end_well_and_pieces_stay_above_the_table(found):
 
 
 def test_a_piece_lies_still_until_the_blade_comes(found):
-    _, actions, out = found
+    _, _, out = found
     for k in range(BATCH):
         moved = np.abs(out.state[k, :, 0]) > 1e-4
         reached = out.state[k, :, 3] > -model.RADIUS - 1e-3

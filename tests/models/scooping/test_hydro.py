@@ -82,7 +82,7 @@ def test_an_incline_holds_below_the_angle_of_friction_and_not_above(run):
     for share in (0.97, 1.03):
         angle = np.arctan(0.3 * share)
         down, normal = G * np.sin(angle), G * np.cos(angle)
-        poses, velocities, _, _ = run(params, pose=resting(params), gravity=(down, -normal))
+        _, velocities, _, _ = run(params, pose=resting(params), gravity=(down, -normal))
         seconds = STEPS * TABLE.dt
         if share < 1:
             assert abs(velocities[-1, 0]) < 1e-4  # regularised friction creeps

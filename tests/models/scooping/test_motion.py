@@ -38,7 +38,7 @@ def _by_twist(action, options):
     for k in range(count + 1):
         c, s = np.cos(angle), np.sin(angle)
         if k % (count // 100) == 0:
-            out.append([*(link + [c * arm[0] + s * arm[1], c * arm[1] - s * arm[0]]), pitch + angle])
+            out.append([link[0] + c * arm[0] + s * arm[1], link[1] + c * arm[1] - s * arm[0], pitch + angle])
         t = (k + 0.5) / count
         link = link + np.array([speed(t), 0.0]) / count
         angle += turning(t) / count
