@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
@@ -21,7 +22,7 @@ from adaptsim_jax.closeloop.rivals import (
     settled,
     unexplained,
 )
-from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
+from adaptsim_jax.closeloop.view import Ranked, View, view
 from adaptsim_jax.models.effects import Layout
 
 Progress = Callable[[str], None]
@@ -103,17 +104,16 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
     done = unexplained(current, found.base) < settings.explained  # little is left: a shorter list will do
     count = settings.shortlist // 2 if done else settings.shortlist
-    leaders = _leaders(ranked, seen, current.active, settings, count)
+    leaders = first_leaders(ranked, seen, current.active, settings.alpha, count)
     trials = _refitted(problem, found, current, leaders, seen, settings, say)
     best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     if current is found.base and (best is None or not _earns(problem, best, current, found.base, settings)):
-        tried = {r.instance for r in leaders}
-        more = [r for r in _leaders(ranked, seen, current.active, settings, 2 * count) if r.instance not in tried]
-        leaders = leaders + more  # scores of a model that is far off are blunt: look further down both lists
+        more = further_leaders(problem, leaders, ranked, seen, current.active, settings.alpha, count)
+        leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
         best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     if best is not None and _pays(best, current, settings):
-        alike = _look_alikes(problem, _new(best, current), ranked, leaders)
+        alike = look_alikes(problem, _new(best, current), ranked, leaders)
         more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
         more = [settled(problem, t, seen.response) for t in more]
         trials, found.tried = trials + more, found.tried + more
@@ -131,37 +131,11 @@ def _refitted(
     return trials
 
 
-def _leaders(ranked: list[Ranked], view: View, active: Active, settings: Settings, count: int) -> list[Ranked]:
-    """The `count` candidates worth a whole refit: where anything is there, those that explain most by either score.
-
-    The score of one candidate may be blunt (its effect is not small, or moves reversals), so what must be significant is
-    the structure: some candidate, or some smooth force. And a slow effect hides in the covariance that it has inflated,
-    so the plain score has its say too.
-    """
-    seen = any(r.corrected(len(ranked)) < settings.alpha for r in ranked)
-    if not seen and generic_p_value(view) >= settings.alpha:
-        return []
-    half = count // 2
-    plain = [r for r in view.ranked(active, plain=True) if r.score.retained > 1e-3][:half]
-    names = {r.instance for r in plain}
-    fine = [r for r in ranked if r.score.retained > 1e-3 and r.instance not in names]
-    return plain + fine[: count - len(plain)]
-
-
 def _finished(problem: Problem, trials: list[Fitted], seen: View, settings: Settings) -> list[Fitted]:
     """The better half of the trials refitted until they settle; the others are far enough behind as they are."""
     order = sorted(trials, key=lambda t: -t.merit(settings.price))
     front = settings.shortlist // 2
     return [settled(problem, t, seen.response) for t in order[:front]] + order[front:]
-
-
-def _look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: list[Ranked]) -> list[Ranked]:
-    """Known look-alikes of the leader at its joint that were not refitted: the score alone must not decide there."""
-    layout = problem.model.layout
-    names = layout.instances[layout.index(*best)].effect.look_alikes
-    tried = {r.instance for r in done}
-    near = [r for r in ranked if r.instance[0] in names and r.instance[1] in (best[1], "base")]
-    return [r for r in near if r.instance not in tried and r.score.retained > 1e-3]
 
 
 def extend(

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.rivals import unexplained
@@ -18,19 +20,28 @@ class Verdict:
 
 
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
+LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance, whatever its shape
 LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
 
 
 def decide(
-    found: Found, before: Leftover, after: Leftover, settings: Settings, powered: bool, flexible: float = 1.0
+    found: Found,
+    before: Leftover,
+    after: Leftover,
+    settings: Settings,
+    powered: bool,
+    flexible: float,
+    force: np.ndarray,
 ) -> Verdict:
     """The verdict. `before`, `after`: the generic dictionary about the declared and the final model; `flexible`: the
-    held-out error of a model with smooth forces of any shape, over the declared model's."""
+    held-out error of a model with smooth forces of any shape, over the declared model's; `force` `[n]`: the force that the
+    declared model leaves unexplained at each joint, as a share of the torque."""
     active = found.added
-    structured = _structured(found, before, settings, flexible)
     if not active:
-        if structured:
+        if _structured(found, before, settings, flexible):
             return Verdict("structured_unattributed", _unattributed(before), False)
+        if np.max(force) > LARGE:
+            return Verdict("structured_unattributed", _large(force), False)
         if powered:
             return Verdict("within_noise", "The declared model explains the data to within their noise.", False)
         return Verdict(
@@ -45,6 +56,14 @@ def decide(
         message = f"The residual is explained by {names}; these data cannot tell it from {', '.join(others)}."
         return Verdict("explained_class", message, True)
     return Verdict("explained", f"The residual is explained by {names}.", True)
+
+
+def _large(force: np.ndarray) -> str:
+    joint = int(np.argmax(force))
+    return (
+        f"The declared model leaves forces of {100 * force[joint]:.0f} % of the torque at joint {joint + 1} that no candidate "
+        "explains: too much for a chance disturbance."
+    )
 
 
 def confirmed(verdict: Verdict, before: HeldOut, after: HeldOut) -> Verdict:

@@ -52,6 +52,7 @@ class Plant:
     constants: Mapping[str, np.ndarray]
     low: np.ndarray  # [P]
     high: np.ndarray  # [P]; low == high marks a known parameter
+    sound: Callable | None = None  # (constants, theta) -> theta with which the model can be simulated at all
 
     @property
     def state_dim(self) -> int:
@@ -103,7 +104,8 @@ class Plant:
         """
         rows, right = zip(*(_balances(self, *m, interval) for m in motions), strict=True)
         design, target = np.concatenate(rows), np.concatenate(right)
-        return _bounded_regression(design, target, self.low, self.high)
+        theta = _bounded_regression(design, target, self.low, self.high)
+        return theta if self.sound is None else np.clip(self.sound(self.constants, theta), self.low, self.high)
 
     def physical(self, theta: np.ndarray, known: Mapping[str, float] | None = None) -> dict[str, Physical]:
         """Declared physical parameters behind `theta: [P]`, each with whether the data (and `known`) fix it."""
@@ -124,6 +126,7 @@ jax.tree_util.register_dataclass(
         "gravity",
         "momentum_push",
         "declared",
+        "sound",
     ],
 )
 
@@ -186,6 +189,18 @@ def _rigid_mass(c, theta, q):
     m12 = p3 + couple
     m11 = p1 + 2.0 * couple
     return jnp.stack([jnp.stack([m11, m12]), jnp.stack([m12, p3 + 0.0 * m11])])
+
+
+def _rigid_sound(c, theta):
+    """`theta` with the inertias raised until the mass matrix is positive definite at every angle: what a regression says of
+    slow motions need not be. For any two bodies (p1 - p3) p3 >= (l1 h2)^2."""
+    p1, p3 = float(theta[0]), float(theta[1])
+    couple = (1.05 * float(c["l1"]) * float(theta[3])) ** 2
+    if (p1 - p3) * p3 > couple:
+        return theta
+    first = max(p1 - p3, 0.1 * p1)
+    scale = max(1.0, float(np.sqrt(couple / (first * p3))))
+    return np.concatenate([[scale * (first + p3), scale * p3], theta[2:]])
 
 
 def _rigid_gravity(c, theta, q):
@@ -261,6 +276,7 @@ def make_pendulum_plant(
         names, units = ("m1", "m2", "b1", "b2"), ("kg", "kg", "N m s/rad", "N m s/rad")
         low, high = np.array([1e-3, 1e-3, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3])
         functions = (_linear_mass, _linear_push, _linear_gravity, _linear_push, _linear_declared)
+        sound = None  # positive masses are enough
         constants = {"g": np.asarray(float(geometry.get("g", 9.81)))}
     elif model == "rigid_body":
         if angle_zero not in ("upright", "hanging"):
@@ -271,6 +287,7 @@ def make_pendulum_plant(
         units = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
         low, high = np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3])
         functions = (_rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push, _rigid_declared)
+        sound = _rigid_sound
         sign = 1.0 if angle_zero == "hanging" else -1.0
         constants = {"l1": geometry["l1"], "g": geometry.get("g", 9.81), "gravity_sign": sign}
         constants = {k: np.asarray(float(v)) for k, v in constants.items()}
@@ -281,5 +298,18 @@ def make_pendulum_plant(
             low[i] = high[i] = known[name]
     mass, push, gravity, momentum_push, declared = functions
     return Plant(
-        f"pendulum/{model}", 2, 2, names, units, mass, push, gravity, momentum_push, declared, constants, low, high
+        f"pendulum/{model}",
+        2,
+        2,
+        names,
+        units,
+        mass,
+        push,
+        gravity,
+        momentum_push,
+        declared,
+        constants,
+        low,
+        high,
+        sound,
     )
