@@ -58,7 +58,7 @@ def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iteration
     # lanes run over targets, seeds, starts; the same starts serve all targets
     pick = lambda x: jnp.tile(x.reshape(-1, *x.shape[2:]), (len(arena.targets), *(1,) * (x.ndim - 2)))
     mean, policies = np.asarray(pick(first.mean)), jax.tree.map(pick, first.policy)
-    weights, delta = trained.weights[batch.seed], trained.hyper.delta[batch.seed]
+    weights, delta = trained.weights[batch.seed], jnp.asarray(trained.hyper.delta)[batch.seed]
 
     @jax.jit
     def advance(mean, obs):

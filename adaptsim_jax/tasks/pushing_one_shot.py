@@ -42,7 +42,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         return naf.act(key, policy.weights, task.seen_goal(goals), config.training.noise)
 
     def world(backend, **settings):
-        own = {"coefficients": twin} if backend == "planar" else {}
+        own: dict[str, Any] = {"coefficients": twin} if backend == "planar" else {}
         return pushing_world(backend, options, **(own | settings))
 
     def oracle(world, params):
