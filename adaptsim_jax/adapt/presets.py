@@ -83,11 +83,11 @@ def default_config(task: str) -> TrainConfig:
 
 
 def pushing_sweep() -> TrainConfig:
-    """Phase 1 of the push for many seeds: more adaptation steps, and far fewer trials.
+    """Phase 1 of the push for many seeds: more adaptation steps, and fewer trials for each policy.
 
-    Training task policies is nearly all of the cost, and each anchor of the pool is trained once or twice, however many
-    visits borrow it: with a wider threshold and 2000 trials first, 40,000 adaptation steps cost less than 10,000 as in
-    `pushing`. Many trajectories at once, so that trainings of like budgets fill their groups.
+    Training task policies is nearly all of the cost, and a policy of the pool is trained once or twice, however many
+    visits borrow it; so steps are raised rather than trials, with a wider threshold. Many trajectories at once, so that
+    trainings of like budgets fill their groups. Not tuned: no run of it has been scored.
     """
     base = pushing()
     return replace(
