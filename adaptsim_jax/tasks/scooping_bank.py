@@ -140,7 +140,7 @@ def identity(options: ScoopOptions, numerics: Numerics) -> str:
 
 def save_bank(path: Path, found: Fit, wins: np.ndarray, seed: int, options: ScoopOptions, numerics: Numerics) -> None:
     """The trials' outcomes (their points follow from count and seed), the network, and what they belong to."""
-    arrays = {
+    arrays: dict[str, Any] = {
         f"{n}{i}": np.asarray(v) for i, layer in enumerate(found.bank.layers) for n, v in zip("wb", layer, strict=True)
     }
     about = {

@@ -114,6 +114,7 @@ def test_features_span_omega_and_the_actions():
     np.testing.assert_allclose(high, np.ones(7), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_phase_1_with_reused_policies(monkeypatch):
     """Shapes are never lent across, and means of E are shapes. The engine, tested above, is replaced by a rule that compiles
     fast: low pitches scoop ellipsoids, high ones the others."""

@@ -74,7 +74,7 @@ def _hydro(options: ScoopOptions, numerics: Numerics = Numerics()):  # noqa: B00
 
 def checked(params: Any, commands: Any, initial: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The batch as arrays `[B, 4]`, `[B, 3]`, `[B, 2]`; BadInput where shapes do not fit together."""
-    arrays = tuple(np.asarray(a, float) for a in (params, commands, initial))
+    arrays = np.asarray(params, float), np.asarray(commands, float), np.asarray(initial, float)
     for name, array, width in zip(("params", "commands", "initial"), arrays, (4, 3, 2), strict=True):
         if array.ndim != 2 or array.shape[1] != width or len(array) != len(arrays[0]):
             raise BadInput(

@@ -58,10 +58,10 @@ def make_drake(options: ScoopOptions, contact: DrakeContact = DrakeContact(), th
         with ThreadPoolExecutor(threads) as pool:
             rows = list(pool.map(lambda row: _one(drake, contact, every, *row), work))
         state = np.stack(rows) if rows else np.zeros((0, round(model.SECONDS / backend.ROW), backend.STATE))
-        lost = ~np.isfinite(state).all((1, 2))
+        lost = np.logical_not(np.all(np.isfinite(state), axis=(1, 2)))
         fit = _fit(params, actions)
         codes = np.where(fit, np.where(lost, model.DIVERGED, model.FINE), model.UNFIT)
-        return backend.placed(np.where(lost[:, None, None], 0.0, state), codes, starts)
+        return backend.placed(np.where(np.expand_dims(lost, (1, 2)), 0.0, state), codes, starts)
 
     return simulate
 
@@ -72,8 +72,8 @@ def _poses(action: np.ndarray, options: ScoopOptions, dt: float) -> np.ndarray:
 
 
 def _fit(params: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    inside = (params >= np.array(model.PHYSICAL_LOW)).all(1) & (params <= np.array(model.PHYSICAL_HIGH)).all(1)
-    return inside & np.isfinite(actions).all(1)
+    inside = (params >= np.array(model.PHYSICAL_LOW)) & (params <= np.array(model.PHYSICAL_HIGH))
+    return np.all(inside, axis=1) & np.all(np.isfinite(actions), axis=1)
 
 
 def _one(drake: Any, contact: DrakeContact, every: int, params: np.ndarray, poses: np.ndarray) -> np.ndarray:
