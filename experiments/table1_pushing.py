@@ -9,6 +9,7 @@
 """
 
 import argparse
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -81,7 +82,8 @@ def main() -> None:
                 run_one(path, method, seed, config, one, world, targets)
                 jax.clear_caches()
     rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one.task.space)]
-    results = stamped("pushing", config) | about(one, world, args.settings, targets, oracle) | {"rows": rows}
+    command = {"command": " ".join(["python experiments/table1_pushing.py", *sys.argv[1:]])}
+    results = stamped("pushing", config) | command | about(one, world, args.settings, targets, oracle) | {"rows": rows}
     write_comparison(results, out)
     print(table(results))
 
