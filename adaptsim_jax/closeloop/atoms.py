@@ -228,12 +228,11 @@ def _memory_rows(model: Model, theta, windows: Windows, effect: Effect):
 
 def _command_rows(model: Model, eff, mask, windows: Windows, drive, effect: Effect):
     """Change of the command, per unit of size, on top of the command effects that already act."""
-    now = trial_command(model, eff, mask, windows)
-    t = jnp.asarray(windows.time).T
+    t, now = trial_command(model, eff, mask, windows)
 
     def one(joint, row):
         change = _change(effect, row, lambda p: effect.apply(p, t, now[:, joint]))
-        rows = gather_command(change[:, None], windows, drive.dt)  # [L, 1, W]
+        rows, _ = gather_command(t, change[:, None], windows, drive.dt)  # [L, 1, W]
         return _spread(rows.transpose(1, 0, 2), joint, model.plant.joint_dim)
 
     return one

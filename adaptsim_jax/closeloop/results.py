@@ -53,6 +53,12 @@ def _number(value: Any, error: float, unit: str) -> dict[str, Any]:
     }
 
 
+def _within(number: dict[str, Any], low: float, high: float) -> dict[str, Any]:
+    """The interval of a parameter no wider than what it may be; its value stays inside."""
+    value = number["value"]
+    return number | {"low": max(number["low"], min(low, value)), "high": min(number["high"], max(high, value))}
+
+
 def _effect(problem: Problem, found: Found, instance: tuple[str, str]) -> dict[str, Any]:
     layout = problem.model.layout
     effect = layout.instances[layout.index(*instance)].effect
@@ -61,7 +67,7 @@ def _effect(problem: Problem, found: Found, instance: tuple[str, str]) -> dict[s
     parameters = {}
     for k, p in enumerate(effect.parameters):
         value, error = fitted.get(p.name, (found.final.candidate.eff[at.start + k], 0.0))
-        parameters[p.name] = _number(value, error, p.unit)
+        parameters[p.name] = _within(_number(value, error, p.unit), *(float(z[at.start + k]) for z in problem.bounds))
     return {
         "name": instance[0], "where": instance[1], "parameters": parameters, "physics": effect.physics,
         "alternatives": [f"{e}@{w}" for e, w in found.classes.get(instance, [])],

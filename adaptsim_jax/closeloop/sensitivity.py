@@ -135,13 +135,13 @@ def _row_maps(model: Model, theta, eff, mask, drive, x, memory, substeps: int):
     length, states, windows = drive.dt.shape[0], x.shape[1], x.shape[2]
     joints = model.plant.joint_dim
     batch = lambda z: jnp.moveaxis(z, 0, -2).reshape(*z.shape[1:-1], length * windows)
-    start, u, t, dt = batch(x[:-1]), batch(drive.u), batch(drive.stamps[:-1]), batch(drive.dt)
+    start, u, ramp, t, dt = (batch(z) for z in (x[:-1], drive.u, drive.ramp, drive.stamps[:-1], drive.dt))
     memory = tuple(batch(w[:-1]) for w in memory)
     zero = jnp.zeros((joints, length * windows), x.dtype)
     on = switched_on(model, mask)
 
     def end(x, force):
-        return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on)[0]
+        return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on, ramp)[0]
 
     _, push = jax.linearize(end, start, zero)
     eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((1, 1, length * windows), x.dtype)

@@ -17,10 +17,11 @@ __all__ = ["Drive", "Model", "Push", "make_model", "measure", "row_step", "simul
 
 
 class Drive(NamedTuple):
-    """What drives the windows, time first and windows last: `u [L, U, W]` N m, `dt [L, W]` s, `time [L+1, W]` s,
-    `clock [W]` s, and the effects' memory `(w [n, W], ...)` at the start."""
+    """What drives the windows, time first and windows last: `u [L, U, W]` N m and its rise `ramp [L, U, W]` N m over
+    each step, `dt [L, W]` s, `time [L+1, W]` s, `clock [W]` s, and the effects' memory `(w [n, W], ...)` at the start."""
 
     u: jax.Array
+    ramp: jax.Array
     dt: jax.Array
     time: jax.Array
     clock: jax.Array
@@ -48,24 +49,27 @@ def driven(model: Model, theta, eff, mask, windows: Windows) -> Drive:
     """Commands as they reach the joints, and memories warmed along the measured motion."""
     time = jnp.asarray(windows.times).T
     dt = jnp.diff(time, axis=0)
-    applied = trial_command(model, eff, mask, windows)
+    half, applied = trial_command(model, eff, mask, windows)
     clock = jnp.asarray(windows.clock)[windows.trial]
     memory = _warm_memory(model, theta, eff, mask, windows)
-    return Drive(gather_command(applied, windows, dt), dt, time, clock, memory)
+    return Drive(*gather_command(half, applied, windows, dt), dt, time, clock, memory)
 
 
-def trial_command(model: Model, eff, mask, windows: Windows) -> jax.Array:
-    """The trials' torque with the command effects applied, `[T, U, N]` N m."""
-    u = jnp.asarray(windows.torque).transpose(1, 2, 0)
-    t = jnp.asarray(windows.time).T[:, None, :]
+def trial_command(model: Model, eff, mask, windows: Windows) -> tuple[jax.Array, jax.Array]:
+    """Times `[2 T, N]` s and the trials' torque with the command effects applied `[2 T, U, N]` N m, two half rows for each
+    row: a late command changes within a row."""
+    t, u = jnp.asarray(windows.time).T, jnp.asarray(windows.torque).transpose(1, 2, 0)
+    middle = 0.5 * (t + jnp.concatenate([t[1:], t[-1:]]))
+    t = jnp.stack([t, middle], 1).reshape(-1, t.shape[1])
+    u = jnp.repeat(u, 2, axis=0)
     effects = list(model.layout.placed("command"))
 
     def act(u):
         for effect in effects:
-            u = effect.apply(timeless(model.layout.params(effect, eff, 1)), t, u)
+            u = effect.apply(timeless(model.layout.params(effect, eff, 1)), t[:, None, :], u)
         return u
 
-    return jax.lax.cond(_any(model, effects, mask), act, lambda u: u, u) if effects else u
+    return t, jax.lax.cond(_any(model, effects, mask), act, lambda u: u, u) if effects else u
 
 
 def timeless(p: dict) -> dict:
@@ -73,16 +77,27 @@ def timeless(p: dict) -> dict:
     return {name: value[None] for name, value in p.items()}
 
 
-def gather_command(applied, windows: Windows, dt) -> jax.Array:
-    """Mean torque over each step of each window `[L, U, W]`, exact in impulse where rows were merged or split."""
-    time = jnp.asarray(windows.time).T[:, None, :]
+def gather_command(half, applied, windows: Windows, dt) -> tuple[jax.Array, jax.Array]:
+    """Mean torque over each step of each window and its rise over the step, `[L, U, W]` both: exact in impulse, and, with
+    torques held over half rows, in where within the step the impulse acts. half `[2 T, N]`, applied `[2 T, U, N]`."""
+    time = half[:, None, :]
     impulse = jnp.cumsum(applied[:-1] * jnp.diff(time, axis=0), 0)
     impulse = jnp.concatenate([jnp.zeros_like(impulse[:1]), impulse])
-    rows, trial = windows.rows.T, windows.trial[None, :]
-    since = jnp.asarray(windows.times).T - time[rows, 0, trial]
-    at = impulse[rows, :, trial] + applied[rows, :, trial] * since[..., None]  # [L+1, W, U]
-    mean = jnp.diff(at, axis=0) / jnp.where(dt > 0, dt, 1.0)[..., None]
-    return jnp.swapaxes(mean, 1, 2)
+    times, trial = jnp.asarray(windows.times).T, windows.trial[None, :]
+    middle = times[:-1] + 0.5 * dt
+
+    def reached(at, row):  # [., W] -> [., W, U]
+        return impulse[row, :, trial] + applied[row, :, trial] * (at - half[row, trial])[..., None]
+
+    row = jnp.asarray(windows.rows).T
+    edge = jnp.where(times >= half[2 * row + 1, trial], 2 * row + 1, 2 * row)
+    between = jax.vmap(lambda column, at: jnp.searchsorted(column, at, side="right") - 1, 1, 1)
+    inner = jnp.clip(between(half[:, windows.trial], middle), 0, half.shape[0] - 1)
+    ends, mid = reached(times, edge), reached(middle, inner)
+    safe = jnp.where(dt > 0, dt, 1.0)[..., None]
+    first, second = 2.0 * (mid - ends[:-1]) / safe, 2.0 * (ends[1:] - mid) / safe
+    swap = lambda z: jnp.swapaxes(z, 1, 2)
+    return swap(0.5 * (first + second)), swap(1.5 * (second - first))
 
 
 def _any(model: Model, effects: list, mask):
@@ -135,11 +150,11 @@ def trajectory(model: Model, theta, eff, mask, drive: Drive, x0, substeps: int):
     on = switched_on(model, mask)
 
     def row(carry, now):
-        (u, t, dt), (x, memory) = now, carry
-        new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps, on)
+        (u, ramp, t, dt), (x, memory) = now, carry
+        new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps, on, ramp)
         return new, carry
 
-    last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.stamps[:-1], drive.dt))
+    last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.ramp, drive.stamps[:-1], drive.dt))
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), seen, last)
 
 

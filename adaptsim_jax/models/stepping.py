@@ -117,9 +117,12 @@ def _where_on(model: Model, effect, on, change: Callable, value, *args):
     return jax.lax.cond(on[index], change, lambda value, *_: value, value, *args)
 
 
-def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int, on=None):
+def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int, on=None, ramp=None):
     """State and memories after a row of `dt: [W]` s from `x: [S, W]`: Runge-Kutta 4, memories relaxed exactly by half a
-    substep on each side of it (Strang splitting). on `[effects]`: as of `acting`."""
+    substep on each side of it (Strang splitting).
+
+    on `[effects]`: as of `acting`; ramp `[U, W]` N m: how much the command rises over the row, `u` being its mean.
+    """
     h = dt / substeps
     wide = _lift(h, x)
     stages = (jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype), jnp.array([1.0, 2.0, 2.0, 1.0], x.dtype) / 6.0)
@@ -136,7 +139,8 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
             a, b = ab
             at = x + a * wide * slope
             act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on)
-            slope = model.plant.deriv(theta, at, u, act.force + rub + push.force, act.inertia + push.inertia)
+            here = u if ramp is None else u + ((i + a) / substeps - 0.5) * ramp
+            slope = model.plant.deriv(theta, at, here, act.force + rub + push.force, act.inertia + push.inertia)
             return (slope, total + b * slope), None
 
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
