@@ -87,7 +87,10 @@ def test_an_incline_holds_below_the_angle_of_friction_and_not_above(run):
         if share < 1:
             assert abs(velocities[-1, 0]) < 1e-4  # regularised friction creeps
         else:
-            assert velocities[-1, 0] == pytest.approx((down - 0.3 * normal) * seconds, rel=0.02)
+            # the speed is a small difference of two large impulses, so what friction there was is what can be compared
+            friction = (down * seconds - velocities[-1, 0]) / (normal * seconds)
+            assert friction == pytest.approx(0.3, rel=0.005)
+            assert velocities[-1, 0] > 0.5 * (down - 0.3 * normal) * seconds
 
 
 @pytest.mark.parametrize("g", [0, 1, 2])
