@@ -18,7 +18,7 @@ COLOURS = {
     "sysid_point": "#009E73",
     "sysid_point_state": "#6FBF8F",
     "gradient": "#CC79A7",
-    "bayesopt": "#F0E442",
+    "bayesopt": "#B8A300",
     "udr": "#777777",
     "udr_target": "#8C6BB1",
     "learn_in_target": "#A6761D",

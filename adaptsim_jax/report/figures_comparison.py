@@ -11,8 +11,11 @@ from matplotlib.ticker import MaxNLocator
 from adaptsim_jax.report import figures as look
 
 
-def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = (), bottom: float = -0.4) -> Figure:
+def reward_over_iterations(
+    results: Mapping[str, Any], methods: Sequence[str] = (), bottom: float | None = None
+) -> Figure:
     """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
+    bottom = _least(results) if bottom is None else bottom
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     width = max(2.15 * len(settings) + 0.6, 4.6)
@@ -49,9 +52,16 @@ def _curve(ax, curve: Mapping[str, Any], style: dict, label: str, bottom: float)
     ax.plot(iterations, median, linewidth=1.7, label=label, **style)
 
 
-def rewards(results: Mapping[str, Any], left: float = -0.4) -> Figure:
+def _least(results: Mapping[str, Any]) -> float:
+    """Where axes of rewards begin: normalised ones go below 0, a task's own do not."""
+    return -0.02 if "reward" in results else -0.4
+
+
+def rewards(results: Mapping[str, Any], left: float | None = None) -> Figure:
     """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval, and every seed."""
-    rows = [r for r in results["rows"] if r["method"] not in ("udr", "best_in_omega")]
+    left = _least(results) if left is None else left
+    known = () if "reward" in results else ("udr", "best_in_omega")  # 0 and 1 by definition where normalised
+    rows = [r for r in results["rows"] if r["method"] not in known]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
     figure, axes = look.new_figure(2.0 * len(settings) + 1.6, 0.34 * len(methods) + 1.1, 1, len(settings), sharey=True)
