@@ -116,8 +116,11 @@ def test_drake_agrees_with_itself_about_as_much_as_with_us(found):
     assert not theirs.code.any()
     alike = backends.outcome(theirs.state)[0] == backends.outcome(out.state[:12])[0]
     assert alike.mean() >= 0.75
-    # before the blade comes, as deep in the table, by Drake's own mesh; and the tip is where it was told to be throughout
-    assert np.abs(theirs.state[:, :6, [0, 2]] - out.state[:12, :6, [0, 2]]).max() < 5e-5
+    # before the blade comes, as deep in the table: cylinders to microns, ellipsoids by the 0.1 mm that Drake's mesh of flat
+    # facets lies inside of them; and the tip is where it was told to be throughout
+    gap, flat = np.abs(theirs.state[:, :6, [0, 2]] - out.state[:12, :6, [0, 2]]).max((1, 2)), params[:, 2] == 1
+    assert gap[flat].max() < 5e-6
+    assert gap[~flat].max() < 1.5e-4
     assert np.abs(theirs.state[:, :, 3:5] - out.state[:12, :, 3:5]).max() < 2e-4
 
 

@@ -51,7 +51,7 @@ def test_the_tip_hangs_from_the_link(x64):
     by_hand = _by_twist(ACTION, options)
     np.testing.assert_allclose(ours[:, [0, 2]], by_hand[:, [0, 2]], atol=1e-6)
     low = np.asarray(by_hand[:, 1] + np.asarray(spatula.lowest(jnp.asarray(by_hand[:, 2]))))
-    np.testing.assert_allclose(ours[:, 1], by_hand[:, 1] + np.maximum(0.0, -low), atol=1e-6)
+    np.testing.assert_allclose(ours[:, 1], by_hand[:, 1] + np.maximum(0.0, options.clearance - low), atol=1e-6)
     assert (low < -1e-3).any() and (low > 0.02).any()  # it would sink, and it lifts
 
 
