@@ -60,19 +60,13 @@ def scooping() -> TrainConfig:
     Policies are reused within 0.16, with budgets of 1.2e3 trials first and no more once they have had 4e3. The least, 600, is
     ours. The reward is a share of pieces already; the paper's sparse threshold of 0.5 would hide which half is left.
     """
-    return TrainConfig(
+    base = pushing()
+    reuse = ReuseConfig(threshold=0.16, first=1200, most=4000, least=600, together=10)
+    return replace(
+        base,
         every=5,
-        phase1=Phase1Config(
-            trajectories=1250,
-            parallel=50,
-            horizon=8,
-            updates=480,
-            capacity=20_000,
-            archive=2000,
-            hidden=(64, 64),
-            reuse=ReuseConfig(threshold=0.16, first=1200, most=4000, least=600, together=10),
-        ),
-        hyper=Phase1Hyper(learner=BDQHyper(discount=0.9), delta=0.15, gain=1.0, soft=0.0),
+        phase1=replace(base.phase1, hidden=(64, 64), reuse=reuse),
+        hyper=replace(base.hyper, gain=1.0),
     )
 
 

@@ -22,7 +22,8 @@ from adaptsim_jax.closeloop.simulate import Model, make_model
 from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.closeloop.windows import Windows, cut_windows
 from adaptsim_jax.models.effects import Effect, Reach
-from adaptsim_jax.models.plant import Plant, make_pendulum_plant
+from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
+from adaptsim_jax.models.plant import Plant
 
 HELD_SHAPES = ("side", "loss")  # shapes that are chosen on a grid and not moved by the fit
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from typing import Any
 
 EXAMPLES = """
@@ -59,11 +60,7 @@ def _show_pushing(found: dict[str, Any]) -> None:
         print(f"{name:28} {numbers} {row['compared']:9}")
     print("\ndrake - drake_other_step is the ceiling: one engine at steps of 2 and 2.5 ms\n")
     print(f"{'engine':18} {'pushes/s':>10} {'pushes/CPU s':>13} {'first call':>11}")
-    for row in found["engines"]:
-        if not row["ran"]:
-            print(f"{row['engine']:18} did not run: {row['why']}")
-            continue
-        wrong = "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
+    for row, wrong in _that_ran(found["engines"]):
         speeds = f"{row['pushes_per_second']:10.1f} {row['pushes_per_cpu_second']:13.1f} {row['first_call_s']:9.1f} s"
         print(f"{row['engine']:18} {speeds}{wrong}")
 
@@ -83,14 +80,19 @@ def _show_scooping(found: dict[str, Any]) -> None:
     print(
         f"{'engine':18} {'success':>8} {'ellipsoid':>9} {'cylinder':>9} {'trials/s':>9} {'per CPU s':>9} {'first call':>11}"
     )
-    for row in found["engines"]:
-        if not row["ran"]:
-            print(f"{row['engine']:18} did not run: {row['why']}")
-            continue
+    for row, wrong in _that_ran(found["engines"]):
         shapes = " ".join(f"{'-' if v is None else f'{v:.3f}':>9}" for v in row["success_by_shape"].values())
         speeds = f"{row['trials_per_second']:9.1f} {row['trials_per_cpu_second']:9.1f} {row['first_call_s']:9.1f} s"
-        wrong = "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
         print(f"{row['engine']:18} {row['success']:8.3f} {shapes} {speeds}{wrong}")
+
+
+def _that_ran(engines: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], str]]:
+    """Each engine that ran, with what went wrong in it; those that did not are printed with the reason."""
+    for row in engines:
+        if row["ran"]:
+            yield row, "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
+        else:
+            print(f"{row['engine']:18} did not run: {row['why']}")
 
 
 def _show(found: dict[str, Any]) -> None:

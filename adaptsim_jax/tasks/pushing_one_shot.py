@@ -14,10 +14,9 @@ from adaptsim_jax.models.backends.pushing import make_backend
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
+from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy
 
-UDR_BUDGETS = 3  # UDR has to serve all of Omega: as many times the trials of one policy (M_max of the paper by M)
-TUNE_UPDATES = 200  # gradient steps on a target's trials, after each lot of them
 BOTTLES = {"paper": model.PAPER, "heavy": model.HEAVY, "light": model.LIGHT}
 
 
@@ -27,19 +26,8 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     options = PushOptions(friction=config.friction, duration=config.duration)
     space, twin = made.space, task.TWINS[config.coefficients]
     learner = make_goal_learner(naf, _everywhere(space, options, twin), config.training, task.naf_rates(config))
-    rounds = -(-UDR_BUDGETS * config.trials // config.training.block)
-
-    def train_uniform(key):
-        init_key, train_key = jax.random.split(key)
-        weights = naf.init(init_key).online[None]
-        return PushingPolicy(learner.train(train_key[None], weights, jnp.zeros(1), jnp.full(1, rounds), rounds)[0])
-
-    def tune(key, policy, goals, actions, points, used):
-        trials = Trials(goals, actions, points[:, -1])
-        return PushingPolicy(learner.tune(key, policy.weights, trials, used, TUNE_UPDATES))
-
-    def explore(key, policy, goals):
-        return naf.act(key, policy.weights, task.seen_goal(goals), config.training.noise)
+    trials = lambda goals, actions, points: Trials(goals, actions, points[:, -1])
+    policies = naf_policies(naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials)
 
     def world(backend, **settings):
         own: dict[str, Any] = {"coefficients": twin} if backend == "planar" else {}
@@ -56,12 +44,9 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         trials=config.trajectories,
         action_dim=2,
         draw=task.draw_goal,
-        act=lambda policy, goals: naf.greedy(policy.weights, task.seen_goal(goals)),
-        explore=explore,
         reward=_reward,
         trajectory=lambda goals, points: task.of_points(goals, points),
-        train_uniform=train_uniform,
-        tune=tune,
+        **policies._asdict(),
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
         worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(task.unseen(seen) - goal) / task.WORST),

@@ -13,10 +13,9 @@ from adaptsim_jax.models.scooping import ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.tasks import scooping as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
+from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
 
-UDR_BUDGETS = 3  # UDR has to serve all of Omega: about as many times the trials of one policy (M_max of the paper by M)
-TUNE_UPDATES = 200  # gradient steps on a target's trials, after each lot of them
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts
 HEIGHT_UNIT = 0.02  # m
@@ -27,20 +26,9 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     made, naf, options = task.make_scooping(config), task.make_scooping_naf(config), task.checked(config)
     anywhere = lambda key, context: made.space.physical(made.space.sample(key))
     learner = make_goal_learner(naf, task.training_problem(config, anywhere), config.training, task.naf_rates(config))
-    rounds = -(-UDR_BUDGETS * config.trials // config.training.block)
+    trials = lambda contexts, actions, outcomes: Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
+    policies = naf_policies(naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials)
     tests = task.test_contexts(config.tests)
-
-    def train_uniform(key):
-        init_key, train_key = jax.random.split(key)
-        weights = naf.init(init_key).online[None]
-        return ScoopingPolicy(learner.train(train_key[None], weights, jnp.zeros(1), jnp.full(1, rounds), rounds)[0])
-
-    def tune(key, policy, contexts, actions, outcomes, used):
-        trials = Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
-        return ScoopingPolicy(learner.tune(key, policy.weights, trials, used, TUNE_UPDATES))
-
-    def explore(key, policy, contexts):
-        return naf.act(key, policy.weights, task.seen_place(contexts), config.training.noise)
 
     return OneShot(
         task=made,
@@ -48,12 +36,9 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         trials=config.trajectories,
         action_dim=3,
         draw=task.draw_context,
-        act=lambda policy, contexts: naf.greedy(policy.weights, task.seen_place(contexts)),
-        explore=explore,
         reward=lambda outcome, context: task.success(outcome),
         trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
-        train_uniform=train_uniform,
-        tune=tune,
+        **policies._asdict(),
         inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
         worth=lambda seen, context: seen[0],

@@ -11,7 +11,7 @@ from adaptsim_jax.closeloop.simulate import driven, make_model, simulate
 from adaptsim_jax.closeloop.windows import cut_windows, local_motion
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.effects import catalogue
-from adaptsim_jax.models.plant import make_pendulum_plant
+from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from tests.closeloop.small_rig import GEOMETRY, SIGMA, TRUE, make_trials
 
 FEW = tuple(e for e in catalogue() if e.name in ("coulomb", "bias", "delay", "presliding"))

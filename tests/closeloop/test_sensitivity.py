@@ -11,7 +11,7 @@ from adaptsim_jax.closeloop.sensitivity import signatures
 from adaptsim_jax.closeloop.simulate import make_model, simulate
 from adaptsim_jax.closeloop.windows import cut_windows
 from adaptsim_jax.models.effects import catalogue
-from adaptsim_jax.models.plant import make_pendulum_plant
+from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from tests.closeloop.small_rig import GEOMETRY, SIGMA, TRUE, make_trials
 
 pytestmark = pytest.mark.slow  # one compile of the whole catalogue

@@ -196,7 +196,6 @@ def test_delay_and_lag_keep_the_impulse():
             assert abs(float(mean) - p) < 2e-3 if effect == "delay" else abs(float(mean) - p) < 5e-3
 
 
-
 def test_what_was_commanded_before_the_recording_fades():
     """A held command arrives at once where it was there before, late where it was not; later rows do not know."""
     with jax.enable_x64(True):

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pendulum as pd
-from adaptsim_jax.models.plant import make_pendulum_plant
+from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 
 LINKS = dict(mass=(1.3, 0.7), length=(0.8, 0.5), com=(0.35, 0.3), inertia=(0.07, 0.02), damping=(0.15, 0.08))
 ROTORS = dict(rotor_inertia=(2e-4, 3e-4), gear=(6.0, -9.0))

@@ -5,18 +5,15 @@ Outcomes are success or failure, and Drake does not agree with itself at another
 
 from __future__ import annotations
 
-import itertools
-import os
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models.backends import scooping as backend
+from adaptsim_jax.models.backends.engine_runs import Run, engines_and_pairs, speed_row, timed_run
 from adaptsim_jax.models.backends.scooping_drake import DrakeContact
 from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.progress import Report, silent
@@ -34,16 +31,6 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-class Run(NamedTuple):
-    """success `[B]`, codes `[B]`, and seconds: the first call (compiling), and a trial of a warm call by wall and by CPU."""
-
-    success: np.ndarray
-    code: np.ndarray
-    first: float
-    each: float
-    cpu_each: float
-
-
 def scooping_parity(*, samples: int = 32, seed: int = 0, progress: Report = silent) -> dict[str, Any]:
     """Success or failure of `samples` random trials in every engine that is installed.
 
@@ -52,25 +39,9 @@ def scooping_parity(*, samples: int = 32, seed: int = 0, progress: Report = sile
     """
     params, actions = model.draw(seed, samples)
     batch = (params, actions, np.zeros((samples, 2)))
-    runs, engines = {}, []
-    for done, name in enumerate(ENGINES):
-        progress(done, len(ENGINES), name)
-        try:
-            runs[name] = run = _run(_backend(name), batch, name)
-        except BadInput as error:
-            engines.append({"engine": name, "ran": False, "why": str(error)})
-            continue
-        engines.append({"engine": name, "ran": True, **_row(run, params[:, 2])})
-    pairs = [{"pair": [a, b], **_alike(runs[a], runs[b])} for a, b in itertools.combinations(runs, 2)]
-    return {
-        "schema": 1,
-        "task": "scooping",
-        "samples": samples,
-        "seconds": model.SECONDS,
-        "cores": os.cpu_count(),
-        "engines": engines,
-        "pairs": pairs,
-    }
+    run, row = lambda name: _run(_backend(name), batch, name), lambda run: _row(run, params[:, 2])
+    found = engines_and_pairs(ENGINES, run, row, _alike, progress)
+    return {"schema": 1, "task": "scooping", "samples": samples, "seconds": model.SECONDS, **found}
 
 
 def _backend(name: str) -> Callable:
@@ -78,32 +49,15 @@ def _backend(name: str) -> Callable:
 
 
 def _run(simulate: Callable, batch: tuple, name: str) -> Run:
-    """Drake compiles nothing, so its first call is its only one."""
-    out, first, cpu = _timed(simulate, batch)
-    count = len(batch[0])
-    if name.startswith("drake"):
-        return Run(backend.outcome(out.state)[0], out.code, 0.0, first / count, cpu / count)
-    out, seconds, cpu = _timed(simulate, batch)
-    return Run(backend.outcome(out.state)[0], out.code, first, seconds / count, cpu / count)
-
-
-def _timed(simulate: Callable, batch: tuple) -> tuple[Any, float, float]:
-    begin, cpu = time.perf_counter(), time.process_time()
-    out = simulate(*batch)
-    return out, time.perf_counter() - begin, time.process_time() - cpu
+    outcome = lambda state: backend.outcome(state)[0]
+    return timed_run(simulate, batch, outcome, compiles=not name.startswith("drake"))
 
 
 def _row(run: Run, shape: np.ndarray) -> dict[str, Any]:
-    codes = {model.MESSAGES[c]: int((run.code == c).sum()) for c in model.MESSAGES if c and (run.code == c).any()}
-    share = lambda rows: float(run.success[rows].mean()) if rows.any() else None
-    return {
-        "success": float(run.success.mean()),
-        "success_by_shape": {model.SHAPES[g]: share(shape == g) for g in range(2)},
-        "trials_per_second": 1 / run.each,
-        "trials_per_cpu_second": 1 / max(run.cpu_each, 1e-9),
-        "first_call_s": run.first,
-        "went_wrong": codes,
-    }
+    share = lambda rows: float(run.outcome[rows].mean()) if rows.any() else None
+    shares = {model.SHAPES[g]: share(shape == g) for g in range(2)}
+    success = {"success": float(run.outcome.mean()), "success_by_shape": shares}
+    return success | speed_row(run, "trials", model.MESSAGES)
 
 
 def _alike(a: Run, b: Run) -> dict[str, Any]:
@@ -111,7 +65,7 @@ def _alike(a: Run, b: Run) -> dict[str, Any]:
     count = int(good.sum())
     if not count:
         return {"compared": 0}
-    share = float((a.success == b.success)[good].mean())
+    share = float((a.outcome == b.outcome)[good].mean())
     low, high = wilson(share, count)
     return {"compared": count, "alike": share, "low": low, "high": high}
 
