@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,10 @@ EXAMPLES = """
   adaptsim adapt runs/a --target out/model.toml    the mended model of `adaptsim diagnose` as the target
   adaptsim adapt runs/a --target wd --starts 4 --iterations 20
   adaptsim adapt runs/p --target ood-2 --video     a run of the push: figures, and a film of its first and best policy
+  adaptsim adapt runs/s --target ood-1 --video     the same of scooping
 """
+# modules with `show(trained, options, found, result, out, video) -> lines`, for tasks whose trials can be looked at
+SHOWS = {"pushing": "adapt_pushing", "scooping": "adapt_scooping"}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)")
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
     parser.add_argument(
-        "--video", action="store_true", help="pushing: a film too (mp4 with the extra [video], else gif)"
+        "--video", action="store_true", help="pushing, scooping: a film too (mp4 with the extra [video], else gif)"
     )
 
 
@@ -34,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.store import RunFolder
 
     folder = RunFolder.open(args.folder)
-    if args.video and folder.task != "pushing":
+    if args.video and folder.task not in SHOWS:
         raise BadInput(f"{args.folder}: there is no film of task '{folder.task}'; leave --video out")
     import jax
 
@@ -54,9 +58,8 @@ def run(args: argparse.Namespace) -> int:
         write_json(out / "result.json", found)
     _show(found)
     print(f"written: {out / 'result.json'}")
-    if task.name == "pushing":
-        from adaptsim_jax.commands.adapt_pushing import show
-
+    if task.name in SHOWS:
+        show = importlib.import_module(f"adaptsim_jax.commands.{SHOWS[task.name]}").show
         for line in show(trained, folder.config.get("task", {}), found, result, out, args.video):
             print(line)
     return 0

@@ -14,7 +14,7 @@ from adaptsim_jax.report import figures as look
 BOTTLE, GOAL, PATCH, TARGET = "#0072B2", "#D49A00", "#c3cad3", "#8b0000"
 START, RADIUS, PATCH_X, PATCH_SIDE, FAR = (0.56, 0.0), 0.03, 0.75, 0.10, 0.2
 ACROSS, NEAR, REACH = (-0.22, 0.22), 0.5, (1.12, 1.5)  # m: what of the table is shown, and how far at least and at most
-SYMBOLS = {"mu": "μ table", "e": "e (Pa)", "mu_p": "μ patch", "y_p": "patch y (m)"}
+SYMBOLS = {"mu": "μ table", "e": "e (Pa)", "mu_p": "μ patch", "y_p": "patch y (m)", "g": "shape", "h": "h (m)"}
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def pushes_over_iterations(
                 ax.set_xlabel(_said(panels[r][c]), fontsize=7.5, color=look.MUTED, labelpad=2)
                 ax.set_title(heads[r][c] if r < len(heads) else "", fontsize=8, color=look.INK, pad=3)
     frames[0].supylabel("x (m), away from the arm", fontsize=8, color=look.MUTED)
-    _parameters_over_iterations(frames[1], first + np.arange(len(params)), params, axes, target)
+    parameters_over_iterations(frames[1], first + np.arange(len(params)), params, axes, target)
     return figure
 
 
@@ -115,9 +115,10 @@ def _draw_push(ax: Any, push: Push) -> None:
     ax.plot(goal[1], goal[0], "x", color=GOAL, markersize=6.5, markeredgewidth=2.2, zorder=4)
 
 
-def _parameters_over_iterations(
+def parameters_over_iterations(
     figure: Any, numbers: np.ndarray, params: np.ndarray, axes: Sequence[Axis], target
 ) -> None:
+    """Omega shaded, what was simulated with at each of `numbers`, and the target dashed where there is one."""
     plots = np.atleast_1d(figure.subplots(len(axes), 1, sharex=True))
     for k, (ax, axis) in enumerate(zip(plots, axes, strict=True)):
         look.quiet(ax)

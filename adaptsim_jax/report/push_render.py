@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.models import pushing
 from adaptsim_jax.models.backends import pushing_scene
-from adaptsim_jax.report.push_video import FPS, Clip, plate, shown
+from adaptsim_jax.report.push_video import FPS, Clip, plate, read_clips, shown
 from adaptsim_jax.report.video_file import write_video
 
 WIDTH, HEIGHT = 640, 360
@@ -25,10 +25,7 @@ CAMERA = {"azimuth": 115.0, "elevation": -44.0, "distance": 0.64, "lookat": (0.7
 
 def main(clips: str, film: str) -> None:
     """Read the clips, write the film; any error ends the process with a code other than 0."""
-    with np.load(clips, allow_pickle=False) as data:
-        count = sum(name.startswith("state_") for name in data.files)
-        read = [Clip(*(data[f"{key}_{i}"] for key in Clip.__annotations__)) for i in range(count)]
-    write_video(frames(read), Path(film), FPS)
+    write_video(frames(read_clips(clips, Clip)), Path(film), FPS)
 
 
 def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
@@ -47,7 +44,7 @@ def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
         mujoco.mj_forward(m, data)
         renderer.update_scene(data, camera)
         _add_marks(mujoco, renderer.scene, clip, row)
-        yield from [_with_text(renderer.render(), str(clip.text), f"{0.01 * (row + 1):.2f} s")] * times
+        yield from [with_text(renderer.render(), str(clip.text), f"{0.01 * (row + 1):.2f} s")] * times
 
 
 def _light(m: Any) -> None:
@@ -84,7 +81,8 @@ def _box(mujoco: Any, scene: Any, size: Any, at: Any, turn: Any, rgba: Any) -> N
     scene.ngeom += 1
 
 
-def _with_text(frame: np.ndarray, text: str, time: str) -> np.ndarray:
+def with_text(frame: np.ndarray, text: str, time: str) -> np.ndarray:
+    """`frame` with a line at its upper left and the time at its upper right."""
     import matplotlib
     from PIL import Image, ImageDraw, ImageFont
 

@@ -39,35 +39,43 @@ class Clip:
 def write_push_video(clips: Sequence[Clip], folder: Path, name: str = "push") -> tuple[Path, str]:
     """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
     path = folder / f"{name}{best_suffix()}"
-    for kind in _kinds():
-        if _rendered(clips, path, kind):
+    for kind in kinds():
+        if rendered("adaptsim_jax.report.push_render", clips, path, kind):
             return path, f"rendered by MuJoCo ({kind or 'default OpenGL'})"
     write_video(drawn_frames(clips), path, FPS)
-    tried = ", ".join(kind or "the default" for kind in _kinds())
+    tried = ", ".join(kind or "the default" for kind in kinds())
     return path, f"drawn from above and the side: no OpenGL for MuJoCo here (tried {tried}; set MUJOCO_GL to choose)"
 
 
-def _kinds() -> list[str]:
+def kinds() -> list[str]:
     """What MUJOCO_GL may be: the user's word where there is one, else what needs no screen."""
     if given := os.environ.get("MUJOCO_GL"):
         return [given]
     return ["egl", "osmesa"] if sys.platform.startswith("linux") else [""]
 
 
-def _rendered(clips: Sequence[Clip], path: Path, kind: str) -> bool:
+def rendered(module: str, clips: Sequence[Any], path: Path, kind: str) -> bool:
+    """Whether `module`, run as a program, made the film at `path` of `clips`, dataclasses of arrays and text."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "clips.npz"
-        arrays = {
-            f"{key}_{i}": np.asarray(getattr(clip, key)) for i, clip in enumerate(clips) for key in Clip.__annotations__
-        }
+        names = type(clips[0]).__annotations__
+        arrays = {f"{key}_{i}": np.asarray(getattr(clip, key)) for i, clip in enumerate(clips) for key in names}
         np.savez(file, allow_pickle=False, **arrays)
         environment = os.environ | ({"MUJOCO_GL": kind, "PYOPENGL_PLATFORM": kind} if kind else {})
-        command = [sys.executable, "-m", "adaptsim_jax.report.push_render", str(file), str(path)]
+        command = [sys.executable, "-m", module, str(file), str(path)]
         try:
             done = subprocess.run(command, env=environment, capture_output=True, timeout=TIMEOUT, check=False)
         except (OSError, subprocess.TimeoutExpired):
             return False
     return done.returncode == 0 and path.exists()
+
+
+def read_clips(path: str | Path, kind: Any) -> list[Any]:
+    """The clips that `rendered` wrote, of the dataclass `kind`."""
+    with np.load(path, allow_pickle=False) as data:
+        first = next(iter(kind.__annotations__))
+        count = sum(name.startswith(f"{first}_") for name in data.files)
+        return [kind(*(data[f"{key}_{i}"] for key in kind.__annotations__)) for i in range(count)]
 
 
 def shown(clips: Sequence[Clip]) -> Iterator[tuple[Clip, int, int]]:
