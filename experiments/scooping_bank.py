@@ -1,44 +1,82 @@
-"""Make the bank of scooping trials that task policies are trained with, and say how good it is.
+"""Make the bank of scooping trials that task policies are trained with and Phase 1 rehearses on, and say how good it is.
 
-python experiments/scooping_bank.py --count 16384
+python experiments/scooping_bank.py --omega 32768 --wide 32768 --keep build/bank       chunks there are not simulated again
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax import compile_cache
 from adaptsim_jax.models.scooping import MESSAGES, ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.progress import progress
 from adaptsim_jax.tasks import scooping_bank
+from adaptsim_jax.tasks.scooping_bank import Trials
+from adaptsim_jax.tasks.scooping_bank_fit import fit
+
+CHUNK = 2048
+SEEDS = {"omega": 0, "wide": 1}
+
+
+def trials_of(box: str, count: int, keep: Path, options: ScoopOptions, numerics: Numerics) -> tuple[Trials, float]:
+    """`count` trials in `box`, a chunk of them a file in `keep`, and the CPU seconds that they took."""
+    params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(max(count, 2)))), SEEDS[box])
+    parts, codes, cpu = [], [], 0.0
+    with progress(f"bank, {box}") as report:
+        for at in range(0, count, CHUNK):
+            some = slice(at, min(at + CHUNK, count))
+            path = keep / f"{box}-{at:06d}.npz"
+            if not path.exists():
+                begin = time.process_time()
+                made, code = scooping_bank.simulate(params[some], actions[some], options, numerics)
+                spent = time.process_time() - begin
+                np.savez(path, wins=made.wins, places=made.places.astype(np.float32), code=code, cpu=spent)
+            with np.load(path) as found:
+                parts.append(Trials(params[some], actions[some], found["wins"], found["places"]))
+                codes.append(found["code"])
+                cpu += float(found["cpu"])
+            report(some.stop, count, "trials")
+    faults = {MESSAGES[c]: int((np.concatenate(codes) == c).sum()) for c in np.unique(np.concatenate(codes)) if c}
+    wins = np.concatenate([p.wins for p in parts])
+    print(
+        f"{box}: {count} trials, {count / cpu:.0f} a CPU second; succeeded: {wins.mean():.3f}; faults: {faults or 'none'}"
+    )
+    return Trials(*(np.concatenate(v) for v in zip(*parts, strict=True))), cpu
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=16384, help="trials, a power of 2 (16384)")
-    parser.add_argument("--seed", type=int, default=0)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--omega", type=int, default=32768, help="trials within Omega, a multiple of 2048 (32768)")
+    parser.add_argument("--wide", type=int, default=32768, help="trials within the box of Phase 1's targets (32768)")
+    parser.add_argument("--seed", type=int, default=0, help="of the networks")
     parser.add_argument("--clearance", type=float, default=ScoopOptions().clearance, help="m")
+    parser.add_argument("--keep", type=Path, default=Path("build/scooping_bank"), help="folder of the simulated chunks")
     parser.add_argument("--out", type=Path, default=scooping_bank.PATH)
     args = parser.parse_args()
+    compile_cache.enable()
+    args.keep.mkdir(parents=True, exist_ok=True)
     options, numerics = ScoopOptions(clearance=args.clearance), Numerics()
-    params, actions = scooping_bank.points(args.count, args.seed)
-    begin, cpu = time.perf_counter(), time.process_time()
-    with progress("bank") as report:
-        wins, codes = scooping_bank.simulate(params, actions, options, numerics, report)
-    seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
-    found = scooping_bank.fit(params, actions, wins, seed=args.seed)
-    scooping_bank.save_bank(args.out, found, wins, args.seed, options, numerics)
-    faults = {MESSAGES[c]: int((codes == c).sum()) for c in np.unique(codes) if c}
-    print(
-        f"{args.count} trials in {seconds:.0f} s ({args.count / seconds:.0f}/s by wall, {args.count / cpu:.0f} a CPU second)"
-    )
-    print(f"succeeded: {wins.mean():.3f}; faults: {faults or 'none'}")
-    print(f"network, held-out tenth: accuracy {found.accuracy:.3f}, log loss {found.log_loss:.3f}")
-    print(f"written: {args.out}")
+    counts = {"omega": args.omega, "wide": args.wide}
+    parts = {box: trials_of(box, n, args.keep, options, numerics)[0] for box, n in counts.items() if n}
+    begin = time.process_time()
+    found = fit(parts, seed=args.seed)
+    about = {
+        "counts": counts,
+        "seeds": SEEDS,
+        "accuracy": found.accuracy,
+        "log_loss": found.log_loss,
+        "track_error": found.track_error,
+    }
+    wins = {box: t.wins for box, t in parts.items()}
+    scooping_bank.save_bank(args.out, found.bank, wins, about, options, numerics)
+    print(f"networks on held-out tenths, {time.process_time() - begin:.0f} CPU seconds: {json.dumps(about)}")
+    print(f"written: {args.out}, {args.out.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

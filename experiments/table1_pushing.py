@@ -1,11 +1,12 @@
-"""Table 1 of the paper, pushing columns, in parts that can be stopped and gone on with: a file for each method and seed.
+"""Table 1 of the paper, pushing or scooping columns, in parts that can be stopped and gone on with: a file for each method and seed.
 
     python experiments/table1_pushing.py --out OUT --seeds 10                       planar as simulator and target
     python experiments/table1_pushing.py --out OUT --seeds 10 --target drake        deployed in Drake
     python experiments/table1_pushing.py --out OUT --settings wd --target drake --bottle heavy --iterations 12 \\
         --methods adaptsim learn_in_target udr_target bayesopt                      Table 2: 4 trials an iteration
+    python experiments/table1_pushing.py --task scooping --out OUT --seeds 10       hydroelastic engine, or --target drake
 
-`adaptsim compare pushing` is the same in one go. What is there is not computed again; `table.md` shows what is there so far.
+`adaptsim compare TASK` is the same in one go. What is there is not computed again; `table.md` shows what is there so far.
 """
 
 import argparse
@@ -53,23 +54,27 @@ def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, space)
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task", default="pushing", choices=("pushing", "scooping"))
     parser.add_argument("--out", required=True)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--methods", nargs="+", default=METHODS[:-1], choices=METHODS)
     parser.add_argument("--settings", nargs="+", default=["wd", "ood-1", "ood-2", "ood-3", "ood-4"])
-    parser.add_argument("--target", default="planar")
+    parser.add_argument("--target", default="", help="an engine; the task's own simulator by default")
+    parser.add_argument("--tests", type=int, help="test contexts that rewards are averaged over (the task's)")
     parser.add_argument("--bottle", default="paper")
     parser.add_argument("--iterations", type=int, default=8)
     args = parser.parse_args()
     compile_cache.enable()
     out = output_folder(Path(args.out))
-    config = replace(default_comparison("pushing"), iterations=args.iterations, seeds=args.seeds, seed=args.first)
+    config = replace(default_comparison(args.task), iterations=args.iterations, seeds=args.seeds, seed=args.first)
     options = dict(config.train.task)
-    if args.target == "drake":
+    if args.tests:
+        options["tests"] = args.tests
+    if args.target == "drake" and args.task == "pushing":
         options["coefficients"] = "drake"  # the planar twin of Drake is what we adapt in
-    one = make_one_shot("pushing", options)
-    world = one.world(args.target, **({} if args.bottle == "paper" else {"bottle": args.bottle}))
+    one = make_one_shot(args.task, options)
+    world = one.world(args.target or one.engine, **({} if args.bottle == "paper" else {"bottle": args.bottle}))
     targets = np.array([one.task.space.values(one.task.settings[name], name) for name in args.settings])
     kept = out / "oracle.npy"
     if not kept.exists():
@@ -83,7 +88,7 @@ def main() -> None:
                 jax.clear_caches()
     rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one.task.space)]
     command = {"command": " ".join(["python experiments/table1_pushing.py", *sys.argv[1:]])}
-    results = stamped("pushing", config) | command | about(one, world, args.settings, targets, oracle) | {"rows": rows}
+    results = stamped(args.task, config) | command | about(one, world, args.settings, targets, oracle) | {"rows": rows}
     write_comparison(results, out)
     print(table(results))
 

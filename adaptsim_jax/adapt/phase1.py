@@ -63,7 +63,7 @@ _LOST_ALL = 1e4  # gain (1 - r) at which the logarithm reaches 0: with a gain of
 class Phase1Hyper:
     """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
 
-    delta: adaptation step, a fraction of the range. threshold: the sparse reward's; rewards below it count as 0.
+    delta: adaptation step, a fraction of the range; step i is `delta shrink^i`. threshold: the sparse reward's; rewards below it count as 0.
     gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft: where 1, a curve
     instead of the line, informative however bad the policy is: `1 / (1 + gain (1 - r))`, and for a share `far` of it a
     logarithm, which still tells bad from worse where the hyperbola is flat. epsilon falls linearly from `epsilon_start`
@@ -77,6 +77,7 @@ class Phase1Hyper:
 
     learner: BDQHyper = field(default_factory=BDQHyper)
     delta: float = 0.1
+    shrink: float = 1.0
     threshold: float = -1e9
     gain: float = 10.0
     soft: float = 1.0
@@ -143,6 +144,7 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
     * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when vmapping
     """
     _check(config, task)
+    stage = task if task.rehearse is None else replace(task, rollout=task.rehearse)
     bdq = make_bdq(
         BDQConfig(
             obs_dim=task.space.dim + task.obs_dim,
@@ -156,13 +158,13 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
     def init(key):
         key, net = jax.random.split(key)
         return Phase1State(
-            key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config), _empty_pool(task, config)
+            key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config), _first_pool(net, task, config)
         )
 
     def one_round(state, hyper, number):
         act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
         epsilon = _epsilon(config, hyper, number)
-        episodes, pool, reused = _collect(act_key, task, bdq, config, hyper, state, epsilon)
+        episodes, pool, reused = _collect(act_key, stage, bdq, config, hyper, state, epsilon)
         batch, shaped = _transitions(episodes, hyper)
         state = state._replace(
             replay=ring.write(state.replay, batch, number),
@@ -202,7 +204,7 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon):
         target = _draw_target(target_key, task, hyper.inside)
         return run_key, gaussian(task.space, task.space.sample(start_key)), task.init_policy(run_key), target
 
-    sizes = {"steps": config.horizon, "delta": hyper.delta, "obs_noise": hyper.obs_noise}
+    sizes = {"steps": config.horizon, "delta": hyper.delta, "shrink": hyper.shrink, "obs_noise": hyper.obs_noise}
     if state.pool is None:
 
         def one(key):
@@ -272,9 +274,12 @@ def _empty_archive(task: Task, config: Phase1Config) -> Archive:
     return ring.empty(Archive(jnp.zeros(task.space.dim), policy), config.archive)
 
 
-def _empty_pool(task: Task, config: Phase1Config) -> Pool | None:
+def _first_pool(key, task: Task, config: Phase1Config) -> Pool | None:
     if config.reuse.threshold == 0:
         return None
+    if task.pretrain is not None:
+        policy = task.pretrain(jax.random.fold_in(key, 1))
+        return reuse.shared_pool(config.reuse, jnp.full(task.space.dim, 0.5), policy)
     return reuse.empty_pool(config.reuse, task.space.dim, jax.eval_shape(task.init_policy, jax.random.key(0)))
 
 

@@ -19,18 +19,22 @@ from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.learners.naf import NAF, NAFHyper, NAFInfo, NAFState
 from adaptsim_jax.learners.replay import Transition
 
+_CHECKS = 2**31 - 1  # the number that checks' keys are drawn with; no round has it
+
 
 class GoalProblem(NamedTuple):
     """Pure functions of one sample. `context` is whatever trials depend on, such as a distribution of parameters.
 
     draw: key -> goal `[g]`; see: goal -> observation `[obs_dim]`; trial: (key, context, action `[d]`) -> outcome `[k]`;
-    reward: (outcome, goal) -> `[]`.
+    reward: (outcome, goal) -> `[]`. worth: (key, context, act) -> `[]`, how good a policy `act(goal) -> action` is; where it is
+    given, a training ends with the best of its rounds' policies, the first included, and not with the last.
     """
 
     draw: Callable[[jax.Array], jax.Array]
     see: Callable[[jax.Array], jax.Array]
     trial: Callable[[jax.Array, Any, jax.Array], jax.Array]
     reward: Callable[[jax.Array, jax.Array], jax.Array]
+    worth: Callable[[jax.Array, Any, Callable], jax.Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -125,12 +129,27 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
         return GoalState(learner, stored), GoalInfo(reward, jax.tree.map(jnp.mean, info))
 
     def train(keys, weights, contexts, rounds, longest):
-        def one(number, state):
-            now = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
-            return jax.vmap(step, (0, 0, 0, None, 0))(now, state, contexts, number, rounds)[0]
+        at = lambda number: jax.vmap(jax.random.fold_in, (0, None))(keys, number)
 
-        state = jax.lax.fori_loop(0, longest, one, jax.vmap(start)(weights, contexts))
-        return state.learner.online
+        def one(number, state):
+            return jax.vmap(step, (0, 0, 0, None, 0))(at(number), state, contexts, number, rounds)[0]
+
+        begin = jax.vmap(start)(weights, contexts)
+        if problem.worth is None:
+            return jax.lax.fori_loop(0, longest, one, begin).learner.online
+
+        def valued(keys, weights):
+            act = lambda w: lambda goal: naf.greedy(w, problem.see(goal))
+            return jax.vmap(lambda k, c, w: problem.worth(k, c, act(w)))(keys, contexts, weights)
+
+        def checked(number, carry):
+            state = one(number, carry[0])
+            value = valued(at(_CHECKS), state.learner.online)  # the same checks in all rounds
+            better = (value > carry[2]) & (number < rounds)
+            kept = jnp.where(better[:, None], state.learner.online, carry[1])
+            return state, kept, jnp.where(better, value, carry[2])
+
+        return jax.lax.fori_loop(0, longest, checked, (begin, weights, valued(at(_CHECKS), weights)))[1]
 
     def tune(key, weights, trials, used, updates):
         given = replace(config, updates=updates)

@@ -35,3 +35,7 @@ class Task:
     # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once, each with a budget of its
     # own. None where training is too cheap to be worth sharing; see `adapt.reuse`.
     train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None
+    # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1 to learn from; None: `rollout`.
+    rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
+    # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`; None where there is none
+    pretrain: Callable[[Array], Policy] | None = None

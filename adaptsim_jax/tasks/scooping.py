@@ -1,10 +1,10 @@
 """Scooping a piece of food (paper, section 5.2 and appendix A4): a NAF network chooses how to move the spatula.
 
 The policy maps where the piece lies to pitch, pitch rate and distance. It is trained at parameters drawn from E, on trials of
-the hydroelastic engine itself or of the bank (`scooping_bank`), a smoothed store of such trials that all policies share. At each
-adaptation iteration it is tried twice; the piece's tracks in these trials, as a camera sees them, are all that the adaptation
-policy is shown. Trials execute their actions with an error. In a simulated target the reward is the mean over a fixed set of
-places and errors: the share of pieces that lie on the spatula at the end.
+the hydroelastic engine itself or of the bank (`scooping_bank`), a smoothed store of such trials that all policies share; Phase 1
+may rehearse on the bank, too. At each adaptation iteration it is tried twice; the piece's tracks in these trials, as a camera
+sees them, are all that the adaptation policy is shown. Trials execute their actions with an error. In a simulated target the
+reward is the mean over a fixed set of places and errors: the share of pieces that lie on the spatula at the end.
 """
 
 from collections.abc import Callable
@@ -50,8 +50,10 @@ class ScoopingConfig:
 
     trajectories: trials an iteration; tests: places and errors that the reward of a simulated target is averaged over.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included (`wide`).
-    source: of the trials that policies are trained with: the `bank`, or the `simulator`. trials: M of the paper; training:
-    how; hidden, learning_rate: of the NAF. clearance, noise: difficulty, see `models.scooping.ScoopOptions`.
+    source: of the trials that policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase 1
+    learns from, likewise. lucks: execution errors that a trial of the bank is averaged over. checks: places and errors that the
+    best of a training's policies is chosen by, in the bank; 0 keeps the last one. trials: M of the paper; training: how;
+    hidden, learning_rate: of the NAF. clearance, noise: difficulty, see `models.scooping.ScoopOptions`.
     camera: mean along the motion and standard deviation of the noise on observed places, m. numerics: of the engine.
     mu, e, h: Omega.
     """
@@ -60,6 +62,9 @@ class ScoopingConfig:
     tests: int = 6
     targets: Literal["omega", "wide"] = "wide"
     source: Literal["bank", "simulator"] = "bank"
+    rehearsal: Literal["bank", "simulator"] = "bank"
+    lucks: int = 4
+    checks: int = 16
     trials: int = 1200
     training: GoalConfig = field(
         default_factory=lambda: GoalConfig(updates=40, batch=32, candidates=16, capacity=1200, width=(0.5, 0.15))
@@ -175,7 +180,6 @@ def make_policy(config: ScoopingConfig = ScoopingConfig()) -> Callable[[Scooping
 
 def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:
     """Scooping as a `Task`, simulated with the hydroelastic engine."""
-    options = checked(config)
     space, naf = scooping_space(config), make_scooping_naf(config)
     draw = lambda key, dist: space.physical(spaces.sample(key, dist))
     learner = make_goal_learner(naf, training_problem(config, draw), config.training, naf_rates(config))
@@ -190,16 +194,7 @@ def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:
         rounds = -(-config.trials // block)
         return ScoopingPolicy(learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)[0])
 
-    tests = jnp.asarray(test_contexts(config.tests))
-    trial = make_trial(options, config.numerics)
-
-    def rollout(key, policy, params):
-        contexts = jax.vmap(draw_context)(jax.random.split(key, config.trajectories))
-        every = jnp.concatenate([contexts, tests])
-        actions = naf.greedy(policy.weights, seen_place(every))
-        outcomes = jax.vmap(trial, (None, 0, 0))(params, actions, every)
-        N = config.trajectories
-        return measured(contexts, outcomes[:N], config.camera, success(outcomes[N:]).mean())
+    rollout, rehearse = make_rollouts(config, naf)
 
     return Task(
         name="scooping",
@@ -215,7 +210,42 @@ def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:
         reference=lambda params: jnp.zeros(()),
         reward=lambda trajectory, reference: trajectory.tested,
         train_many=train_many,
+        rehearse=rehearse,
     )
+
+
+def make_rollouts(config: ScoopingConfig, naf: NAF) -> tuple[Callable, Callable | None]:
+    """`rollout` of the task in the engine, and `rehearse` in the bank; None where Phase 1 is to run in the engine, too."""
+    options, N = checked(config), config.trajectories
+    tests = jnp.asarray(test_contexts(config.tests))
+    trial = make_trial(options, config.numerics)
+
+    def run(key, policy, params, outcome_of):
+        contexts = jax.vmap(draw_context)(jax.random.split(key, N))
+        every = jnp.concatenate([contexts, tests])
+        actions = naf.greedy(policy.weights, seen_place(every))
+        return contexts, jax.vmap(outcome_of, (None, 0, 0))(params, actions, every)
+
+    def rollout(key, policy, params):
+        contexts, outcomes = run(key, policy, params, trial)
+        return measured(contexts, outcomes[:N], config.camera, success(outcomes[N:]).mean())
+
+    if config.rehearsal == "simulator":
+        return rollout, None
+    bank = load_bank(options, config.numerics)
+
+    def likely(params, action, context):
+        done = executed(action, context, options)
+        return bank_chance(bank, params, done), done
+
+    def rehearse(key, policy, params):
+        run_key, coin_key = jax.random.split(key)
+        contexts, (chance, done) = run(run_key, policy, params, likely)
+        won = (jax.random.uniform(coin_key, (N,)) < chance[:N]).astype(done.dtype)
+        outcomes = jax.vmap(lambda a, w: bank_outcome(bank, params, a, w))(done[:N], won)
+        return measured(contexts, outcomes, config.camera, chance[N:].mean())
+
+    return rollout, rehearse
 
 
 def measured(
@@ -233,9 +263,15 @@ def observed(trajectory: ScoopingTrajectory) -> jax.Array:
     return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
 
 
-def training_problem(config: ScoopingConfig, draw: Callable[[jax.Array, Any], jax.Array]) -> GoalProblem:
-    """What a NAF is trained on: places as goals, trials of the configured source at `draw(key, context) -> params [4]`."""
+def training_problem(
+    config: ScoopingConfig, draw: Callable[[jax.Array, Any], jax.Array], checks: int | None = None
+) -> GoalProblem:
+    """What a NAF is trained on: places as goals, trials of the configured source at `draw(key, context) -> params [4]`.
+
+    A trial of the bank is worth its chance of success, which is what many trials with one action would come to.
+    """
     options = checked(config)
+    checks = config.checks if checks is None else checks
     place = lambda key: draw_context(key)[:2]
     reward = lambda outcome, goal: outcome[0]
     if config.source == "simulator":
@@ -247,19 +283,32 @@ def training_problem(config: ScoopingConfig, draw: Callable[[jax.Array, Any], ja
 
         return GoalProblem(place, seen_place, real, reward)
     bank = load_bank(options, config.numerics)
+    tests = jnp.asarray(test_contexts(max(checks, 1)))
+    chances = jax.vmap(lambda p, a, luck: bank_chance(bank, p, executed(a, luck, options)))
 
     def stored(key, context, action):
-        draw_key, luck_key, coin_key = jax.random.split(key, 3)
-        luck = draw_context(luck_key)
-        chance = bank_chance(bank, draw(draw_key, context), executed(action, luck, options))
-        return (jax.random.uniform(coin_key, (1,)) < chance).astype(action.dtype)
+        draw_key, luck_key = jax.random.split(key)
+        params = jax.vmap(draw, (0, None))(jax.random.split(draw_key, config.lucks), context)
+        lucks = jax.vmap(draw_context)(jax.random.split(luck_key, config.lucks))
+        return chances(params, jnp.broadcast_to(action, (config.lucks, 3)), lucks).mean()[None]
 
-    return GoalProblem(place, seen_place, stored, reward)
+    def worth(key, context, act):
+        params = jax.vmap(draw, (0, None))(jax.random.split(key, checks), context)
+        return chances(params, jax.vmap(act)(tests[:, :2]), tests).mean()
+
+    return GoalProblem(place, seen_place, stored, reward, worth if checks else None)
 
 
 def bank_chance(bank: Bank, params: jax.Array, action: jax.Array) -> jax.Array:
     """Chance of success `[]` at `params [4]` of `action [3]` as executed, by the bank."""
     return jax.nn.sigmoid(bank.logit(params, action))
+
+
+def bank_outcome(bank: Bank, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
+    """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says; the last height is 0."""
+    x = bank.places(params, action, won)
+    places = jnp.stack([x, jnp.zeros_like(x)], -1)
+    return jnp.concatenate([places, jnp.stack([won, jnp.zeros_like(won)])[None]])
 
 
 def test_contexts(count: int) -> np.ndarray:
@@ -279,9 +328,11 @@ def naf_rates(config: ScoopingConfig) -> NAFHyper:
 
 def checked(config: ScoopingConfig) -> ScoopOptions:
     """The engine's options, if the config makes sense; BadInput names the key otherwise."""
-    for name in ("trajectories", "tests", "trials"):
+    for name in ("trajectories", "tests", "trials", "lucks"):
         if getattr(config, name) < 1:
             raise BadInput(f"scooping, {name} = {getattr(config, name)}: give at least 1")
+    if config.checks < 0:
+        raise BadInput(f"scooping, checks = {config.checks}: give 0 to keep the last policy of a training, or more")
     if config.learning_rate <= 0:
         raise BadInput(f"scooping, learning_rate = {config.learning_rate}: give a positive one, such as 3e-3")
     if len(config.camera) != 2 or config.camera[1] < 0:

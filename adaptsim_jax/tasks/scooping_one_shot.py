@@ -1,5 +1,6 @@
 """Scooping as the baselines see it: one scoop of one piece, tried in either engine."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -19,19 +20,24 @@ from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts
 HEIGHT_UNIT = 0.02  # m
+UDR_CHECKS = 256  # pieces of Omega that the best of UDR's policies is chosen by
 
 
 def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
-    """Scooping with `config` for the comparison. Contexts are `scooping.CONTEXT`, outcomes `[9, 2]` as `make_trial`'s."""
+    """Scooping with `config` for the comparison. Contexts are `scooping.CONTEXT`, outcomes `[9, 2]` as `make_trial`'s.
+
+    Targets are worlds, whose trials an engine makes; what methods simulate besides (SysID's data) they rehearse in the bank.
+    """
     made, naf, options = task.make_scooping(config), task.make_scooping_naf(config), task.checked(config)
     anywhere = lambda key, context: made.space.physical(made.space.sample(key))
-    learner = make_goal_learner(naf, task.training_problem(config, anywhere), config.training, task.naf_rates(config))
+    problem = task.training_problem(config, anywhere, UDR_CHECKS if config.checks else 0)
+    learner = make_goal_learner(naf, problem, config.training, task.naf_rates(config))
     trials = lambda contexts, actions, outcomes: Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
     policies = naf_policies(naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials)
     tests = task.test_contexts(config.tests)
 
     return OneShot(
-        task=made,
+        task=replace(made, rollout=made.rehearse or made.rollout),
         tests=tests,
         trials=config.trajectories,
         action_dim=3,

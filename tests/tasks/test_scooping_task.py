@@ -1,6 +1,5 @@
 """Scooping as a task: what it observes and rewards, the bank, and Phase 1 and 2 on it."""
 
-import json
 from dataclasses import replace
 
 import jax
@@ -21,6 +20,7 @@ from adaptsim_jax.space import PLUS, STAY, gaussian, step
 from adaptsim_jax.tasks import scooping, scooping_bank
 from adaptsim_jax.tasks.registry import make_task
 from adaptsim_jax.tasks.scooping import ScoopingConfig, make_scooping
+from adaptsim_jax.tasks.scooping_bank_fit import fit
 
 SHORT = ScoopingConfig(
     trials=60, tests=2, hidden=(16,), training=GoalConfig(block=20, updates=5, batch=16, capacity=60, candidates=4)
@@ -80,23 +80,58 @@ def test_rollout_is_the_engines_trial_of_the_policys_action():
     assert np.all(np.abs(x[:, 0]) < 1e-6) and np.all(x[:, -1] > 0.03)  # it lies still, and is carried or pushed ahead
 
 
+@pytest.mark.parametrize("box", ["omega", "wide"])
+def test_points_of_the_bank_fill_their_box(box):
+    """Early lifts among them: a pitch rate may be negative, a pitch or a distance may not."""
+    params, actions = scooping_bank.points(512, 3, box)
+    low, high = (np.array(b) for b in scooping_bank.BOXES[box])
+    assert np.all(params >= low) and np.all(params <= high)
+    assert np.bincount(params[:, 2].astype(int)).min() > 512 / (high[2] + 1) - 8
+    assert abs(np.mean(np.log(params[:, 1])) - np.log(low[1] * high[1]) / 2) < 0.02
+    middle, spread = (
+        (np.array(model.ACTION_LOW) + model.ACTION_HIGH) / 2,
+        np.array(model.ACTION_HIGH) - model.ACTION_LOW,
+    )
+    np.testing.assert_allclose(actions.mean(0), middle, atol=0.02 * spread.max())
+    assert actions[:, 0].min() > 0 and actions[:, 2].min() > 0
+    assert actions[:, 1].min() < -0.29 and abs(np.mean(actions[:, 1] < 0) - 0.5) < 0.01
+
+
 def test_the_bank_is_of_this_engine():
-    """Outcomes in the file against the engine, for a few of its trials; and the network against all of them."""
-    with np.load(scooping_bank.PATH, allow_pickle=False) as file:
-        about, wins = json.loads(str(file["about"])), file["wins"]
-    wins = np.unpackbits(wins)[: about["count"]].astype(bool)
-    params, actions = scooping_bank.points(about["count"], about["seed"])
-    some = slice(0, 64)
-    again, codes = scooping_bank.simulate(params[some], actions[some], ScoopOptions(), Numerics())
-    assert (
-        np.mean(again == wins[some]) >= 0.95 and np.mean(codes == model.FINE) > 0.95
-    )  # other processors round otherwise
+    """Outcomes in the file against the engine, for a few of its trials; and the networks against all of them."""
+    about, arrays = scooping_bank.read_bank()
     bank = scooping_bank.load_bank(ScoopOptions(), Numerics())
-    logit = np.asarray(jax.jit(jax.vmap(bank.logit))(*(jnp.asarray(v, jnp.float32) for v in (params, actions))))
-    likelier = max(wins.mean(), 1 - wins.mean())
-    assert np.mean((logit > 0) == wins) > likelier + 0.15
-    assert abs(np.mean(1 / (1 + np.exp(-logit))) - wins.mean()) < 0.02
-    assert about["accuracy"] > 0.8
+    for box, count in about["counts"].items():
+        wins = np.unpackbits(arrays[f"wins_{box}"])[:count].astype(bool)
+        params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(count))), about["seeds"][box], box)
+        params, actions = params[:count], actions[:count]
+        some = slice(0, 64)
+        again, codes = scooping_bank.simulate(params[some], actions[some], ScoopOptions(), Numerics())
+        # other processors round otherwise
+        assert np.mean(again.wins == wins[some]) >= 0.95 and np.mean(codes == model.FINE) > 0.95
+        each = tuple(jnp.asarray(v, jnp.float32) for v in (params, actions))
+        logit = np.asarray(jax.jit(jax.vmap(bank.logit))(*each))
+        likelier = max(wins.mean(), 1 - wins.mean())
+        assert np.mean((logit > 0) == wins) > likelier + 0.15
+        assert abs(np.mean(1 / (1 + np.exp(-logit))) - wins.mean()) < 0.02
+        told = jnp.asarray(again.wins, jnp.float32)
+        places = jax.jit(jax.vmap(bank.places))(*(v[some] for v in each), told)
+        assert np.all(np.asarray(places[:, 0]) == 0) and np.sqrt(np.mean((places - again.places) ** 2)) < 0.02
+        assert about["accuracy"][box] > 0.8
+
+
+def test_a_fit_learns_what_decides_a_trial():
+    """A rule instead of the engine: low pitches lift ellipsoids, high ones the others; what is lifted goes as far as it is high."""
+    params, actions = scooping_bank.points(2048, 5, "wide")
+    wins = np.where(params[:, 2] == 0, actions[:, 0] < 0.1, actions[:, 0] > 0.1)
+    places = np.linspace(0, 1, 8) * np.where(wins, 0.2, 10 * params[:, 3])[:, None]
+    found = fit({"wide": scooping_bank.Trials(params, actions, wins, places)}, passes=20)
+    assert found.accuracy["wide"] > 0.93 and found.log_loss["wide"] < 0.2 and found.track_error < 0.02
+    one = jnp.array([0.3, 5e4, 2.0, 0.02])
+    assert float(found.bank.logit(one, jnp.array([0.15, 0.0, 0.01]))) > 1.0
+    np.testing.assert_allclose(
+        found.bank.places(one, jnp.array([0.15, 0.0, 0.01]), jnp.ones(())), places[wins][0], atol=0.03
+    )
 
 
 def test_a_bank_of_other_options_is_refused():
@@ -104,14 +139,56 @@ def test_a_bank_of_other_options_is_refused():
         make_scooping(replace(SHORT, clearance=1e-3))
     with pytest.raises(BadInput, match="another bank"):
         make_scooping(replace(SHORT, numerics=Numerics(relaxation=0.1)))
-    assert make_scooping(replace(SHORT, clearance=1e-3, source="simulator")).name == "scooping"
+    with pytest.raises(BadInput, match="another bank"):
+        make_scooping(replace(SHORT, clearance=1e-3, source="simulator"))
+    direct = make_scooping(replace(SHORT, clearance=1e-3, source="simulator", rehearsal="simulator"))
+    assert direct.name == "scooping" and direct.rehearse is None
+
+
+def test_rehearsals_look_like_trials():
+    """Phase 1's trajectories out of the bank: shapes and ranges of the engine's, and rewards that are chances."""
+    task = make_scooping(SHORT)
+    policy = task.init_policy(jax.random.key(3))
+    targets = jax.vmap(lambda k: task.targets.physical(task.targets.sample(k)))(jax.random.split(jax.random.key(4), 64))
+    keys = jax.random.split(jax.random.key(1), 64)
+    got = jax.jit(jax.vmap(task.rehearse, (0, None, 0)))(keys, policy, targets)
+    assert got.points.shape == (64, 2, 8, 2) and np.isfinite(got.points).all()
+    assert np.all((got.tested >= 0) & (got.tested <= 1)) and got.tested.std() > 0.05
+    assert set(np.unique(got.success)) == {0.0, 1.0}
+    assert abs(got.success.mean() - got.tested.mean()) < 0.15  # coins of the chances that are the reward
+    assert np.abs(np.asarray(got.points[:, :, 0])).max() < 0.015  # it lies still at first, but for the camera
+    assert np.median(np.asarray(got.points[:, :, -1, 0])) > 0.05
+
+
+def test_a_training_keeps_its_best_policy():
+    """The bank's chance at the policy's parameters never falls below that of the policy that it started from."""
+    task, naf = make_scooping(SHORT), scooping.make_scooping_naf(SHORT)
+    bank = scooping_bank.load_bank(ScoopOptions(), Numerics())
+    means = jnp.tile(jnp.array([[0.3, 0.4, 0.0, 0.6], [0.3, 0.4, 1.0, 0.6]]), (2, 1))
+    dists = jax.vmap(lambda m: gaussian(task.space, m))(means)
+    start = jax.vmap(task.init_policy)(jax.random.split(jax.random.key(0), 4))
+    budgets = jnp.array([60, 60, 0, 60])
+    train = jax.jit(task.train_many)
+    once = train(jax.random.split(jax.random.key(1), 4), dists, start, budgets)
+    twice = train(jax.random.split(jax.random.key(2), 4), dists, once, budgets)
+    tests = jnp.asarray(scooping.test_contexts(SHORT.checks))
+
+    def chance(policy, mean):
+        action = naf.greedy(policy.weights, scooping.seen_place(tests))
+        done = jax.vmap(lambda a, c: scooping.executed(a, c, ScoopOptions()))(action, tests)
+        return jax.vmap(lambda a: scooping.bank_chance(bank, task.space.physical(mean), a))(done).mean()
+
+    values = np.stack([jax.jit(jax.vmap(chance))(p, means) for p in (start, once, twice)])
+    assert np.all(np.diff(values, axis=0) > -0.02)  # E has a little spread
+    assert values[2, [0, 1, 3]].mean() > values[0, [0, 1, 3]].mean() + 0.1
+    np.testing.assert_array_equal(once.weights[2], start.weights[2])  # no budget, no change
 
 
 def test_features_span_omega_and_the_actions():
     low = scooping_bank.features(jnp.asarray(model.LOW), jnp.asarray(model.ACTION_LOW))
     high = scooping_bank.features(jnp.asarray(model.HIGH), jnp.asarray(model.ACTION_HIGH))
-    np.testing.assert_allclose(low, -np.ones(7), atol=1e-5)
-    np.testing.assert_allclose(high, np.ones(7), atol=1e-5)
+    np.testing.assert_allclose(low, [-1] * 6 + [1, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(high, [1] * 6 + [0, 1, 0], atol=1e-5)
 
 
 @pytest.mark.slow
@@ -129,7 +206,7 @@ def test_phase_1_with_reused_policies(monkeypatch):
         return trial
 
     monkeypatch.setattr(scooping, "make_trial", make_trial)
-    task = make_scooping(SHORT)
+    task = make_scooping(replace(SHORT, rehearsal="simulator"))
     sizes = Phase1Config(
         trajectories=8, parallel=4, horizon=2, updates=2, batch=8, capacity=16, archive=16, hidden=(16,),
         reuse=ReuseConfig(threshold=0.5, first=60, most=90, least=20, capacity=40, together=4),
