@@ -1,6 +1,9 @@
 """Make the bank of scooping trials that task policies are trained with and Phase 1 rehearses on, and say how good it is.
 
-python experiments/scooping_bank.py --omega 32768 --wide 32768 --keep build/bank       chunks there are not simulated again
+python experiments/scooping_bank.py --omega 32768 --wide 32768 --near 8192 --keep build/bank     chunks there are not made again
+
+Trials `near` are of actions that networks fitted to the others think good: policies will ask for such, so that is where the
+networks must be right. They are added in lots of 2048, each with networks that know the lots before.
 """
 
 from __future__ import annotations
@@ -10,17 +13,20 @@ import json
 import time
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import compile_cache
+from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models.scooping import MESSAGES, ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.progress import progress
 from adaptsim_jax.tasks import scooping_bank
-from adaptsim_jax.tasks.scooping_bank import Trials
+from adaptsim_jax.tasks.scooping_bank import Bank, Trials
 from adaptsim_jax.tasks.scooping_bank_fit import fit
 
-CHUNK = 2048
+CHUNK, CANDIDATES = 2048, 256
 SEEDS = {"omega": 0, "wide": 1}
 
 
@@ -50,10 +56,42 @@ def trials_of(box: str, count: int, keep: Path, options: ScoopOptions, numerics:
     return Trials(*(np.concatenate(v) for v in zip(*parts, strict=True))), cpu
 
 
+def near_points(bank: Bank, lot: int, options: ScoopOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Even pieces of Omega, for each of them the best of 256 random actions by the bank, executed with an error."""
+    params, _ = scooping_bank.points(CHUNK, 100 + lot)
+    rng = np.random.default_rng(lot)
+    low, high = np.array(model.ACTION_LOW), np.array(model.ACTION_HIGH)
+    actions = rng.uniform(low, high, (CHUNK, CANDIDATES, 3))
+    errors = np.array([(i, j, 0.0) for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0)]) * np.array(options.noise)
+    chance = lambda p, a: jax.nn.sigmoid(
+        jax.vmap(lambda e: bank.logit(p, a + e))(jnp.asarray(errors, jnp.float32))
+    ).mean()
+    likely = jax.jit(lambda p, a: jax.lax.map(lambda w: jax.vmap(chance, (None, 0))(*w), (p, a)))
+    best = np.asarray(likely(*(jnp.asarray(v, jnp.float32) for v in (params, actions)))).argmax(1)
+    chosen = actions[np.arange(CHUNK), best] + 1.5 * rng.uniform(-1, 1, (CHUNK, 3)) * (*options.noise[:2], 1e-3)
+    return params, np.maximum(chosen, scooping_bank.LEAST)
+
+
+def add_near(parts: dict[str, Trials], lots: int, keep: Path, options: ScoopOptions, numerics: Numerics) -> None:
+    """Put trials `near` into `parts`, a file each lot."""
+    for lot in range(lots):
+        path = keep / f"near-{lot:03d}.npz"
+        if not path.exists():
+            params, actions = near_points(fit(parts, seed=lot, passes=30).bank, lot, options)
+            made, _ = scooping_bank.simulate(params.astype(np.float32), actions.astype(np.float32), options, numerics)
+            np.savez(path, **made._asdict())
+        with np.load(path) as found:
+            new = Trials(*(found[name] for name in Trials._fields))
+        print(f"near, lot {lot}: succeeded: {new.wins.mean():.3f}", flush=True)
+        old = parts.get("near")
+        parts["near"] = new if old is None else Trials(*(np.concatenate(v) for v in zip(old, new, strict=True)))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--omega", type=int, default=32768, help="trials within Omega, a multiple of 2048 (32768)")
     parser.add_argument("--wide", type=int, default=32768, help="trials within the box of Phase 1's targets (32768)")
+    parser.add_argument("--near", type=int, default=8192, help="trials near good actions, a multiple of 2048 (8192)")
     parser.add_argument("--seed", type=int, default=0, help="of the networks")
     parser.add_argument("--clearance", type=float, default=ScoopOptions().clearance, help="m")
     parser.add_argument("--keep", type=Path, default=Path("build/scooping_bank"), help="folder of the simulated chunks")
@@ -64,6 +102,7 @@ def main() -> None:
     options, numerics = ScoopOptions(clearance=args.clearance), Numerics()
     counts = {"omega": args.omega, "wide": args.wide}
     parts = {box: trials_of(box, n, args.keep, options, numerics)[0] for box, n in counts.items() if n}
+    add_near(parts, args.near // CHUNK, args.keep, options, numerics)
     begin = time.process_time()
     found = fit(parts, seed=args.seed)
     about = {
@@ -73,8 +112,7 @@ def main() -> None:
         "log_loss": found.log_loss,
         "track_error": found.track_error,
     }
-    wins = {box: t.wins for box, t in parts.items()}
-    scooping_bank.save_bank(args.out, found.bank, wins, about, options, numerics)
+    scooping_bank.save_bank(args.out, found.bank, parts, about, options, numerics)
     print(f"networks on held-out tenths, {time.process_time() - begin:.0f} CPU seconds: {json.dumps(about)}")
     print(f"written: {args.out}, {args.out.stat().st_size / 1e3:.0f} kB")
 

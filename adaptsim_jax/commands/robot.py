@@ -16,12 +16,13 @@ EXAMPLES = """
 RUN is the folder of `adaptsim train`. `next` says the policy or the actions each time, and the best ones when all is told.
 FILE, a CSV (or npz), of the pendulum: one trial, from the moment of letting go: columns time [s], q1, q2 [rad, zero
 upright], tau1, tau2 [N m], and v1, v2 [rad/s] where measured. Of the push: all pushes that `next` wrote to actions.csv:
-columns trial, time [s since the arm's start], x, y [m, arm's base frame] of the bottle.
+columns trial, time [s since the arm's start], x, y [m, arm's base frame] of the bottle. Of scooping likewise: trial, time, x, y of
+the piece [m, x along the spatula's way], and on, 1 where it lies on the spatula.
 """
 STEPS = ("new", "next", "record")
 SESSION = "robot.toml"
 # what is said and read for each task: modules with TURN, opened, policy_file, show, read, remember and told
-HANDS = {"pendulum": "robot_pendulum", "pushing": "robot_pushing"}
+HANDS = {"pendulum": "robot_pendulum", "pushing": "robot_pushing", "scooping": "robot_scooping"}
 
 
 class Session(NamedTuple):
@@ -170,8 +171,8 @@ def _session(folder: Path, table: dict[str, Any]) -> Session:
         )
     trained = load_run(run)
     phase1 = trained.phase1
-    weights, delta = trained.state.learner.target, float(trained.hyper.delta)
-    loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], delta=delta)
+    weights, sizes = trained.state.learner.target, {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")}
+    loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
     hand = importlib.import_module(f"adaptsim_jax.commands.{HANDS[run.task]}")
     return Session(folder, table, trained, loop, run.config.get("task", {}), hand)
 

@@ -17,6 +17,7 @@ from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pushing as model
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing
+from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy, PushingTrajectory
 
 COLUMNS = ("trial", "time", "x", "y")
@@ -86,8 +87,8 @@ def measured_trajectory(
         if name not in columns:
             raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s and m)")
     numbers, rows = columns["trial"], {int(n): np.flatnonzero(columns["trial"] == n) for n in pushes.numbers}
-    _check_numbers(numbers, at, pushes)
-    _check_unit(columns, at)
+    check_numbers(numbers, at, pushes.numbers, "push")
+    check_unit(columns, at, FAR, "push")
     for number, found in rows.items():
         if not len(found):
             known = ", ".join(map(str, pushes.numbers))
@@ -109,28 +110,9 @@ def _resampled(time: np.ndarray, track: np.ndarray, config: PushingConfig) -> np
     return np.stack([np.interp(grid, time, track[:, k]) for k in range(2)], 1)
 
 
-def _check_numbers(numbers: np.ndarray, at: Callable[[int], str], pushes: Pushes) -> None:
-    for i in np.flatnonzero(~np.isin(numbers, pushes.numbers))[:1]:
-        now, number = " and ".join(map(str, pushes.numbers)), numbers[i]
-        if number != np.round(number):
-            raise BadInput(f"{at(i)}: trial {number:g} is no whole number; number the pushes as in actions.csv")
-        if 0 < number < pushes.numbers[0]:
-            raise BadInput(f"{at(i)}: trial {number:g} was told already; name the file of {now}")
-        raise BadInput(f"{at(i)}: trial {number:g} was never asked for; asked are {now}, see actions.csv")
-
-
-def _check_unit(columns: Mapping[str, np.ndarray], at: Callable[[int], str]) -> None:
-    for name in ("x", "y"):
-        for i in np.flatnonzero(np.abs(columns[name]) > FAR)[:1]:
-            value = columns[name][i]
-            raise BadInput(f"{at(i)}: {name} = {value:.6g} m is beyond any push; is it in mm or cm? write metres")
-
-
 def _check_time(time: np.ndarray, told: Callable[[int], str], config: PushingConfig) -> None:
     """Increasing, from the arm's start, to the end of the trial, in s."""
-    for k in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:
-        word = "repeats" if time[k] == time[k - 1] else "runs backwards"
-        raise BadInput(f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such rows")
+    check_increasing(time, told)
     if time[-1] - time[0] > 50 * config.duration:
         raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0

@@ -1,10 +1,10 @@
 """The bank: trials of the hydroelastic engine over pieces and actions, simulated once and shared by all policies.
 
 What an action leads to depends on the piece and the action alone, so that trials may be stored. The bank holds trials at even
-points (scrambled Sobol sequences) of Omega and of the wider box that Phase 1 draws targets from, and two small networks fitted
-to them: how likely an action as executed is to succeed, and where the piece is seen meanwhile. Task policies are trained on it,
-and Phase 1 rehearses on it; targets of Phase 2 are always simulated. A bank belongs to the options and numerics that it was
-made with and to no others: a file that says otherwise is refused.
+points (scrambled Sobol sequences) of Omega and of the wider box that Phase 1 draws targets from, more of them near actions that
+looked good, and two small networks fitted to all: how likely an action as executed is to succeed, and where the piece is seen
+meanwhile. Task policies are trained on it, and Phase 1 rehearses on it; targets of Phase 2 are always simulated. A bank belongs
+to the options and numerics that it was made with and to no others: a file that says otherwise is refused.
 """
 
 from __future__ import annotations
@@ -134,21 +134,19 @@ def identity(options: ScoopOptions, numerics: Numerics) -> str:
 
 
 def save_bank(
-    path: Path,
-    bank: Bank,
-    wins: dict[str, np.ndarray],
-    about: dict[str, Any],
-    options: ScoopOptions,
-    numerics: Numerics,
+    path: Path, bank: Bank, parts: dict[str, Trials], about: dict[str, Any], options: ScoopOptions, numerics: Numerics
 ) -> None:
-    """The outcomes of each box (their points follow from count and seed), the networks, and what they belong to."""
+    """The outcomes of each part, the networks, and what they belong to; points, too, where they do not follow from a seed."""
     arrays: dict[str, Any] = {
         f"{name}_{n}{i}": np.asarray(v, np.float32)
         for name in Bank._fields
         for i, layer in enumerate(getattr(bank, name))
         for n, v in zip("wb", layer, strict=True)
     }
-    arrays |= {f"wins_{box}": np.packbits(won) for box, won in wins.items()}
+    arrays |= {f"wins_{name}": np.packbits(trials.wins) for name, trials in parts.items()}
+    for name in parts.keys() - BOXES.keys():
+        points = np.concatenate([parts[name].params, parts[name].actions], 1)
+        arrays[f"points_{name}"] = points.astype(np.float32)
     about = {"identity": identity(options, numerics), "clearance": options.clearance} | about
     np.savez_compressed(path, about=np.array(json.dumps(about)), **arrays)
 

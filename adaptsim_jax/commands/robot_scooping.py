@@ -1,0 +1,117 @@
+"""What `adaptsim robot` says and reads for scooping: pitch, pitch rate and distance for each place, and the tracks in one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adaptsim_jax.commands.robot import Session
+    from adaptsim_jax.tasks.scooping_measured import Scoops
+
+TURN = "iteration"
+HOW = """for each, lay the piece at that place (m from the middle of a box of 8 x 6 cm, x along the spatula's way), start at
+that pitch and distance, scoop with that pitch rate at 0.25 s, and track the piece for {seconds:g} s; write one CSV for all of them
+with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""
+
+
+def opened(session: Session, total: int) -> str:
+    """What a new session consists of."""
+    return f"session of {total} iterations of {_config(session).trajectories} scoops"
+
+
+def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+    """What `policy.toml` holds beside the parameters; `tasks.scooping_measured.read_policy` reads it."""
+    return {"hidden": list(_config(session).hidden), "policy": {"weights": policy.weights.tolist()}}
+
+
+def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
+    """Print the scoops to make and write them to actions.csv; when all is told, how the best policy is used."""
+    from adaptsim_jax.models.scooping import SECONDS
+
+    if done:
+        import jax.numpy as jnp
+
+        from adaptsim_jax.tasks.scooping import make_policy
+
+        action = make_policy(_config(session))(policy, jnp.zeros(2))
+        print(f"its scoop for a piece in the middle: {_said(action)}; for any other place (m):")
+        print("  from adaptsim_jax.tasks.scooping_measured import read_policy")
+        print(f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, 0.02])")
+        return
+    scoops = _scoops(session, state)
+    path = session.folder / "actions.csv"
+    for number, place, action in zip(*scoops, strict=True):
+        print(f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m)")
+    _write_actions(path, scoops)
+    print(f"written: {path}")
+    print(HOW.format(seconds=SECONDS))
+
+
+def read(session: Session, state: Any, path: Path) -> Any:
+    """The trajectory of the scoops that were asked for."""
+    from adaptsim_jax.closeloop.table import read_table
+    from adaptsim_jax.tasks import scooping_measured as measured
+
+    table = read_table(path, measured.COLUMNS, least=1)
+    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+    return measured.measured_trajectory(table.columns, at, str(path), _scoops(session, state))
+
+
+def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
+    """The scoops and what came of them, for figures and for people."""
+    import numpy as np
+
+    plain = lambda x: np.asarray(x, float).round(6).tolist()
+    rows = zip(*_scoops(session, before), trajectory.points, trajectory.success, strict=True)
+    return {
+        "params": _params(session, before.mean),
+        "scoops": [
+            {"trial": int(n), "place": plain(p), "action": plain(a), "points": plain(t), "success": float(s)}
+            for n, p, a, t, s in rows
+        ],
+    }
+
+
+def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+    """Which scoops succeeded, and which parameters are believed in now."""
+    for number, success in zip(_scoops(session, before).numbers, trajectory.success, strict=True):
+        print(f"  trial {number}: {'on the spatula' if success > 0.5 else 'not on the spatula'}")
+    if done:
+        return
+    fresh = int(after.told) % (session.table["iterations"] + 1) == 0
+    was, now = _params(session, before.mean), _params(session, after.mean)
+    words = [f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})") for k in now]
+    print(f"{'next start' if fresh else 'simulate now with'}: {', '.join(words)}")
+
+
+def _said(action: Any) -> str:
+    import math
+
+    pitch, rate, distance = map(float, action)
+    return f"pitch {math.degrees(pitch):.2f} deg, pitch rate {rate:+.3f} rad/s, distance {1e3 * distance:.1f} mm"
+
+
+def _write_actions(path: Path, scoops: Scoops) -> None:
+    from adaptsim_jax.files import write_bytes
+
+    rows = [f"{n},{p[0]:.6f},{p[1]:.6f},{a[0]:.6f},{a[1]:.6f},{a[2]:.6f}" for n, p, a in zip(*scoops, strict=True)]
+    write_bytes(path, "\n".join(["trial,place_x,place_y,pitch,rate,distance", *rows, ""]).encode())
+
+
+def _scoops(session: Session, state: Any) -> Scoops:
+    from adaptsim_jax.tasks.scooping_measured import scoops_to_make
+
+    return scoops_to_make(state.key, state.told, state.policy, _config(session))
+
+
+def _params(session: Session, mean: Any) -> dict[str, float]:
+    space = session.trained.phase1.task.space
+    return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
+
+
+def _config(session: Session) -> Any:
+    from adaptsim_jax import config
+    from adaptsim_jax.tasks.scooping import ScoopingConfig
+
+    return config.from_table(ScoopingConfig, session.options, str(session.table["run"]))
