@@ -23,13 +23,14 @@ from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Problem, prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.results import add_ceiling, add_leading, report_of
+from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.closeloop.sharpen import sharpened
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.trim import trimmed
-from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide
+from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide, unforced
 from adaptsim_jax.closeloop.view import View, view
 from adaptsim_jax.files import output_folder, write_bytes
 from adaptsim_jax.models.effects import Effect, catalogue
@@ -104,6 +105,7 @@ def examine(
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
+    problem, found = sharpened(problem, found, first)
     found, tested = trimmed(problem, found, first, settings)
     seen = found.view or first
     after = before if not found.added else leftover(problem, seen)
@@ -117,6 +119,7 @@ def examine(
     say(7, STAGES, "held-out trials, mended model")
     error_after = (tested or held_out(problem, found.final, seen)) if verdict.named else error_before
     verdict = confirmed(verdict, error_before, error_after)
+    verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
     if found.added or verdict.name == "structured_unattributed":
         verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)

@@ -17,7 +17,12 @@ from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure
 from adaptsim_jax.closeloop.windows import Windows
 
 CODES = ("converged", "reached the iteration limit", "no step lowers the cost", "diverged: cost is not finite")
-ROOM = (4, 8)  # effect parameters that a compiled fit has room for: few, or the most that can be fitted at once
+ROOM = (
+    4,
+    8,
+    12,
+    20,
+)  # effect parameters that a compiled fit has room for; three effects of three, and as many declared, fit
 Array = Any  # of JAX in a trace, of NumPy outside
 
 

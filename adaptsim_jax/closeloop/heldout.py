@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.problem import Problem, initial_states, refit_more
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.score import folds
@@ -56,14 +57,17 @@ def held_out(problem: Problem, model: Fitted, view: View, *, most_folds: int = 6
     factor = disturbance.whitener(view.lin, model.parts, view.response.kernels)
     start = refit_more(problem, c, factor, iterations=0)
     measured = np.asarray(windows.measured)
-    simulated = np.full_like(measured, np.nan)
-    for f in np.unique(fold[fold >= 0]):
-        keep = (fold >= 0) & (fold != f)
-        part = refit_more(problem, start, factor, keep=keep)
+    weight = np.asarray(windows.weight)
+
+    def without(f: int) -> np.ndarray:
+        part = refit_more(problem, start, factor, keep=(fold >= 0) & (fold != f))
         result = initial_states(problem, c.active, part.theta, part.eff, part.refit.point.x0)
-        weight = np.asarray(windows.weight)
         error = result.residual / np.where(weight > 0, weight, 1.0)
-        here = fold == f
-        simulated[here] = np.where(weight > 0, measured - error, np.nan)[here]
+        return np.where(weight > 0, measured - error, np.nan)
+
+    simulated = np.full_like(measured, np.nan)
+    left_out = np.unique(fold[fold >= 0])
+    for f, by_others in zip(left_out, abreast(without, left_out), strict=True):
+        simulated[fold == f] = by_others[fold == f]
     gap = np.where(np.isnan(simulated), 0.0, measured - simulated)
     return HeldOut(simulated, (gap**2).sum(1), (~np.isnan(simulated)).sum(1), trial, fold)

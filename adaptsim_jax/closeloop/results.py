@@ -105,6 +105,13 @@ def _unit(problem: Problem, effect: str, where: str, parameter: str) -> str:
     return next(p.unit for p in chosen.parameters if p.name == parameter)
 
 
+def floor_of(problem: Problem) -> float:
+    """Standard deviation of the sensors' noise over all measured angles, rad."""
+    return float(
+        np.sqrt(np.mean([problem.noise.std[c] ** 2 for c in problem.plant.outputs[: problem.plant.joint_dim]]))
+    )
+
+
 def _error(problem: Problem, found: Found, before: HeldOut, after: HeldOut | None, rng) -> dict[str, Any]:
     noise = problem.noise.std
     channels = problem.plant.outputs[: before.squared.shape[1]]
@@ -120,7 +127,7 @@ def _error(problem: Problem, found: Found, before: HeldOut, after: HeldOut | Non
     return {
         "metric": f"RMSE of joint angles simulated over {length:.2g} s stretches of held-out trials, initial states fitted",
         "unit": "rad", "before": before.rmse(), "after": None if after is None else after.rmse(),
-        "noise_floor": float(np.sqrt(np.mean([noise[c] ** 2 for c in channels]))),
+        "noise_floor": floor_of(problem),
         "ceiling": None, "per_channel": per_channel, "per_trial": per_trial,
         "intervals": {"before": before.interval(None, rng), "after": None if after is None else after.interval(None, rng)},
     }  # fmt: skip
@@ -196,6 +203,8 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
         status, why = "look-alike", "these data cannot tell it from the accepted effect"
     elif refit is not None and refit.at_bound():
         why = f"refitted, {refit.at_bound()[0].split('/')[2]} runs to the edge of what it may be"
+    elif refit is not None and (odd := dict(refit.amiss).get(r.instance)):
+        why = f"refitted, {odd}"
     elif refit is not None and unexplained(refit, found.base) > 1.0 - settings.least_fall:
         why = "refitted, it leaves the unexplained torque as it was"
     elif refit is not None:

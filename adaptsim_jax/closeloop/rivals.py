@@ -1,5 +1,6 @@
 """Rival models: each refitted whole, under its own residual covariance, and judged by its restricted likelihood."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,7 @@ class Fitted:
     parts: Components
     likelihood: np.ndarray
     weight: np.ndarray  # [n, taus] how far forces of each kind move the outputs (`Kernels.weight`)
+    amiss: tuple[tuple[Instance, str], ...] = ()  # effects whose fitted values are not theirs, and why (`Effect.amiss`)
 
     @property
     def moving(self) -> np.ndarray:
@@ -82,21 +84,37 @@ def fitted(
     """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
     factor = disturbance.whitener(response.lin, parts, response.kernels)
     candidate = refit_candidate(problem, active, theta, eff, x0, factor)
-    return settled(problem, _judged(candidate, parts, response), response, rounds=rounds - 1)
+    return settled(problem, _judged(problem, candidate, parts, response), response, rounds=rounds - 1)
 
 
-def _judged(candidate: Candidate, parts: Components, response: Response) -> Fitted:
+def _judged(problem: Problem, candidate: Candidate, parts: Components, response: Response) -> Fitted:
     lin = candidate.refit.linearised
     parts = disturbance.estimate(lin, response.kernels, start=parts)
     likelihood = disturbance.log_likelihood(lin, parts, response.kernels)
-    return Fitted(candidate, parts, likelihood, response.kernels.weight)
+    return Fitted(candidate, parts, likelihood, response.kernels.weight, tuple(_amiss(problem, candidate)))
+
+
+def _amiss(problem: Problem, candidate: Candidate) -> Iterator[tuple[Instance, str]]:
+    """Effects of the candidate that their fitted values, on the angles that were measured, show to be something else."""
+    layout, windows = problem.model.layout, problem.windows
+    for active in candidate.active:
+        instance = layout.instances[layout.index(*active)]
+        if instance.effect.amiss is None:
+            continue
+        fitted = candidate.parameters(*active)
+        seen = np.asarray(windows.measured)[..., instance.joint][np.asarray(windows.weight)[..., instance.joint] > 0]
+        names = [p.name for p in instance.effect.parameters]
+        value = dict(zip(names, candidate.eff[instance.at], strict=True)) | {n: v for n, (v, _) in fitted.items()}
+        error = {n: e for n, (_, e) in fitted.items()}
+        if why := instance.effect.amiss(value, error, seen, problem.reach.duration):
+            yield active, why
 
 
 def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
     """The model refitted under its own residual covariance, again and again until its likelihood settles."""
     for _ in range(rounds):
         factor = disturbance.whitener(response.lin, model.parts, response.kernels)
-        new = _judged(refit_more(problem, model.candidate, factor), model.parts, response)
+        new = _judged(problem, refit_more(problem, model.candidate, factor), model.parts, response)
         gain = new.total - model.total
         model = new if gain > 0 else model
         if gain < 1.0:
@@ -114,13 +132,15 @@ def fitted_plainly(
         raise Diverged(f"the model with {active} runs away from where its fit starts")
     factor = disturbance.whitener(response.lin, parts, response.kernels)
     start = refit_candidate(problem, active, result.theta, result.eff, result.x0, factor, iterations=0)
-    return settled(problem, _judged(start, parts, response), response, rounds=1)
+    return settled(problem, _judged(problem, start, parts, response), response, rounds=1)
 
 
 def plausible(model: Fitted, base: Fitted) -> bool:
-    """No amplitude of the wrong sign or beyond what the effect may be; what the base model has is not judged."""
+    """No amplitude of the wrong sign or beyond what the effect may be, and no values that make it another effect; what the base
+    model has is not judged."""
     given = {f"{e}/{w}" for e, w in base.active}
-    return all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
+    within = all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
+    return within and all(instance in base.active for instance, _ in model.amiss)
 
 
 def unexplained(new: Fitted, old: Fitted) -> float:

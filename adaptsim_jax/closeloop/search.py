@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
@@ -114,8 +115,8 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     if best is not None and _pays(best, current, settings):
         alike = look_alikes(problem, _new(best, current), ranked, leaders)
-        more = [t for r in alike if (t := extend(problem, current, r, seen, say)) is not None]
-        more = [settled(problem, t, seen.response) for t in more]
+        more = abreast(lambda r: extend(problem, current, r, seen, say), alike)
+        more = abreast(lambda t: settled(problem, t, seen.response), [t for t in more if t is not None])
         trials, found.tried = trials + more, found.tried + more
         best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     return best, trials
@@ -125,8 +126,8 @@ def _refitted(
     problem: Problem, found: Found, current: Fitted, leaders: list[Ranked], seen: View, settings: Settings, say
 ):
     """The current model with each of the leaders in turn, refitted whole."""
-    trials = [t for r in leaders if (t := extend(problem, current, r, seen, say)) is not None]
-    trials = _finished(problem, trials, seen, settings)
+    trials = abreast(lambda r: extend(problem, current, r, seen, say), leaders)
+    trials = _finished(problem, [t for t in trials if t is not None], seen, settings)
     found.tried += trials
     return trials
 
@@ -135,7 +136,7 @@ def _finished(problem: Problem, trials: list[Fitted], seen: View, settings: Sett
     """The better half of the trials refitted until they settle; the others are far enough behind as they are."""
     order = sorted(trials, key=lambda t: -t.merit(settings.price))
     front = settings.shortlist // 2
-    return [settled(problem, t, seen.response) for t in order[:front]] + order[front:]
+    return abreast(lambda t: settled(problem, t, seen.response), order[:front]) + order[front:]
 
 
 def extend(

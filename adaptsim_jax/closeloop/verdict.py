@@ -21,6 +21,9 @@ class Verdict:
 
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
 LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance, whatever its shape
+REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
+MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
+BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
 LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
 
 
@@ -72,6 +75,26 @@ def confirmed(verdict: Verdict, before: HeldOut, after: HeldOut) -> Verdict:
         return verdict
     message = (
         "A candidate fits, but it does not simulate held-out trials better than the declared model; no name is given."
+    )
+    return Verdict("structured_unattributed", message, False)
+
+
+def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, floor: float) -> Verdict:
+    """The verdict, unless much error remains that is no chance: effects that stand in for one that the catalogue lacks
+    (a lag for a delay, friction and drag for Stribeck's curve) explain most of it and leave the shape of what they miss.
+
+    left: the generic dictionary about the mended model; floor: of the noise, rad. A wandering torque may leave as much error, but
+    nothing that follows the motion in left-out trials.
+    """
+    remains = after.rmse() / before.rmse()
+    clear = (left.share > 0.04 and left.p_value < 1e-10) or (remains > MUCH_REMAINS and left.p_value < 1e-8)
+    if not (verdict.named and clear and remains > REMAINS and after.rmse() > BEYOND_FLOOR * floor):
+        return verdict
+    joint, variable, _, _ = left.places[0]
+    best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.added)
+    message = (
+        f"The likeliest set, {best}, leaves an error {after.rmse() / floor:.0f} times the noise, and what is left follows the "
+        f"{variable} of {_words(joint)}: too much for a name."
     )
     return Verdict("structured_unattributed", message, False)
 

@@ -108,6 +108,8 @@ class Effect:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
     as it does not act linearly. `contains` names effects that this one includes as a special case. `clocked`: it follows
     `motion.clock`, a sine of which (amplitudes sine, cosine; shape frequency) may have another phase in each trial.
+    `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
+    this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Effect:
     clocked: bool = False
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
+    amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
 
     def __post_init__(self):
         if self.place not in PLACES:

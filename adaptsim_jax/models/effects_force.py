@@ -5,6 +5,9 @@ import numpy as np
 
 from adaptsim_jax.models.effects import Dry, Effect, Motion, Parameter, Relaxation
 
+LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must
+MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
+
 
 def coulomb(p, m: Motion):
     return Dry(p["level"] + 0.0 * m.q)
@@ -105,6 +108,35 @@ def _decays(reach, joint):
     return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
 
 
+def _no_ripple(value, error, q, duration) -> str:
+    """A part of a period is any smooth function of the angle; once a turn is gravity's own."""
+    low, high = np.quantile(q, [0.005, 0.995]) if len(q) else (0.0, 0.0)
+    periods = value["order"] * (high - low) / (2.0 * np.pi)
+    return f"the motion covers {periods:.1f} of its periods, as of any smooth torque" if periods < LEAST_PERIODS else ""
+
+
+def _no_period(value, error, q, duration) -> str:
+    """A part of a period is a drift."""
+    periods = value["frequency"] * duration
+    return f"a trial holds {periods:.1f} of its periods, as of any drift" if periods < 2.0 * LEAST_PERIODS else ""
+
+
+def _no_spring(value, error, q, duration) -> str:
+    """Without a stiffness it is a constant torque."""
+    slack = value["stiffness"] < 3.0 * error.get("stiffness", 0.0)
+    return "its stiffness is no different from zero, which makes it a constant torque" if slack else ""
+
+
+def _no_stop(value, error, q, duration) -> str:
+    """Where the joint leans on it nearly always it is a spring, with a constant torque in the other effect's place."""
+    leaning = float(np.mean(value["side"] * (q - value["angle"]) > 0.0)) if len(q) else 0.0
+    return (
+        f"the joint would lean on it {100 * leaning:.0f} % of the time, as on a spring"
+        if leaning > MOST_LEANING
+        else ""
+    )
+
+
 FORCE = (
     Effect(
         "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),), coulomb,
@@ -134,7 +166,7 @@ FORCE = (
         ),
         spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
         "a wide range of angles",
-        ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",),
+        ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",), amiss=_no_spring,
     ),
     Effect(
         "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0, plausible=0.5),), bias,
@@ -151,10 +183,10 @@ FORCE = (
         (
             Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
             Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
-            Parameter("order", "1", 0.5, 200.0, 7.0, None),
+            Parameter("order", "1", 2.0, 200.0, 7.0, None),
         ),
         cogging, "torque ripple periodic in the joint's angle (magnets, gear teeth)", "slow sweeps over many periods",
-        ("spring",), grid=_orders,
+        ("spring",), grid=_orders, amiss=_no_ripple,
     ),
     Effect(
         "friction_drift", "force",
@@ -175,6 +207,7 @@ FORCE = (
         ),
         periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
         "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=_frequencies,
+        amiss=_no_period,
     ),
     Effect(
         "hard_stop", "force",
@@ -185,7 +218,7 @@ FORCE = (
             Parameter("loss", "s", 0.0, 1.0, 0.0, None, held=True),
         ),
         hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
-        ("spring", "cogging"), smooth=False, grid=_stops,
+        ("spring", "cogging"), smooth=False, grid=_stops, amiss=_no_stop,
     ),
     Effect(
         "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6),), load_friction,

@@ -1,0 +1,60 @@
+"""Phases of trials found again with the periodic force in the model.
+
+The first clocks (`clocks.py`) come from linear scores about a model that lacks the force. Once it is in, each trial's clock
+is one more parameter whose derivative is at hand, and Gauss-Newton steps make it as sharp as the rest.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point, compressed, linearised
+from adaptsim_jax.closeloop.rivals import Fitted, fitted
+from adaptsim_jax.closeloop.search import Found
+from adaptsim_jax.closeloop.view import View, view
+
+STEP = 1e-5  # s: the angle of a force of 60 Hz moves by 4e-3 rad
+
+
+def sharpened(problem: Problem, found: Found, first: View, rounds: int = 3) -> tuple[Problem, Found]:
+    """The problem with better clocks and the final model refitted with them; both as they were where that is no likelier,
+    or where no effect of the final model has a clock."""
+    if not problem.phases(found.final.active):
+        return problem, found
+    clock, model = problem.windows.clock, found.final
+    for _ in range(rounds):
+        response = (found.view or first).response
+        tried = replace(problem, windows=replace(problem.windows, clock=clock + clock_step(problem, model, response)))
+        c = model.candidate
+        try:
+            new = fitted(tried, c.active, c.theta, c.eff, c.refit.point.x0, model.parts, response)
+        except Diverged:
+            break
+        if new.total <= model.total:
+            break
+        settled = new.total - model.total < 1.0
+        problem, model, clock = tried, new, tried.windows.clock
+        if settled:
+            break
+    if model is found.final:
+        return problem, found
+    seen = view(problem, model)
+    return problem, replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+
+
+def clock_step(problem: Problem, model: Fitted, response) -> np.ndarray:
+    """Gauss-Newton step `[N]` s of the trials' clocks, initial states projected out, everything else held."""
+    c = model.candidate
+    point = (c.active, c.theta, c.eff, c.refit.point.x0)
+    later = replace(problem, windows=replace(problem.windows, clock=problem.windows.clock + STEP))
+    here, there = (compressed(p, linearised(p, at_point(p, *point))) for p in (problem, later))
+    slope = (here.residual - there.residual)[..., None] / STEP  # of the outputs, in standard deviations a second
+    factor = disturbance.whitener(response.lin, model.parts, response.kernels)
+    white = disturbance.whiten(replace(here, atoms=slope), factor)
+    step = np.zeros_like(problem.windows.clock)
+    for trial in np.unique(white.trial[white.rows > 0]):
+        at = (white.trial == trial) & (white.rows > 0)
+        j, r = white.atoms[at, :, 0], white.residual[at]
+        step[trial] = np.sum(j * r) / max(np.sum(j * j), 1e-300)
+    return step
