@@ -1,0 +1,73 @@
+"""What may be said of what was found, and when a name is refused."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.heldout import HeldOut
+from adaptsim_jax.closeloop.leftover import Leftover
+from adaptsim_jax.closeloop.search import Settings
+from adaptsim_jax.closeloop.verdict import LARGE, Verdict, confirmed, decide, unforced
+
+NAMED = Verdict("explained", "The residual is explained by coulomb at joint 2.", True)
+FOUND = SimpleNamespace(added=(("coulomb", "joint2"),), tried=[], base=None)
+FLOOR = 1e-4
+
+
+def held_out(rmse):
+    squared = np.full((4, 1), rmse**2)
+    return HeldOut(np.zeros((4, 1, 1)), squared, np.ones((4, 1)), np.arange(4), np.arange(4))
+
+
+def left(share, p_value):
+    return Leftover(p_value, share, 10.0, (("joint2", "speed", share, p_value),))
+
+
+@pytest.mark.parametrize(
+    ("after", "share", "p_value", "named"),
+    [
+        (20.0 * FLOOR, 0.09, 1e-100, False),  # a stand-in: much is left, and it follows the motion
+        (30.0 * FLOOR, 0.01, 1e-20, False),  # hardly predictable, but a third of the error is left and it is no chance
+        (20.0 * FLOOR, 0.001, 0.05, True),  # a wandering torque leaves as much, and nothing follows anything
+        (1.5 * FLOOR, 0.08, 1e-70, True),  # clear, and of no size: integration error of a right name
+        (30.0 * FLOOR, 0.01, 1e-5, True),
+    ],
+)
+def test_a_name_is_refused_where_what_it_leaves_is_no_chance(after, share, p_value, named):
+    verdict = unforced(NAMED, FOUND, held_out(100.0 * FLOOR), held_out(after), left(share, p_value), FLOOR)
+    assert verdict.named is named
+    assert verdict.name == ("explained" if named else "structured_unattributed")
+    if not named:
+        assert "coulomb at joint 2" in verdict.message
+        assert "speed of joint 2" in verdict.message
+
+
+def test_an_effect_that_takes_nearly_all_of_the_error_away_keeps_its_name():
+    verdict = unforced(NAMED, FOUND, held_out(1e4 * FLOOR), held_out(100.0 * FLOOR), left(0.09, 1e-100), FLOOR)
+    assert verdict is NAMED
+
+
+def test_left_out_trials_must_gain_by_a_name():
+    assert confirmed(NAMED, held_out(1.0), held_out(0.5)) is NAMED
+    assert confirmed(NAMED, held_out(1.0), held_out(0.7)).name == "structured_unattributed"
+
+
+@pytest.mark.parametrize(("force", "powered", "expected"), [
+    (0.5 * LARGE, True, "within_noise"),
+    (0.5 * LARGE, False, "underpowered"),
+    (1.1 * LARGE, True, "structured_unattributed"),
+])  # fmt: skip
+def test_a_force_as_large_as_the_torque_is_no_noise(force, powered, expected):
+    nothing = SimpleNamespace(added=(), tried=[], base=None)
+    quiet = left(0.0, 1.0)
+    verdict = decide(nothing, quiet, quiet, Settings(), powered, 1.0, np.array([0.0, force]))
+    assert verdict.name == expected
+    assert not verdict.named
+
+
+def test_pieces_abreast_keep_their_order_and_raise():
+    assert abreast(lambda k: k * k, range(9)) == [k * k for k in range(9)]
+    with pytest.raises(ZeroDivisionError):
+        abreast(lambda k: 1 // k, [1, 0, 2])

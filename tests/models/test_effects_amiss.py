@@ -1,0 +1,30 @@
+"""Fitted values that make an effect another one: a spring without stiffness, a stop that is always leaned on."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.models.effects import catalogue
+
+ANGLES = np.linspace(-1.0, 1.0, 201)
+TRIAL = 6.0  # s
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error", "reason"),
+    [
+        ("spring", {"stiffness": 0.1, "preload": 0.3}, {"stiffness": 0.01}, ""),
+        ("spring", {"stiffness": 0.001, "preload": 0.3}, {"stiffness": 0.001}, "constant torque"),
+        ("hard_stop", {"angle": 0.8, "side": 1.0}, {}, ""),
+        ("hard_stop", {"angle": -0.8, "side": -1.0}, {}, ""),
+        ("hard_stop", {"angle": -0.5, "side": 1.0}, {}, "lean on it 75 % of the time"),
+        ("cogging", {"order": 7.0}, {}, ""),
+        ("cogging", {"order": 1.5}, {}, "0.5 of its periods"),
+        ("periodic_disturbance", {"frequency": 0.7}, {}, ""),
+        ("periodic_disturbance", {"frequency": 0.16}, {}, "1.0 of its periods"),
+    ],
+)
+def test_what_the_fitted_values_say_of_an_effect(name, value, error, reason):
+    (effect,) = [e for e in catalogue() if e.name == name]
+    assert effect.amiss is not None
+    why = effect.amiss(value, error, ANGLES, TRIAL)
+    assert (reason in why) if reason else why == ""
