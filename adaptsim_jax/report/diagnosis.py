@@ -154,7 +154,8 @@ def _error_figures(error: Mapping) -> list[str]:
     for index, row in enumerate(_error_rows(error)):
         dots = figures.trial_dots(error, None if index == 0 else row["name"])
         one = row["pair"].get("after") is None
-        paint = figures.error_pair("overall" if index == 0 else row["name"], row["unit"], row["pair"], dots)
+        like = error["before"] if row["unit"] == error["unit"] else None
+        paint = figures.error_pair("overall" if index == 0 else row["name"], row["unit"], row["pair"], dots, like)
         label = f"error of {row['name']}: declared {row['before']}, mended {row['after']}"
         pictures.append(svg.draw(paint, 1.4 if one else 1.75, label))
     return pictures

@@ -34,12 +34,15 @@ def bar_range(ax: Axes, y: float, value: float, interval: Any, dots: list[float]
         ax.plot(interval, [y, y], "|", color=INK, markersize=7, markeredgewidth=1.3)
 
 
-def error_pair(title: str, unit: str, pair: Mapping, dots: Mapping[str, list[float]]) -> Paint:
-    """Declared against mended model in one channel, with noise floor and ceiling where they are known."""
+def error_pair(
+    title: str, unit: str, pair: Mapping, dots: Mapping[str, list[float]], like: float | None = None
+) -> Paint:
+    """Declared against mended model in one channel, with noise floor and ceiling where they are known; `like`: the size whose
+    unit is taken, so that neighbours share it."""
     shown = [(stage, pair[stage]) for stage in ("before", "after") if pair.get(stage) is not None]
     lines = {"noise_floor": pair.get("noise_floor"), "ceiling": pair.get("ceiling")}
     largest = max([value for _, value in shown] + [max(d, default=0.0) for d in dots.values()], default=0.0)
-    factor, name = fmt.scaled(unit, largest)
+    factor, name = fmt.scaled(unit, largest if like is None else like)
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()

@@ -73,10 +73,23 @@ def plain(name: str) -> str:
 
 
 def effect_name(effect: Mapping) -> str:
-    """`Coulomb friction at joint 1`; a class as `bias or base tilt at joint 1`."""
-    names = [plain(effect["name"]), *[plain(name) for name in effect.get("alternatives") or []]]
-    place = plain(effect["where"])
-    return fmt.listing(names, "or") + (f" at {place}" if place not in ("", "all", "whole") else "")
+    """`Coulomb friction at joint 1`; a class as `bias or spring at joint 1`, or `bias at joint 1 or tilt at base`."""
+    rivals = [_named(name, effect["where"]) for name in effect.get("alternatives") or []]
+    every = [(effect["name"], effect["where"]), *rivals]
+    if len({where for _, where in every}) == 1:
+        return _at(fmt.listing([plain(name) for name, _ in every], "or"), effect["where"])
+    return fmt.listing([_at(plain(name), where) for name, where in every], "or")
+
+
+def _named(alternative: str, where: str) -> tuple[str, str]:
+    """`name@where` apart; a name alone is at `where`."""
+    name, _, place = alternative.partition("@")
+    return name, place or where
+
+
+def _at(text: str, where: str) -> str:
+    place = plain(where)
+    return text if place in ("", "all", "whole") else f"{text} at {place}"
 
 
 def effect_names(report: Mapping) -> str:
@@ -111,7 +124,8 @@ def status(candidate: Mapping, report: Mapping) -> str:
         return candidate["status"]
     if candidate["accepted"]:
         return "accepted"
-    if any(candidate["name"] in (effect.get("alternatives") or []) for effect in report["effects"]):
+    here = (candidate["name"], candidate["where"])
+    if any(here == _named(a, e["where"]) for e in report["effects"] for a in e.get("alternatives") or []):
         return "look-alike"
     return "confounded" if "confounded" in candidate["why"].lower() else "rejected"
 
@@ -134,8 +148,7 @@ def not_established(report: Mapping) -> list[str]:
     lines = list(report.get("not_established") or [])
     for effect in report["effects"]:
         if effect.get("alternatives"):
-            names = [plain(name) for name in (effect["name"], *effect["alternatives"])]
-            lines.append(f"Which of {fmt.listing(names, 'or')} acts at {plain(effect['where'])}.")
+            lines.append(f"Which it is: {effect_name(effect)}.")
     loose = unidentified(report)
     if loose:
         one = len(loose) == 1

@@ -88,6 +88,8 @@ def test_p_values_and_lists():
 def test_names_read_as_words():
     assert words.plain("coulomb_friction") == "Coulomb friction" and words.plain("joint12") == "joint 12"
     assert words.effect_name({"name": "bias", "where": "joint2", "alternatives": ["tilt"]}) == "bias or tilt at joint 2"
+    both = {"name": "torque_gain", "where": "joint1", "alternatives": ["torque_gain@joint2"]}
+    assert words.effect_name(both) == "torque gain at joint 1 or torque gain at joint 2"
 
 
 def test_improvement_counts_down_to_the_noise_floor():
