@@ -115,7 +115,8 @@ def examine(
     flexible = ceiling(problem, base, first, error_before.fold)
     reached = 1.0 if flexible is None else flexible.rmse / error_before.rmse()
     force = base.parts.force_std() / problem.torque_scale
-    verdict = decide(found, before, after, settings, powered(powers), reached, force)
+    beyond = error_before.rmse() / floor_of(problem)
+    verdict = decide(found, before, after, settings, powered(powers), reached, force, beyond)
     say(7, STAGES, "held-out trials, mended model")
     error_after = (tested or held_out(problem, found.final, seen)) if verdict.named else error_before
     verdict = confirmed(verdict, error_before, error_after)

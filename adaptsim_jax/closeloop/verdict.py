@@ -20,6 +20,7 @@ class Verdict:
 
 
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
+NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
 LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance, whatever its shape
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
 MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
@@ -35,10 +36,12 @@ def decide(
     powered: bool,
     flexible: float,
     force: np.ndarray,
+    beyond: float = 1.0,
 ) -> Verdict:
     """The verdict. `before`, `after`: the generic dictionary about the declared and the final model; `flexible`: the
     held-out error of a model with smooth forces of any shape, over the declared model's; `force` `[n]`: the force that the
-    declared model leaves unexplained at each joint, as a share of the torque."""
+    declared model leaves unexplained at each joint, as a share of the torque; `beyond`: the declared model's held-out error
+    over the sensors' noise."""
     active = found.added
     if not active:
         if _structured(found, before, settings, flexible):
@@ -46,7 +49,7 @@ def decide(
         if np.max(force) > LARGE:
             return Verdict("structured_unattributed", _large(force), False)
         if powered:
-            return Verdict("within_noise", "The declared model explains the data to within their noise.", False)
+            return Verdict("within_noise", _chance(beyond), False)
         return Verdict(
             "underpowered", "Nothing is found, but these data would not have shown an effect that matters.", False
         )
@@ -59,6 +62,15 @@ def decide(
         message = f"The residual is explained by {names}; these data cannot tell it from {', '.join(others)}."
         return Verdict("explained_class", message, True)
     return Verdict("explained", f"The residual is explained by {names}.", True)
+
+
+def _chance(beyond: float) -> str:
+    if beyond < BEYOND_FLOOR:
+        return "The declared model explains the data to within their noise."
+    return (
+        f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
+        "follows nothing that would predict it in other trials."
+    )
 
 
 def _large(force: np.ndarray) -> str:
@@ -101,6 +113,8 @@ def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, le
 
 def _structured(found: Found, before: Leftover, settings: Settings, flexible: float) -> bool:
     """Held-out structure that is more than chance: some smooth force, or a rival that was refitted, predicts it."""
+    if before.p_value < NO_CHANCE:
+        return True
     if before.p_value < settings.alpha and (before.share > 0.01 or flexible < PREDICTED):
         return True
     fall = 1.0 - settings.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
@@ -114,9 +128,9 @@ def _words(name: str) -> str:
 
 def _unattributed(at: Leftover) -> str:
     joint, variable, share, _ = at.places[0]
+    much = f" ({100 * share:.0f} % of the residual, held out)" if share >= 0.005 else ""
     return (
-        f"There is structure that no candidate explains; it sits at {_words(joint)} and follows its {variable} "
-        f"({100 * share:.0f} % of the residual, held out)."
+        f"There is structure that no candidate explains; it sits at {_words(joint)} and follows its {variable}{much}."
     )
 
 

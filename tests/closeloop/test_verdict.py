@@ -67,6 +67,16 @@ def test_a_force_as_large_as_the_torque_is_no_noise(force, powered, expected):
     assert not verdict.named
 
 
+def test_structure_that_is_no_chance_is_no_noise_and_noise_is_said_as_it_is():
+    nothing = SimpleNamespace(added=(), tried=[], base=None)
+    uneven = decide(nothing, left(0.0, 1e-50), left(0.0, 1e-50), Settings(), True, 1.0, np.zeros(2))
+    assert uneven.name == "structured_unattributed"
+    assert "0 %" not in uneven.message
+    chance = decide(nothing, left(0.0, 1.0), left(0.0, 1.0), Settings(), True, 1.0, np.zeros(2), 27.0)
+    assert chance.name == "within_noise"
+    assert "27 times the sensors' noise" in chance.message
+
+
 def test_pieces_abreast_keep_their_order_and_raise():
     assert abreast(lambda k: k * k, range(9)) == [k * k for k in range(9)]
     with pytest.raises(ZeroDivisionError):
