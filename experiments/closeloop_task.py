@@ -1,6 +1,6 @@
 """What a mended model is worth for the task: policies before and after, both run in the world that made the data.
 
-    python experiments/closeloop_task.py --out docs/results/closeloop_task.md
+    python -m experiments.closeloop_task --out docs/results/closeloop_task.md
 
 For each hidden effect: a linear-world recording is generated, written as files and diagnosed; the task policy is
 trained on the fitted declared model and on `model.toml`, and both control the generator's own simulator, which shares
