@@ -67,7 +67,9 @@ class ScoopingConfig:
     checks: int = 16
     trials: int = 1200
     training: GoalConfig = field(
-        default_factory=lambda: GoalConfig(updates=40, batch=32, candidates=16, capacity=1200, width=(0.5, 0.15))
+        default_factory=lambda: GoalConfig(
+            updates=60, batch=32, candidates=32, capacity=1200, temperature=0.05, width=(0.4, 0.08)
+        )
     )
     hidden: tuple[int, ...] = (64, 64)
     learning_rate: float = 3e-3
