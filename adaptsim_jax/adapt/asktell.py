@@ -51,7 +51,9 @@ class AskTell(NamedTuple):
     trials: Callable[[AskState], int]
 
 
-def make_ask_tell(task: Task, bdq: BDQ, weights: Any, *, iterations: int = 10, delta: float = 0.1) -> AskTell:
+def make_ask_tell(
+    task: Task, bdq: BDQ, weights: Any, *, iterations: int = 10, delta: float = 0.1, shrink: float = 1.0
+) -> AskTell:
     """Greedy adaptation of each start for `iterations` steps: `N (iterations + 1)` trials in all."""
     if iterations < 1:
         raise BadInput(f"iterations = {iterations}: nothing would be adapted; use at least 1")
@@ -82,7 +84,7 @@ def make_ask_tell(task: Task, bdq: BDQ, weights: Any, *, iterations: int = 10, d
         if iteration == 0:  # the next start, or the last one again once all is told
             index = min(start, trials(state) // (iterations + 1) - 1)
             return jax.tree.map(lambda x: x[index], tuple(state.starts))
-        dist = spaces.step(task.space, gaussian(task.space, state.mean), action, delta)
+        dist = spaces.step(task.space, gaussian(task.space, state.mean), action, delta * shrink ** (iteration - 1))
         return dist.mean, state.policy
 
     def trials(state):

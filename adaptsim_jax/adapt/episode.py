@@ -62,19 +62,24 @@ def run_episode(
     *,
     steps: int,
     delta: jax.Array | float,
+    shrink: jax.Array | float = 1.0,
     obs_noise: jax.Array | float = 0.0,
 ) -> Episode:
-    """Adapt `start` to `target: [D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`."""
+    """Adapt `start` to `target: [D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`.
+
+    Step i is of `delta shrink^i`.
+    """
     reference = task.reference(target)
 
     # The visit stands once in the program, inside the scan: it is most of what there is to compile. The action after
     # the last visit is computed and dropped.
-    def one(carry, key):
+    def one(carry, xs):
         dist, policy = carry
+        key, number = xs
         visit_key, act_key = jax.random.split(key)
         now = visit(visit_key, task, dist, policy, target, reference, obs_noise)
         action = act(act_key, now.obs)
-        return (spaces.step(task.space, dist, action, delta), now.policy), (now, action)
+        return (spaces.step(task.space, dist, action, delta * shrink**number), now.policy), (now, action)
 
-    _, (visits, actions) = jax.lax.scan(one, (start, policy), jax.random.split(key, steps + 1))
+    _, (visits, actions) = jax.lax.scan(one, (start, policy), (jax.random.split(key, steps + 1), jnp.arange(steps + 1)))
     return Episode(*visits, actions[:-1])

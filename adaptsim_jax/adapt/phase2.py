@@ -43,6 +43,7 @@ def adapt(
     *,
     iterations: int = 10,
     delta: jax.Array | float = 0.1,
+    shrink: jax.Array | float = 1.0,
 ) -> Phase2Result:
     """Adapt each of the `N` starts for `iterations` greedy steps in `target: [D]` (physical values).
 
@@ -59,6 +60,7 @@ def adapt(
             target,
             steps=iterations,
             delta=delta,
+            shrink=shrink,
         )
 
     history = jax.vmap(one)(jax.random.split(key, starts.mean.shape[0]), starts)

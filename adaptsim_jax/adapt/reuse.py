@@ -62,6 +62,19 @@ def empty_pool(config: ReuseConfig, dim: int, policy: Any) -> Pool:
     )
 
 
+def shared_pool(config: ReuseConfig, mean: jax.Array, policy: Any) -> Pool:
+    """One anchor at `mean [D]`, whose `policy` has had all the training that it gets here: lent to whatever is near."""
+    pool = empty_pool(config, mean.shape[0], policy)
+    put = lambda kept, value: kept.at[0].set(value)
+    return Pool(
+        put(pool.mean, mean),
+        jax.tree.map(put, pool.policy, policy),
+        put(pool.taught, 1),
+        put(pool.spent, config.most),
+        jnp.ones((), jnp.int32),
+    )
+
+
 def lend(pool: Pool, config: ReuseConfig, means: jax.Array, own: Any) -> Loan:
     """What each of `means [P, D]` goes on from: the nearest anchor's policy if it is near enough, else `own [P, ...]`."""
     there = jnp.arange(config.capacity) < pool.count

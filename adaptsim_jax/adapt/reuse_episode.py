@@ -38,9 +38,11 @@ def run_reusing(
     *,
     steps: int,
     delta: jax.Array | float,
+    shrink: jax.Array | float = 1.0,
     obs_noise: jax.Array | float = 0.0,
 ) -> Reusing:
-    """Adapt `starts [P]` to `targets [P, D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`.
+    """Adapt `starts [P]` to `targets [P, D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`; step i is of
+    `delta shrink^i`.
 
     `policies [P, ...]` are untrained: what a visit far from every anchor starts from.
     """
@@ -57,7 +59,7 @@ def run_reusing(
         )
         now = jax.vmap(see)(parts[:, 1], parts[:, 2], dists, trained, targets, references)
         action = jax.vmap(act)(parts[:, 3], now.obs)
-        after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta))(dists, action)
+        after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta * shrink**number))(dists, action)
         return (after, pool), (now, action, loan.budget, loan.place >= 0)
 
     (_, pool), found = jax.lax.scan(one, (starts, pool), jnp.arange(steps + 1))

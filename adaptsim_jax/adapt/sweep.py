@@ -82,15 +82,17 @@ def adapt_many(
 
     @jax.jit
     def run(targets, trained, starts):
-        def one_run(weights, delta, start):
+        def one_run(weights, hyper, start):
+            sizes = {"delta": hyper.delta, "shrink": hyper.shrink}
+
             def one_target(target):
                 key = jax.random.key(0)
                 return adapt(
-                    key, phase1.task, phase1.bdq, weights, start, target, iterations=iterations, delta=delta
+                    key, phase1.task, phase1.bdq, weights, start, target, iterations=iterations, **sizes
                 ).history
 
             return jax.vmap(one_target)(targets)
 
-        return jax.lax.map(lambda a: one_run(*a), (trained.weights, trained.hyper.delta, starts))
+        return jax.lax.map(lambda a: one_run(*a), (trained.weights, trained.hyper, starts))
 
     return run(jnp.asarray(targets, jnp.float32), trained, starts)

@@ -83,9 +83,11 @@ def adapt_run(trained: Trained, key: jax.Array, target: Any, *, starts: int = 2,
     phase1 = trained.phase1
     start_key, run_key = jax.random.split(key)
     chosen = draw_starts(start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts)
-    return jax.jit(lambda k, w, s, t, d: adapt(k, phase1.task, phase1.bdq, w, s, t, iterations=iterations, delta=d))(
-        run_key, trained.state.learner.target, chosen, jnp.asarray(target, jnp.float32), trained.hyper.delta
+    found = lambda k, w, s, t, h: adapt(
+        k, phase1.task, phase1.bdq, w, s, t, iterations=iterations, delta=h.delta, shrink=h.shrink
     )
+    weights = trained.state.learner.target
+    return jax.jit(found)(run_key, weights, chosen, jnp.asarray(target, jnp.float32), trained.hyper)
 
 
 def archive_size(phase1: Phase1, rounds: int) -> int:

@@ -42,6 +42,8 @@ class Arena:
         self._draw = jax.jit(
             jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)), static_argnums=1
         )
+        each = lambda key: jax.vmap(one.draw)(jax.random.split(key, one.trials))
+        self._of_visit = jax.jit(jax.vmap(one.visit or each))
         self._act = jax.jit(jax.vmap(one.act))
         self._act_tests = jax.jit(jax.vmap(one.act, (0, None)))
         self._explore = jax.jit(jax.vmap(one.explore))
@@ -72,7 +74,7 @@ class Arena:
 
     def visit(self, keys, where: np.ndarray, policies) -> Seen:
         """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
-        contexts = self.contexts(keys, self.one.trials)
+        contexts = np.asarray(self._of_visit(keys))
         outcomes = self.run(where, contexts, np.asarray(self._act(policies, jnp.asarray(contexts))))
         obs, score = self._seen(jnp.asarray(contexts), outcomes)
         return Seen(np.asarray(obs), np.asarray(score))

@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from adaptsim_jax.baselines import gp
 from adaptsim_jax.baselines.arena import lanes
-from adaptsim_jax.baselines.learned import Bout, Trip, two_keys
+from adaptsim_jax.baselines.learned import Bout, Trip, first_policies, two_keys
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.space import gaussian
 
@@ -27,7 +27,7 @@ class BayesOptConfig:
 
 
 def bayesopt(bout: Bout) -> Trip:
-    """A task policy trained from scratch at each point, its return of a visit's trials told to a Gaussian process.
+    """A task policy trained anew at each point, its return of a visit's trials told to a Gaussian process.
 
     The row's iterations are points; a policy is scored as every other method's, over the test contexts.
     """
@@ -48,7 +48,7 @@ def bayesopt(bout: Bout) -> Trip:
                 points[b, i] = gp.propose(gp.fit(points[b, :i], told[b, :i], rng), rng)
         train_keys, visit_keys = two_keys(batch.at(i))
         dists = jax.vmap(lambda m: gaussian(space, m))(jnp.asarray(points[:, i], jnp.float32))
-        policies = arena.train(train_keys, dists, arena.untrained(train_keys))
+        policies = arena.train(train_keys, dists, first_policies(bout, batch, arena.untrained(train_keys)))
         told[:, i] = arena.visit(visit_keys, batch.where, policies).score
         rewards[:, i] = arena.score(batch.where, policies)
         bout.report(i + 1, total)

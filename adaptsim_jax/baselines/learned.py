@@ -15,7 +15,7 @@ import numpy as np
 from adaptsim_jax.adapt.phase1 import make_phase1
 from adaptsim_jax.adapt.sweep import TrainedMany, stack, starts_of, train_many
 from adaptsim_jax.baselines import sysid
-from adaptsim_jax.baselines.arena import Arena, Progress, lanes
+from adaptsim_jax.baselines.arena import Arena, Lanes, Progress, lanes
 from adaptsim_jax.baselines.sysid_bayes import mixture_estimator
 from adaptsim_jax.baselines.sysid_point import point_estimator
 from adaptsim_jax.progress import silent
@@ -58,13 +58,15 @@ def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iteration
     # lanes run over targets, seeds, starts; the same starts serve all targets
     pick = lambda x: jnp.tile(x.reshape(-1, *x.shape[2:]), (len(arena.targets), *(1,) * (x.ndim - 2)))
     mean, policies = np.asarray(pick(first.mean)), jax.tree.map(pick, first.policy)
-    weights, delta = trained.weights[batch.seed], jnp.asarray(trained.hyper.delta)[batch.seed]
+    weights = trained.weights[batch.seed]
+    delta, shrink = (jnp.asarray(x)[batch.seed] for x in (trained.hyper.delta, trained.hyper.shrink))
 
     @jax.jit
-    def advance(mean, obs):
+    def advance(mean, obs, number):
         seen = jnp.concatenate([2.0 * mean - 1.0, obs], -1)
         action = jax.vmap(phase1.bdq.greedy)(weights, seen)
-        return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, delta)
+        size = delta * shrink**number
+        return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, size)
 
     at = lambda m: gaussian(space, m)
     means, rewards = [], []
@@ -74,7 +76,7 @@ def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iteration
         seen = arena.visit(visit_keys, batch.where, policies)
         means.append(mean)
         rewards.append(arena.score(batch.where, policies))
-        mean = np.asarray(advance(jnp.asarray(mean), jnp.asarray(seen.obs)))
+        mean = np.asarray(advance(jnp.asarray(mean), jnp.asarray(seen.obs), i))
         bout.report(i + 1, iterations + 1, "Phase 2")
     spent = starts * arena.one.trials * np.arange(1, iterations + 2)
     return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
@@ -93,6 +95,7 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
         return jax.jit(lambda *work: jax.lax.map(lambda w: one(*w), work))
 
     state, infer = jax.jit(begin)(*two_keys(batch.keys)), infers(config.first_fit)
+    state = state._replace(policy=first_policies(bout, batch, state.policy))
     means, rewards = [], []
     for i in range(config.iterations + 1):
         train_keys, visit_keys, infer_keys = (jax.vmap(jax.random.fold_in, (0, None))(batch.at(i), j) for j in range(3))
@@ -106,6 +109,19 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
             infer = infers(config.next_fit) if i == 0 and config.next_fit != config.first_fit else infer
     spent = arena.one.trials * np.arange(1, config.iterations + 2)
     return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
+
+
+def first_policies(bout: Bout, batch: Lanes, blank: Any) -> Any:
+    """What a method's first training in each lane goes on from: `blank [B, ...]`, or the seed's own policy for all of Omega where
+    the task makes one, the same for all methods but AdaptSim, whose Phase 1 makes its own in the same way."""
+    pretrain = bout.arena.one.task.pretrain
+    if pretrain is None:
+        return blank
+    if "shared" not in bout.cache:
+        one = jax.jit(pretrain)
+        parts = [one(jax.random.fold_in(jax.random.key(seed), 8)) for seed in bout.seeds]
+        bout.cache["shared"] = jax.tree.map(lambda *x: jnp.stack(x), *parts)
+    return jax.tree.map(lambda x: x[batch.seed], bout.cache["shared"])
 
 
 def sysid_bayes(bout: Bout) -> Trip:

@@ -58,6 +58,7 @@ class OneShot:
     simulator: str  # in words, as results.json says it
     reward_unit: str
     oracle_means: str
+    visit: Callable[[Array], Array] | None = None  # (key) -> contexts [trials, g] of a visit; None: each drawn
 
 
 def action_grid(points: tuple[int, ...]) -> np.ndarray:

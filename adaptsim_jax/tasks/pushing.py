@@ -17,6 +17,7 @@ from adaptsim_jax import space as spaces
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig, GoalProblem, make_goal_learner
+from adaptsim_jax.learners.naf_shared import SharedConfig, fold, make_shared_learner, move
 from adaptsim_jax.models import pushing as model
 from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.models.pushing import PushOptions
@@ -49,8 +50,12 @@ class PushingConfig:
     observation: six points of each trajectory, or the `final` position alone (the paper's state-only variant).
     show_goal: observe also the goal of each push, without which a miss cannot be told from a far goal.
     trajectories: pushes an iteration; tests: goals that the reward of a simulated target is averaged over.
+    goals: of an iteration's pushes: drawn anew; `spread`, drawn one in each equal part of the sector's angle and far out; or
+    `fixed`, always the same, so that what is seen differs by parameters alone.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
     trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
+    pretrain: go on from one policy for all of Omega (`naf_shared`) instead of from nothing. It is made first, by `shared`
+    with `learning_rate`; `train` then moves it to the mean of E and tunes it by `tuning` with `tuning_rate`.
     coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
     friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
@@ -59,6 +64,7 @@ class PushingConfig:
     show_goal: bool = True
     trajectories: int = 2
     tests: int = 24
+    goals: Literal["drawn", "spread", "fixed"] = "drawn"
     targets: Literal["omega", "wide"] = "wide"
     trials: int = 10_000
     training: GoalConfig = field(
@@ -66,6 +72,14 @@ class PushingConfig:
     )
     hidden: tuple[int, ...] = (64, 64)
     learning_rate: float = 3e-3
+    pretrain: bool = False
+    shared: SharedConfig = field(default_factory=SharedConfig)
+    tuning: GoalConfig = field(
+        default_factory=lambda: GoalConfig(
+            updates=40, batch=32, temperature=0.015, width=(0.15, 0.03), near=1.0, uniform=0.25, noise=0.05
+        )
+    )
+    tuning_rate: float = 1e-3
     coefficients: Literal["native", "drake"] = "native"
     friction: Literal["clean", "coupled"] = "clean"
     duration: float = 1.3
@@ -76,9 +90,12 @@ class PushingConfig:
 
 
 class PushingPolicy(NamedTuple):
-    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does."""
+    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where it came of one for all of Omega (else None):
+    tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit coordinates) that it stands for."""
 
     weights: jax.Array
+    tilt: jax.Array | None = None
+    at: jax.Array | None = None
 
 
 class PushingTrajectory(NamedTuple):
@@ -121,6 +138,16 @@ def wide_space() -> Space:
 def draw_goal(key: jax.Array) -> jax.Array:
     """A goal `[2]` m, uniform in radius and angle over the sector of goals."""
     return _goal_at(jax.random.uniform(key, (2,)))
+
+
+def visit_goals(key: jax.Array, config: PushingConfig) -> jax.Array:
+    """`[trajectories, 2]` m: the goals that an iteration tries a policy on."""
+    n = config.trajectories
+    if config.goals == "drawn":
+        return jax.vmap(draw_goal)(jax.random.split(key, n))
+    u = jax.random.uniform(key, (n, 2)) if config.goals == "spread" else jnp.full((n, 2), 0.5)
+    u = u.at[:, 0].set(0.4 + 0.6 * u[:, 0]) if config.goals == "spread" else u.at[:, 0].set(jnp.linspace(0.9, 0.6, n))
+    return _goal_at(u.at[:, 1].set((jnp.arange(n) + u[:, 1]) / n))
 
 
 def _goal_at(u: jax.Array) -> jax.Array:
@@ -173,23 +200,24 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
     """The push as a `Task`, simulated with the planar model."""
     options, twin = _checked(config), TWINS[config.coefficients]
     space, naf, act = pushing_space(config), make_pushing_naf(config), make_policy(config)
-    learner = make_goal_learner(naf, _problem(space, options, twin), config.training, naf_rates(config))
-    block = config.training.block
+    how = config.tuning if config.pretrain else config.training
+    learner = make_goal_learner(naf, _problem(space, options, twin), how, naf_rates(config, config.pretrain))
+    block = how.block
 
     def train_many(keys, dists, policies, trials):
         rounds = (trials + block - 1) // block
-        return PushingPolicy(learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)))
+        policies = jax.vmap(moved)(policies, dists.mean)
+        return policies._replace(weights=learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)))
 
     def train(key, dist, policy):
-        one = jax.tree.map(lambda x: x[None], (dist, policy.weights))
-        rounds = -(-config.trials // block)
-        weights = learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)
-        return PushingPolicy(weights[0])
+        one = jax.tree.map(lambda x: x[None], (dist, policy))
+        trained = train_many(key[None], *one, jnp.full(1, config.trials))
+        return jax.tree.map(lambda x: x[0], trained)
 
     grid = goal_lattice(config.tests)
 
     def rollout(key, policy, params):
-        goals = jax.vmap(draw_goal)(jax.random.split(key, config.trajectories))
+        goals = visit_goals(key, config)
         push = jax.vmap(lambda a: planar.rollout(params, a, options, twin))
         # apart, so that the compiler leaves the test goals out where only the observation is asked for
         tested = push_reward(push(act(policy, grid))[:, -1], grid).mean()
@@ -201,7 +229,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         targets=space if config.targets == "omega" else wide_space(),
         obs_dim=config.trajectories * (2 * (POINTS if config.observation == "points" else 1) + 2 * config.show_goal),
         settings=SETTINGS,
-        init_policy=lambda key: PushingPolicy(naf.init(key).online),
+        init_policy=lambda key: _blank(naf.init(key).online, config, space),
         train=train,
         rollout=rollout,
         observe=lambda trajectory: observed(trajectory, config),
@@ -209,7 +237,35 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         reference=lambda params: jnp.zeros(()),
         reward=lambda trajectory, reference: trajectory.tested,
         train_many=train_many,
+        pretrain=_pretrain(config, space, options, twin) if config.pretrain else None,
     )
+
+
+def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
+    """The policy for another mean of E `[D]` (unit coordinates), before any training there; as it is, if it knows no other."""
+    if policy.tilt is None:
+        return policy
+    return policy._replace(weights=move(policy.weights, policy.tilt, 2.0 * (mean - policy.at)), at=mean)
+
+
+def _blank(weights: jax.Array, config: PushingConfig, space: Space) -> PushingPolicy:
+    if not config.pretrain:
+        return PushingPolicy(weights)
+    return PushingPolicy(weights, jnp.zeros((space.dim, config.hidden[0])), jnp.full(space.dim, 0.5))
+
+
+def _pretrain(config: PushingConfig, space: Space, options: PushOptions, twin) -> Callable[[jax.Array], PushingPolicy]:
+    """`(key) -> policy` for all of Omega, at its centre; it was shown means in [-1, 1]."""
+    wide = make_naf(NAFConfig(obs_dim=2 + space.dim, action_dim=2, hidden=config.hidden))
+    trial = lambda key, u, action: planar.rollout(space.physical(u), physical_action(action), options, twin)[-1]
+    problem = GoalProblem(draw_goal, seen_goal, trial, push_reward)
+    learn = make_shared_learner(wide, problem, space.sample, lambda u: 2.0 * u - 1.0, config.shared, naf_rates(config))
+
+    def pretrain(key):
+        weights, tilt = fold(learn(key), 2, space.dim, config.hidden[0])
+        return PushingPolicy(weights, tilt, jnp.full(space.dim, 0.5))
+
+    return pretrain
 
 
 def measured(goals: jax.Array, places: jax.Array, tested: jax.Array | None = None) -> PushingTrajectory:
@@ -252,14 +308,15 @@ def goal_lattice(count: int) -> jax.Array:
     return _goal_at(jnp.asarray(u, jnp.float32))
 
 
-def naf_rates(config: PushingConfig) -> Any:
-    return NAFHyper(learning_rate=config.learning_rate, max_grad_norm=10.0)
+def naf_rates(config: PushingConfig, tuning: bool = False) -> Any:
+    return NAFHyper(learning_rate=config.tuning_rate if tuning else config.learning_rate, max_grad_norm=10.0)
 
 
 def _checked(config: PushingConfig) -> PushOptions:
     for name in ("trajectories", "tests", "trials"):
         if getattr(config, name) < 1:
             raise BadInput(f"pushing, {name} = {getattr(config, name)}: give at least 1")
-    if config.learning_rate <= 0:
-        raise BadInput(f"pushing, learning_rate = {config.learning_rate}: give a positive one, such as 3e-3")
+    for name in ("learning_rate", "tuning_rate"):
+        if getattr(config, name) <= 0:
+            raise BadInput(f"pushing, {name} = {getattr(config, name)}: give a positive one, such as 1e-3")
     return planar.check_options(PushOptions(friction=config.friction, duration=config.duration))

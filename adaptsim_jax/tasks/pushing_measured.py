@@ -40,8 +40,7 @@ class Pushes(NamedTuple):
 
 def pushes_to_make(key: jax.Array, told: Any, policy: PushingPolicy, config: PushingConfig) -> Pushes:
     """The pushes of adaptation iteration `told` (from 0) of a session with `key`: always the same for the same session."""
-    keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, _GOALS), told), config.trajectories)
-    goals = jax.vmap(pushing.draw_goal)(keys)
+    goals = pushing.visit_goals(jax.random.fold_in(jax.random.fold_in(key, _GOALS), told), config)
     actions = pushing.make_policy(config)(policy, goals)
     numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
     return Pushes(numbers, np.asarray(goals), np.asarray(actions))

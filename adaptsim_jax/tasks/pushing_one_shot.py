@@ -57,6 +57,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         reward_unit=f"1 - distance / {task.WORST} m, at least 0, mean over {config.tests} goals",
         oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",
+        visit=lambda key: task.visit_goals(key, config),
     )
 
 
