@@ -62,7 +62,7 @@ def scooping() -> TrainConfig:
     already; the paper's sparse threshold of 0.5 would hide which half is left.
     """
     base = pushing()
-    reuse = ReuseConfig(threshold=0.16, first=1200, most=1200, least=600, together=10)
+    reuse = ReuseConfig(threshold=0.16, first=1200, most=1200, least=600, together=2)
     return replace(
         base,
         every=5,
