@@ -91,10 +91,10 @@ def pushing_sweep() -> TrainConfig:
         task={"trials": 3000, "pretrain": True, "goals": "fixed"},
         phase1=replace(
             base.phase1,
-            trajectories=10_000,
+            trajectories=5000,
             parallel=250,
             updates=2400,
-            capacity=80_000,
+            capacity=40_000,
             reuse=ReuseConfig(threshold=9.0, first=2000, most=3000, least=1000, capacity=250, together=250),
         ),
         hyper=replace(
