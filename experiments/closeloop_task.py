@@ -21,7 +21,7 @@ from adaptsim_jax.closeloop.diagnose import diagnose
 from adaptsim_jax.closeloop.task_reward import REWARD_GAIN, Trained, trained_policy
 from adaptsim_jax.models.model_file import ModelFile, Value, read_model
 from adaptsim_jax.models.pendulum_linear import SAMPLES
-from adaptsim_jax.tasks.pendulum_mended import DT, ROWS
+from adaptsim_jax.tasks.mended_policy import DT, ROWS
 from tests.generators import effects as hidden_effects
 from tests.generators import forces
 from tests.generators.dataset import Spec, draft, make_datasets, write_dataset

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from adaptsim_jax.closeloop.model_file import fitted_model
 from adaptsim_jax.models.closed_loop import Law, run_loop
 from adaptsim_jax.models.model_file import ModelFile
-from adaptsim_jax.tasks.pendulum_mended import DT, ROWS, MendedPolicy, World, command, make_world, train_policy
+from adaptsim_jax.tasks.mended_policy import DT, ROWS, MendedPolicy, World, command, descended, make_world
 
 if TYPE_CHECKING:
     from adaptsim_jax.closeloop.problem import Problem
@@ -49,10 +49,10 @@ class Trained:
 
 
 def trained_policy(given: ModelFile) -> Trained:
-    """The task policy of a model, with its effects if it has any."""
+    """The task policy of a model; where it has effects, the best that descent finds in it."""
     world = make_world(given)
     theta, eff = _point(given, world)
-    return Trained(world, jax.jit(lambda theta, eff: train_policy(world, theta, eff))(theta, eff))
+    return Trained(world, jax.jit(lambda theta, eff: descended(world, theta, eff))(theta, eff))
 
 
 def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:

@@ -16,7 +16,7 @@ import numpy as np
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.model_file import ModelFile, read_model
-from adaptsim_jax.tasks.pendulum_mended import DT, MendedPolicy, World, command, make_world
+from adaptsim_jax.tasks.mended_policy import DT, MendedPolicy, World, command, make_world
 
 POLICY, MODEL = "policy.toml", "model.toml"
 

@@ -9,16 +9,9 @@ import numpy as np
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.model_file import ModelFile
 from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.mended_policy import MendedPolicy, World, make_world, plain_policy, train_policy
 from adaptsim_jax.tasks.pendulum import PendulumPolicy
-from adaptsim_jax.tasks.pendulum_mended import (
-    MendedPolicy,
-    World,
-    cheapest,
-    make_world,
-    mended_space,
-    plain_policy,
-    train_policy,
-)
+from adaptsim_jax.tasks.pendulum_mended import cheapest, mended_space
 
 
 def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:

@@ -8,7 +8,8 @@ import pytest
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.effects import Effect, Parameter, catalogue
 from adaptsim_jax.models.model_file import AddedEffect, ModelFile, Value
-from adaptsim_jax.tasks.pendulum_mended import make_world, mended_space
+from adaptsim_jax.tasks.mended_policy import make_world
+from adaptsim_jax.tasks.pendulum_mended import mended_space
 
 PAGE = Path(__file__).parents[2] / "docs" / "your-own-effect.md"
 

@@ -10,8 +10,8 @@ from adaptsim_jax.closeloop.model_file import write_model
 from adaptsim_jax.commands.adapt import policy_table
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.model_file import AddedEffect, ModelFile, Value
+from adaptsim_jax.tasks.mended_policy import _ahead, along, lqr, make_world, plain_policy
 from adaptsim_jax.tasks.pendulum_controller import read_controller
-from adaptsim_jax.tasks.pendulum_mended import _ahead, along, lqr, make_world, plain_policy
 
 THETA = {"m1": (1.5, "kg"), "m2": (1.4, "kg"), "b1": (1.2, "N m s/rad"), "b2": (1.8, "N m s/rad")}
 

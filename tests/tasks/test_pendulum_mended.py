@@ -9,13 +9,8 @@ from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pendulum as plain_model
 from adaptsim_jax.models.model_file import AddedEffect, ModelFile, Value
 from adaptsim_jax.space import gaussian
-from adaptsim_jax.tasks.pendulum_mended import (
-    make_mended_pendulum,
-    make_world,
-    mended_space,
-    plain_policy,
-    train_policy,
-)
+from adaptsim_jax.tasks.mended_policy import descended, make_world, plain_policy, train_policy
+from adaptsim_jax.tasks.pendulum_mended import make_mended_pendulum, mended_space
 from adaptsim_jax.tasks.pendulum_target import in_world
 from adaptsim_jax.tasks.registry import make_task
 
@@ -48,6 +43,22 @@ def costs(given: ModelFile):
         return run(plain_policy(world, theta, eff)), run(train_policy(world, theta, eff))
 
     return [float(c) for c in both()]
+
+
+def test_descent_beats_the_stand_ins_for_dry_friction():
+    """No affine force is dry friction: gains found by descent cost less than any that were tried."""
+    given = mended(("coulomb", "joint1", {"level": (5.4, "N m")}))
+    world = make_world(given)
+    theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
+    eff = jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)
+
+    @jax.jit
+    def both():
+        run = lambda policy: world.rollout(policy, theta, eff)[0].cost
+        return run(train_policy(world, theta, eff)), run(descended(world, theta, eff))
+
+    tried, after = (float(c) for c in both())
+    assert after < 0.99 * tried
 
 
 def test_without_effects_it_is_the_plain_task():
