@@ -32,38 +32,25 @@ CASES = {
 }
 
 
-def costs(given: ModelFile):
+def costs(given: ModelFile, *trainings):
+    """Cost in the model of what each training makes there."""
     world = make_world(given)
     theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
     eff = jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)
-
-    @jax.jit
-    def both():
-        run = lambda policy: world.rollout(policy, theta, eff)[0].cost
-        return run(plain_policy(world, theta, eff)), run(train_policy(world, theta, eff))
-
-    return [float(c) for c in both()]
+    run = jax.jit(lambda: [world.rollout(train(world, theta, eff), theta, eff)[0].cost for train in trainings])
+    return [float(c) for c in run()]
 
 
 def test_descent_beats_the_stand_ins_for_dry_friction():
     """No affine force is dry friction: gains found by descent cost less than any that were tried."""
     given = mended(("coulomb", "joint1", {"level": (5.4, "N m")}))
-    world = make_world(given)
-    theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
-    eff = jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)
-
-    @jax.jit
-    def both():
-        run = lambda policy: world.rollout(policy, theta, eff)[0].cost
-        return run(train_policy(world, theta, eff)), run(descended(world, theta, eff))
-
-    tried, after = (float(c) for c in both())
+    tried, after = costs(given, train_policy, descended)
     assert after < 0.99 * tried
 
 
 def test_without_effects_it_is_the_plain_task():
     """Commands are held for 5 ms here and continuous there: the optimal cost moves by less than 2 %."""
-    before, after = costs(mended())
+    before, after = costs(mended(), plain_policy, train_policy)
     params = jnp.array([v for v, _ in THETA.values()], jnp.float32)
     exact = float(plain_model.rollout(params, plain_model.optimal_gain(params).gain).cost)
     assert before == after
@@ -72,7 +59,7 @@ def test_without_effects_it_is_the_plain_task():
 
 @pytest.mark.parametrize("name", list(CASES))
 def test_a_policy_that_knows_the_effect_is_cheaper(name):
-    before, after = costs(mended(CASES[name]))
+    before, after = costs(mended(CASES[name]), plain_policy, train_policy)
     assert after < before * (1 - 1e-3)
 
 
