@@ -1,9 +1,10 @@
 """How one diagnosis is judged against the truth, and how judgements become the table of a suite."""
 
-import math
 import re
 from collections import Counter, defaultdict
 from statistics import median
+
+from scipy.stats import binomtest
 
 from tests.generators.suites import ALIASES, SAME, Case
 
@@ -12,13 +13,12 @@ Named = tuple[str, str]  # effect, place
 NOTHING = ("within_noise", "underpowered")
 
 
-def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
+def wilson(hits: int, n: int) -> tuple[float, float]:
     """The 95 % Wilson interval of a share."""
     if n == 0:
         return 0.0, 1.0
-    p, d = hits / n, 1 + z * z / n
-    middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, (middle - half) / d), min(1.0, (middle + half) / d)
+    interval = binomtest(hits, n).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def place(text: str) -> str:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models.backends import scooping as backend
@@ -65,14 +66,6 @@ def _alike(a: Run, b: Run) -> dict[str, Any]:
     count = int(good.sum())
     if not count:
         return {"compared": 0}
-    share = float((a.outcome == b.outcome)[good].mean())
-    low, high = wilson(share, count)
-    return {"compared": count, "alike": share, "low": low, "high": high}
-
-
-def wilson(share: float, count: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share of `count` trials."""
-    z = 1.96
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return float(middle - half), float(middle + half)
+    alike = int((a.outcome == b.outcome)[good].sum())
+    interval = binomtest(alike, count).proportion_ci(method="wilson")
+    return {"compared": count, "alike": alike / count, "low": float(interval.low), "high": float(interval.high)}

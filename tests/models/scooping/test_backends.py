@@ -122,11 +122,6 @@ def test_drake_agrees_with_itself_about_as_much_as_with_us(found):
     assert np.abs(theirs.state[:, :, 3:5] - out.state[:12, :, 3:5]).max() < 2e-4
 
 
-def test_wilson_by_hand():
-    low, high = scooping_parity.wilson(0.5, 100)
-    assert (low, high) == (pytest.approx(0.4038, abs=1e-3), pytest.approx(0.5962, abs=1e-3))
-
-
 def test_parity_command(monkeypatch, capsys):
     """Engines that are there and one that is not; what went wrong is left out."""
     rng = np.random.default_rng(0)
