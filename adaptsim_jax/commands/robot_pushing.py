@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adaptsim_jax.commands.robot_trials import config_of, physical, say_parameters, write_actions
+
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
     from adaptsim_jax.tasks.pushing_measured import Pushes
 
 TURN = "iteration"
+COLUMNS = ("goal_x", "goal_y", "speed", "angle")  # of actions.csv, after the trial
 HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that speed and angle, and track the bottle for {duration:g} s
 write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""
 GRID = 24  # goals in best_actions.csv
@@ -37,7 +40,7 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
         print(
             f"  trial {number}: speed {action[0]:.4f} m/s, angle {action[1]:+.4f} rad   (goal {goal[0]:.3f}, {goal[1]:+.3f} m)"
         )
-    _write_actions(path, pushes)
+    write_actions(path, COLUMNS, zip(*pushes, strict=True))
     print(f"written: {path}")
     print(HOW.format(duration=_config(session).duration))
 
@@ -60,7 +63,7 @@ def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
     plain = lambda x: np.asarray(x, float).round(6).tolist()
     rows = zip(pushes.numbers, pushes.goals, pushes.actions, trajectory.points, trajectory.rewards, strict=True)
     return {
-        "params": _params(session, before.mean),
+        "params": physical(session, before.mean),
         "pushes": [
             {"trial": int(n), "goal": plain(g), "action": plain(a), "points": plain(p), "reward": plain(r)}
             for n, g, a, p, r in rows
@@ -82,18 +85,14 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         )
     if done:
         return
-    turns = session.table["iterations"] + 1
-    fresh = int(after.told) % turns == 0
-    was, now = _params(session, before.mean), _params(session, after.mean)
-    words = [f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})") for k in now]
-    print(f"{'next start' if fresh else 'simulate now with'}: {', '.join(words)}")
+    say_parameters(session, before, after)
 
 
 def _best(session: Session, policy: Any) -> None:
     from adaptsim_jax.tasks.pushing_measured import pushes_over_sector
 
     path = session.folder / "best_actions.csv"
-    _write_actions(path, pushes_over_sector(policy, _config(session), GRID))
+    write_actions(path, COLUMNS, zip(*pushes_over_sector(policy, _config(session), GRID), strict=True))
     print(f"written: {path}: its push for {GRID} goals; for any other:")
     print("  from adaptsim_jax.tasks.pushing_measured import read_policy")
     print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")
@@ -122,26 +121,13 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
     return look.save(figure, session.folder / "pushes.png")
 
 
-def _write_actions(path: Path, pushes: Pushes) -> None:
-    from adaptsim_jax.files import write_bytes
-
-    rows = [f"{n},{g[0]:.6f},{g[1]:.6f},{a[0]:.6f},{a[1]:.6f}" for n, g, a in zip(*pushes, strict=True)]
-    write_bytes(path, "\n".join(["trial,goal_x,goal_y,speed,angle", *rows, ""]).encode())
-
-
 def _pushes(session: Session, state: Any) -> Pushes:
     from adaptsim_jax.tasks.pushing_measured import pushes_to_make
 
     return pushes_to_make(state.key, state.told, state.policy, _config(session))
 
 
-def _params(session: Session, mean: Any) -> dict[str, float]:
-    space = session.trained.phase1.task.space
-    return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
-
-
 def _config(session: Session) -> Any:
-    from adaptsim_jax import config
     from adaptsim_jax.tasks.pushing import PushingConfig
 
-    return config.from_table(PushingConfig, session.options, str(session.table["run"]))
+    return config_of(session, PushingConfig)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adaptsim_jax.commands.robot_trials import config_of, physical, say_parameters, write_actions
+
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
     from adaptsim_jax.tasks.scooping_measured import Scoops
 
 TURN = "iteration"
+COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")  # of actions.csv, after the trial
 HOW = """for each, lay the piece at that place (m from the middle of a box of 8 x 6 cm, x along the spatula's way), start at
 that pitch and distance, scoop with that pitch rate at 0.25 s, and track the piece for {seconds:g} s; write one CSV for all of them
 with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""
@@ -43,7 +46,7 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
     path = session.folder / "actions.csv"
     for number, place, action in zip(*scoops, strict=True):
         print(f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m)")
-    _write_actions(path, scoops)
+    write_actions(path, COLUMNS, zip(*scoops, strict=True))
     print(f"written: {path}")
     print(HOW.format(seconds=SECONDS))
 
@@ -65,7 +68,7 @@ def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
     plain = lambda x: np.asarray(x, float).round(6).tolist()
     rows = zip(*_scoops(session, before), trajectory.points, trajectory.success, strict=True)
     return {
-        "params": _params(session, before.mean),
+        "params": physical(session, before.mean),
         "scoops": [
             {"trial": int(n), "place": plain(p), "action": plain(a), "points": plain(t), "success": float(s)}
             for n, p, a, t, s in rows
@@ -79,10 +82,7 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         print(f"  trial {number}: {'on the spatula' if success > 0.5 else 'not on the spatula'}")
     if done:
         return
-    fresh = int(after.told) % (session.table["iterations"] + 1) == 0
-    was, now = _params(session, before.mean), _params(session, after.mean)
-    words = [f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})") for k in now]
-    print(f"{'next start' if fresh else 'simulate now with'}: {', '.join(words)}")
+    say_parameters(session, before, after)
 
 
 def _said(action: Any) -> str:
@@ -92,26 +92,13 @@ def _said(action: Any) -> str:
     return f"pitch {math.degrees(pitch):.2f} deg, pitch rate {rate:+.3f} rad/s, distance {1e3 * distance:.1f} mm"
 
 
-def _write_actions(path: Path, scoops: Scoops) -> None:
-    from adaptsim_jax.files import write_bytes
-
-    rows = [f"{n},{p[0]:.6f},{p[1]:.6f},{a[0]:.6f},{a[1]:.6f},{a[2]:.6f}" for n, p, a in zip(*scoops, strict=True)]
-    write_bytes(path, "\n".join(["trial,place_x,place_y,pitch,rate,distance", *rows, ""]).encode())
-
-
 def _scoops(session: Session, state: Any) -> Scoops:
     from adaptsim_jax.tasks.scooping_measured import scoops_to_make
 
     return scoops_to_make(state.key, state.told, state.policy, _config(session))
 
 
-def _params(session: Session, mean: Any) -> dict[str, float]:
-    space = session.trained.phase1.task.space
-    return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
-
-
 def _config(session: Session) -> Any:
-    from adaptsim_jax import config
     from adaptsim_jax.tasks.scooping import ScoopingConfig
 
-    return config.from_table(ScoopingConfig, session.options, str(session.table["run"]))
+    return config_of(session, ScoopingConfig)

@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import config as configs
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pushing as model
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy, PushingTrajectory
+from adaptsim_jax.tasks.saved_policy import read_saved
 
 COLUMNS = ("trial", "time", "x", "y")
 GAP = 0.1  # s; over it a sliding bottle strays some 3 mm from the line between two rows
@@ -58,20 +58,7 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
 
     Raises BadInput where the file holds no policy of this task.
     """
-    table = configs.read(path)
-    policy, hidden = table.get("policy"), table.get("hidden")
-    weights = policy.get("weights") if isinstance(policy, dict) else None
-    sized = isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden)
-    config = PushingConfig(hidden=tuple(hidden)) if sized else None
-    if config is None or not isinstance(weights, list) or np.shape(weights) != (_weights(config),):
-        raise BadInput(f"{path}: holds no policy of the push; write it again with 'adaptsim robot next'")
-    act, learned = jax.jit(pushing.make_policy(config)), PushingPolicy(jnp.asarray(weights, jnp.float32))
-    return lambda goal: np.asarray(act(learned, jnp.asarray(goal, jnp.float32)))
-
-
-def _weights(config: PushingConfig) -> int:
-    naf = pushing.make_pushing_naf(config)
-    return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
+    return read_saved(path, PushingConfig, PushingPolicy, pushing.make_pushing_naf, pushing.make_policy, "the push")
 
 
 def measured_trajectory(

@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import config as configs
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.tasks import scooping
 from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
+from adaptsim_jax.tasks.saved_policy import read_saved
 from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 
 COLUMNS = ("trial", "time", "x", "y", "on")
@@ -51,20 +51,9 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
 
     Raises BadInput where the file holds no policy of this task.
     """
-    table = configs.read(path)
-    policy, hidden = table.get("policy"), table.get("hidden")
-    weights = policy.get("weights") if isinstance(policy, dict) else None
-    sized = isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden)
-    config = ScoopingConfig(hidden=tuple(hidden)) if sized else None
-    if config is None or not isinstance(weights, list) or np.shape(weights) != (_weights(config),):
-        raise BadInput(f"{path}: holds no policy of scooping; write it again with 'adaptsim robot next'")
-    act, learned = jax.jit(scooping.make_policy(config)), ScoopingPolicy(jnp.asarray(weights, jnp.float32))
-    return lambda place: np.asarray(act(learned, jnp.asarray(place, jnp.float32)))
-
-
-def _weights(config: ScoopingConfig) -> int:
-    naf = scooping.make_scooping_naf(config)
-    return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
+    return read_saved(
+        path, ScoopingConfig, ScoopingPolicy, scooping.make_scooping_naf, scooping.make_policy, "scooping"
+    )
 
 
 def measured_trajectory(

@@ -1,0 +1,39 @@
+"""What `adaptsim robot` says and writes alike for tasks of single trials, the push and scooping."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adaptsim_jax.commands.robot import Session
+
+
+def config_of(session: Session, kind: type) -> Any:
+    """The task's configuration, a `kind`, with which the session's run was trained."""
+    from adaptsim_jax import config
+
+    return config.from_table(kind, session.options, str(session.table["run"]))
+
+
+def physical(session: Session, mean: Any) -> dict[str, float]:
+    """Parameters by name at the mean `[D]` of E."""
+    space = session.trained.phase1.task.space
+    return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
+
+
+def say_parameters(session: Session, before: Any, after: Any) -> None:
+    """Print which parameters are believed in now, and which of them moved."""
+    fresh = int(after.told) % (session.table["iterations"] + 1) == 0
+    was, now = physical(session, before.mean), physical(session, after.mean)
+    words = [f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})") for k in now]
+    print(f"{'next start' if fresh else 'simulate now with'}: {', '.join(words)}")
+
+
+def write_actions(path: Path, columns: tuple[str, ...], trials: Iterable[tuple]) -> None:
+    """A CSV with a row for each of `trials`: its number, then arrays of numbers."""
+    from adaptsim_jax.files import write_bytes
+
+    rows = [",".join([str(n), *(f"{x:.6f}" for part in parts for x in part)]) for n, *parts in trials]
+    write_bytes(path, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())

@@ -1,0 +1,34 @@
+"""A NAF policy as `adaptsim robot` writes it to a file, back as a function."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax import config as configs
+from adaptsim_jax.errors import BadInput
+
+
+def read_saved(path: str | Path, kind: type, policy: type, make_naf: Callable, make_policy: Callable, what: str):
+    """`act(seen [2] or [N, 2]) -> actions` of a `best.toml` or `policy.toml`.
+
+    kind: of the task's configuration, which has `hidden`; policy: of its policies, made of weights; make_naf(config) and
+    make_policy(config): the task's own; what: the task in a message. Raises BadInput where the file holds no policy of this task.
+    """
+    table = configs.read(path)
+    given, hidden = table.get("policy"), table.get("hidden")
+    weights = given.get("weights") if isinstance(given, dict) else None
+    sized = isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden)
+    config = kind(hidden=tuple(hidden)) if sized else None
+    if config is None or not isinstance(weights, list) or np.shape(weights) != (_count(make_naf(config)),):
+        raise BadInput(f"{path}: holds no policy of {what}; write it again with 'adaptsim robot next'")
+    act, learned = jax.jit(make_policy(config)), policy(jnp.asarray(weights, jnp.float32))
+    return lambda seen: np.asarray(act(learned, jnp.asarray(seen, jnp.float32)))
+
+
+def _count(naf: Any) -> int:
+    """How many weights the networks of `naf` have."""
+    return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
