@@ -47,6 +47,12 @@ def classes(report: dict) -> list[set[Named]]:
     return out
 
 
+def localised(record: dict) -> bool:
+    """Whether what is left is said to sit at the joint where it is hidden; the base acts on both."""
+    found = [place(at["joint"]) for at in (record["leftover"] or [])[:1]]
+    return any(where == "base" or where in found for _, where in record["hidden"])
+
+
 def score_case(suite: str, case: Case, truth: dict, report: dict) -> dict:
     """What was hidden, what was named, and whether each name is right."""
     found = classes(report)
@@ -155,7 +161,9 @@ def _suite(name: str, rs: list[dict]) -> dict:
     if name == "power":
         out["right_by_size"] = by(rs, "multiple", lambda r: all(r["hits"]))
     if name == "outside":
-        out["unattributed"] = share(rs, lambda r: r["verdict"] == "structured_unattributed" and not r["named"])
+        unattributed = lambda r: r["verdict"] == "structured_unattributed" and not r["named"]
+        out["unattributed"] = share(rs, unattributed)
+        out["localised"] = share(rs, lambda r: unattributed(r) and localised(r))
     if name == "two":
         out["both"] = share(rs, lambda r: all(r["hits"]))
         out["at_least_one"] = share(rs, lambda r: any(r["hits"]))
