@@ -82,7 +82,7 @@ def pushing_sweep() -> TrainConfig:
     moved to the mean of E; only Phase 2 trains it further (3000 trials a visit).
 
     So steps cost little, and what a visit shows depends on the mean of E alone, and not on which anchor was near. An
-    iteration's two goals are always the same two. Steps shrink from 0.25 of the range to 0.05: with steps of one size the
+    iteration's two goals are always the same two. Steps shrink from 0.2 of the range to 0.1: with steps of one size the
     grid that a start can reach misses WD's parameters by too much (docs/results/table1_pushing.md).
     """
     base = pushing()
@@ -98,7 +98,7 @@ def pushing_sweep() -> TrainConfig:
             reuse=ReuseConfig(threshold=9.0, first=2000, most=3000, least=1000, capacity=250, together=250),
         ),
         hyper=replace(
-            base.hyper, delta=0.25, shrink=0.8, gain=5.0, soft=1.0, learner=replace(base.hyper.learner, discount=0.6)
+            base.hyper, delta=0.2, shrink=0.9, gain=5.0, soft=1.0, learner=replace(base.hyper.learner, discount=0.6)
         ),
     )
 
