@@ -117,15 +117,15 @@ def test_the_bank_is_of_this_engine():
         told = jnp.asarray(again.wins, jnp.float32)
         places = jax.jit(jax.vmap(bank.places))(*(v[some] for v in each), told)
         assert np.all(np.asarray(places[:, 0]) == 0) and np.sqrt(np.mean((places - again.places) ** 2)) < 0.02
-        assert about["accuracy"][box] > 0.8
+        assert about["accuracy"][box] > {"omega": 0.85, "wide": 0.75}[box]
 
 
 def test_a_fit_learns_what_decides_a_trial():
     """A rule instead of the engine: low pitches lift ellipsoids, high ones the others; what is lifted goes as far as it is high."""
-    params, actions = scooping_bank.points(2048, 5, "wide")
+    params, actions = scooping_bank.points(4096, 5, "wide")
     wins = np.where(params[:, 2] == 0, actions[:, 0] < 0.1, actions[:, 0] > 0.1)
     places = np.linspace(0, 1, 8) * np.where(wins, 0.2, 10 * params[:, 3])[:, None]
-    found = fit({"wide": scooping_bank.Trials(params, actions, wins, places)}, passes=20)
+    found = fit({"wide": scooping_bank.Trials(params, actions, wins, places)}, passes=40)
     assert found.accuracy["wide"] > 0.93 and found.log_loss["wide"] < 0.2 and found.track_error < 0.02
     one = jnp.array([0.3, 5e4, 2.0, 0.02])
     assert float(found.bank.logit(one, jnp.array([0.15, 0.0, 0.01]))) > 1.0
