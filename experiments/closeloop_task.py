@@ -138,7 +138,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             rows.append(one_case(args.seed + i, effect, Path(folder)))
         print(rows[-1], f"{time.monotonic() - began:.0f} s", flush=True)
-        command = f"python experiments/closeloop_task.py --seed {args.seed} --cases {args.cases}"
+        command = f"python -m experiments.closeloop_task --seed {args.seed} --cases {args.cases}"
         args.out.write_text(table_of(rows, command))
 
 
