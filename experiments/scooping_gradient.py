@@ -108,7 +108,7 @@ def gradients(pairs: int, seed: int) -> list[dict[str, Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=32, help="random trials of part 2 (32)")
-    parser.add_argument("--pairs", type=int, default=256, help="pairs of trials of part 3 (256)")
+    parser.add_argument("--pairs", type=int, default=256, help="pairs of trials of part 3 (256); 0 leaves it out")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
@@ -116,7 +116,7 @@ def main() -> None:
     with jax.enable_x64(True):
         fits = [row for case in CASES for row in moduli(case, args.seed)]
         times = horizon(args.samples, args.seed)
-    smooth = gradients(args.pairs, args.seed)
+    smooth = gradients(args.pairs, args.seed) if args.pairs else []
     if args.out:
         write_json(args.out, {"schema": 1, "modulus": fits, "horizon": times, "smoothed": smooth})
 
