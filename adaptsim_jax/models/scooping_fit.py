@@ -72,7 +72,7 @@ def smoothed(
     z = scaled(params, action)
     n = jax.random.normal(key, (pairs, len(RANGES)), z.dtype)
     won = lambda at: hydro.rollout(*unscaled(at, params[2]), options, numerics).success
-    up, down = jax.vmap(won)(z + spread * n), jax.vmap(won)(z - spread * n)
+    up, down = jax.vmap(won)(z[None] + spread * n), jax.vmap(won)(z[None] - spread * n)
     each = (up - down)[:, None] * n / (2 * spread)
     return Smoothed((up + down).mean() / 2, each.mean(0), each.std(0) / np.sqrt(pairs))
 

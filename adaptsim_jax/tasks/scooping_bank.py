@@ -62,7 +62,7 @@ class Bank(NamedTuple):
 
     def logit(self, params: jax.Array, action: jax.Array) -> jax.Array:
         """Log odds of success `[]` at `params [4]` of `action [3]` as executed."""
-        return forward(self.chance, features(params, action))[..., 0]
+        return forward(self.chance, features(params, action))[0]
 
     def places(self, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
         """Where the piece is seen `[8]` m, ahead of where it lay, in a trial that ended as `won []` says (1 or 0)."""
@@ -72,7 +72,7 @@ class Bank(NamedTuple):
 
 
 def forward(layers: Layers, x: jax.Array) -> jax.Array:
-    """A tanh network `[..., n] -> [..., k]`."""
+    """A tanh network `[n] -> [k]`."""
     for weights, bias in layers[:-1]:
         x = jnp.tanh(x @ weights + bias)
     weights, bias = layers[-1]

@@ -15,6 +15,9 @@ CHANCE, TRACK = (128, 128, 128), (96, 96)  # hidden layers of the networks
 SIZE, PASSES, RATE, DECAY = 256, 60, 3e-3, 1e-2
 
 
+many = jax.vmap(forward, (None, 0))
+
+
 class Fit(NamedTuple):
     """A bank, and on held-out trials: accuracy and mean log loss of its chance, with a number for each box, and the root of the
     mean squared error of its places m."""
@@ -39,11 +42,11 @@ def fit(parts: dict[str, Trials], *, seed: int = 0, held_out: float = 0.1, passe
     for box, trials in parts.items():
         test = Trials(*(v[split[box] :] for v in trials))
         x, y = _chance_data(test)
-        out = forward(chance, x)
+        out = many(chance, x)
         accuracy[box] = float(jnp.mean((out > 0) == (y > 0.5)))
         losses[box] = float(_chance_loss(out, y))
         x, y = _track_data(test)
-        errors.append(float(jnp.mean(jnp.square(forward(track, x) - y))))
+        errors.append(float(jnp.mean(jnp.square(many(track, x) - y))))
     return Fit(Bank(chance, track), accuracy, losses, PLACE_UNIT * float(np.sqrt(np.mean(errors))))
 
 
@@ -61,7 +64,7 @@ def network(key: jax.Array, hidden: tuple[int, ...], x: jax.Array, y: jax.Array,
     def update(carry, key):
         layers, opt = carry
         rows = jax.random.randint(key, (SIZE,), 0, len(x))
-        slopes = jax.grad(lambda w: loss(forward(w, x[rows]), y[rows]))(layers)
+        slopes = jax.grad(lambda w: loss(many(w, x[rows]), y[rows]))(layers)
         moves, opt = rates.update(slopes, opt, layers)
         return (optax.apply_updates(layers, moves), opt), None
 
