@@ -32,7 +32,7 @@ SEEDS = {"omega": 0, "wide": 1}
 
 def trials_of(box: str, count: int, keep: Path, options: ScoopOptions, numerics: Numerics) -> tuple[Trials, float]:
     """`count` trials in `box`, a chunk of them a file in `keep`, and the CPU seconds that they took."""
-    params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(max(count, 2)))), SEEDS[box])
+    params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(max(count, 2)))), SEEDS[box], box)
     parts, codes, cpu = [], [], 0.0
     with progress(f"bank, {box}") as report:
         for at in range(0, count, CHUNK):
