@@ -51,11 +51,26 @@ def run(args: argparse.Namespace) -> int:
     asked = config_of(args)
     with output(args.out) as out, progress(f"compare {args.task}") as report:
         results = compare(args.task, asked, report)
-        paths = write_comparison(results, out)
+        paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
     print(table(results))
     for path in paths:
         print(f"written: {path}")
     return 0
+
+
+def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> list[Any]:
+    """`parameters_found.png` in `out`, where methods adapted the parameters of a task whose policies are learned."""
+    if "simulator" not in results or not any(row.get("best_params") for row in results["rows"]):
+        return []
+    from pathlib import Path
+
+    from adaptsim_jax.commands.adapt_pushing import axes
+    from adaptsim_jax.report import figures as look
+    from adaptsim_jax.report.figures_pushing import parameters_found
+    from adaptsim_jax.tasks.registry import make_task
+
+    figure = parameters_found(results, axes(make_task(results["task"], options).space))
+    return [look.save(figure, Path(out) / "parameters_found.png")]
 
 
 def config_of(args: argparse.Namespace) -> Any:
