@@ -61,7 +61,12 @@ def test_adapt_draws_and_films(run, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(scoop_video, "rendered", lambda *_: False)
     monkeypatch.setattr(scoop_video, "FRAMES", 4)
     out = tmp_path / "adapted"
-    assert main(["adapt", str(run), "--target", "ood-1", "--starts", "1", "--iterations", "1", "--out", str(out), "--video"]) == 0
+    assert (
+        main(
+            ["adapt", str(run), "--target", "ood-1", "--starts", "1", "--iterations", "1", "--out", str(out), "--video"]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "scoops.png" in said and "drawn from the side" in said
     assert (out / "scoops.png").stat().st_size > 10_000 and any(out.glob("scoop.*"))
