@@ -40,6 +40,7 @@ def scene(params: Any) -> str:
     return f"""<mujoco><visual><global offwidth="{WIDTH}" offheight="{HEIGHT}"/><map znear="0.02"/>
 <quality shadowsize="4096"/></visual>
 <asset><texture name="t" type="2d" builtin="checker" rgb1="0.93 0.90 0.85" rgb2="0.89 0.85 0.79" width="200" height="200"/>
+<texture name="sky" type="skybox" builtin="gradient" rgb1="0.95 0.96 0.98" rgb2="0.7 0.76 0.85" width="64" height="64"/>
 <material name="table" texture="t" texrepeat="25 25" texuniform="true"/></asset>
 <worldbody><light pos="0 -0.5 1" dir="0.2 0.4 -1" directional="true" diffuse="0.45 0.45 0.45" specular="0 0 0"/>
 <geom type="plane" size="1 1 0.01" material="table" {look}/>
