@@ -81,7 +81,7 @@ def _speeds(reach, joint):
 
 
 def _orders(reach, joint):
-    return [{"order": float(k)} for k in range(1, 31)]
+    return [{"order": float(k)} for k in range(2, 31)]
 
 
 def _frequencies(reach, joint):

@@ -168,7 +168,7 @@ def test_a_training_keeps_its_best_policy():
     means = jnp.tile(jnp.array([[0.3, 0.4, 0.0, 0.6], [0.3, 0.4, 1.0, 0.6]]), (2, 1))
     dists = jax.vmap(lambda m: gaussian(task.space, m))(means)
     start = jax.vmap(task.init_policy)(jax.random.split(jax.random.key(0), 4))
-    budgets = jnp.array([60, 60, 0, 60])
+    budgets = jnp.array([240, 240, 0, 240])
     train = jax.jit(task.train_many)
     once = train(jax.random.split(jax.random.key(1), 4), dists, start, budgets)
     twice = train(jax.random.split(jax.random.key(2), 4), dists, once, budgets)
