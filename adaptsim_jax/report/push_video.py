@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,13 +38,21 @@ class Clip:
 
 def write_push_video(clips: Sequence[Clip], folder: Path, name: str = "push") -> tuple[Path, str]:
     """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
-    path = folder / f"{name}{best_suffix()}"
+    return filmed("adaptsim_jax.report.push_render", clips, folder / name, drawn_frames, "above and the side", FPS)
+
+
+def filmed(
+    renderer: str, clips: Sequence[Any], stem: Path, drawn: Callable[[Any], Iterator[np.ndarray]], side: str, fps: float
+) -> tuple[Path, str]:
+    """`(path, how)` of a film at `stem`: by the module `renderer` where one kind of OpenGL works, else of the frames `drawn`
+    from `side`."""
+    path = stem.with_name(stem.name + best_suffix())
     for kind in kinds():
-        if rendered("adaptsim_jax.report.push_render", clips, path, kind):
+        if rendered(renderer, clips, path, kind):
             return path, f"rendered by MuJoCo ({kind or 'default OpenGL'})"
-    write_video(drawn_frames(clips), path, FPS)
+    write_video(drawn(clips), path, fps)
     tried = ", ".join(kind or "the default" for kind in kinds())
-    return path, f"drawn from above and the side: no OpenGL for MuJoCo here (tried {tried}; set MUJOCO_GL to choose)"
+    return path, f"drawn from {side}: no OpenGL for MuJoCo here (tried {tried}; set MUJOCO_GL to choose)"
 
 
 def kinds() -> list[str]:

@@ -12,8 +12,7 @@ import numpy as np
 
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.push_video import kinds, rendered
-from adaptsim_jax.report.video_file import best_suffix, write_video
+from adaptsim_jax.report.push_video import filmed
 
 FPS, FRAMES, HOLD = 20.0, 50, 14  # 0.4 times real time; frames of a trial, and how many its end stays
 BACK, AHEAD, DOWN, UP = 0.125, 0.075, -0.0125, 0.1  # m of the view around the tip, 16 by 9
@@ -34,13 +33,7 @@ class ScoopClip:
 
 def write_scoop_video(clips: Sequence[ScoopClip], folder: Path, name: str = "scoop") -> tuple[Path, str]:
     """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
-    path = folder / f"{name}{best_suffix()}"
-    for kind in kinds():
-        if rendered("adaptsim_jax.report.scoop_render", clips, path, kind):
-            return path, f"rendered by MuJoCo ({kind or 'default OpenGL'})"
-    write_video(drawn_frames(clips), path, FPS)
-    tried = ", ".join(kind or "the default" for kind in kinds())
-    return path, f"drawn from the side: no OpenGL for MuJoCo here (tried {tried}; set MUJOCO_GL to choose)"
+    return filmed("adaptsim_jax.report.scoop_render", clips, folder / name, drawn_frames, "the side", FPS)
 
 
 def shown(clips: Sequence[ScoopClip]) -> Iterator[tuple[ScoopClip, int, float, int]]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from adaptsim_jax.report import scoop_video
+from adaptsim_jax.report import push_video, scoop_video
 from adaptsim_jax.tasks.scooping_measured import read_policy
 
 pytestmark = pytest.mark.slow
@@ -58,7 +58,7 @@ def test_a_session_from_start_to_best_policy(run, tmp_path, capsys):
 
 
 def test_adapt_draws_and_films(run, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(scoop_video, "rendered", lambda *_: False)
+    monkeypatch.setattr(push_video, "rendered", lambda *_: False)
     monkeypatch.setattr(scoop_video, "FRAMES", 4)
     out = tmp_path / "adapted"
     assert (

@@ -5,7 +5,7 @@ import pytest
 
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import scoop_video
+from adaptsim_jax.report import push_video, scoop_video
 from adaptsim_jax.report.figures_pushing import Axis
 from adaptsim_jax.report.figures_scooping import scoops_over_iterations
 from adaptsim_jax.report.scoop_video import ScoopClip, drawn_frames, outlines, write_scoop_video
@@ -46,7 +46,7 @@ def test_frames_are_drawn_and_say_how_it_ended():
 
 
 def test_a_film_without_opengl(monkeypatch, tmp_path):
-    monkeypatch.setattr(scoop_video, "rendered", lambda *_: False)
+    monkeypatch.setattr(push_video, "rendered", lambda *_: False)
     monkeypatch.setattr(scoop_video, "FRAMES", 3)
     monkeypatch.setattr(scoop_video, "HOLD", 1)
     path, how = write_scoop_video([clip()], tmp_path)
