@@ -17,9 +17,10 @@ GROUPS = {"q": "angle", "v": "velocity", "tau": "torque"}
 """Column stem -> the unit group that it belongs to."""
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi}
+ANGLE_UNITS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
 VELOCITY_UNITS = {
     "rad/s": 1.0,
+    "mrad/s": 1e-3,
     "deg/s": math.pi / 180,
     "rev/s": 2 * math.pi,
     "rpm": 2 * math.pi / 60,
@@ -28,6 +29,15 @@ VELOCITY_UNITS = {
 }
 TORQUE_UNITS = {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kgfcm": 0.0980665, "kgcm": 0.0980665}
 UNITS = {"time": TIME_UNITS, "angle": ANGLE_UNITS, "velocity": VELOCITY_UNITS, "torque": TORQUE_UNITS}
+SPELLED = {
+    "seconds": "s",
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "radians": "rad",
+    "degrees": "deg",
+    "revolutions": "rev",
+}
+"""Units written out, as people do; `degrees/s` is read too."""
 
 TEXT_KEYS = ("name", "description", "note", "source", "license")
 REQUIRED = ("task", "model", "angle_zero")
@@ -186,11 +196,15 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
 
 
 def _noise(path: Path, raw: dict) -> dict[str, float]:
-    """Standard deviations by channel; `q`, `v`, `tau` stand for both joints."""
+    """Standard deviations by channel; `q` or `angle`, `v` or `velocity`, `tau` or `torque` stand for both joints."""
     out: dict[str, float] = {}
+    raw = {stem: raw[group] for stem, group in GROUPS.items() if group in raw} | {
+        k: v for k, v in raw.items() if k not in GROUPS.values()
+    }
     for key, value in raw.items():
         if key not in (*CHANNELS, *GROUPS):
-            raise BadInput(f"{path}: unknown key {key!r} in [noise]; {nearest(key, (*CHANNELS, *GROUPS))}")
+            valid = (*CHANNELS, *GROUPS, *GROUPS.values())
+            raise BadInput(f"{path}: unknown key {key!r} in [noise]; {nearest(key, valid)}")
         std = _number(path, f"noise.{key}", value)
         if std < 0:
             raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
@@ -206,20 +220,37 @@ def _joints(path: Path, raw: Any) -> tuple[int, ...]:
 
 
 def _scales(path: Path, raw: dict) -> dict[str, float]:
-    """SI scale of every column from `[units]`; the velocity follows the angle unless it is declared."""
-    chosen: dict[str, str] = {}
-    for key, value in raw.items():
-        if key not in UNITS:
-            raise BadInput(f"{path}: unknown key {key!r} in [units]; {nearest(key, tuple(UNITS))}")
-        if not isinstance(value, str):
-            raise BadInput(f"{path}: units.{key} must be text in quotes, not {_brief(value)}")
-        unit = "".join(c for c in value if c not in " *.·")
-        if unit not in UNITS[key]:
-            raise BadInput(f"{path}: units.{key} = {_brief(value)} is unknown; {nearest(unit, tuple(UNITS[key]))}")
-        chosen[key] = unit
-    if "velocity" not in chosen and "angle" in chosen:
-        chosen["velocity"] = f"{chosen['angle']}/s"
-    scale = {group: UNITS[group].get(chosen.get(group, ""), 1.0) for group in UNITS}
-    columns = {c: scale[GROUPS[c.rstrip("12")]] for c in CHANNELS}
-    commanded = {f"{c}_commanded": scale["torque"] for c in ("tau1", "tau2")}
-    return {"time": scale["time"], **columns, **commanded}
+    """SI scale of every column from `[units]`: by quantity (`angle`), by stem (`q`) or by column (`q1`), the closest word counts.
+
+    The velocity follows the angle of its joint unless it is declared.
+    """
+    valid = (*UNITS, *GROUPS, *CHANNELS)
+    for key in raw:
+        if key not in valid:
+            raise BadInput(f"{path}: unknown key {key!r} in [units]; {nearest(key, valid)}")
+    chosen = {key: _unit(path, key, value) for key, value in raw.items()}
+
+    def unit(column: str) -> str | None:
+        stem = column.rstrip("12")
+        words = (column, stem, GROUPS[stem])
+        return next((chosen[w] for w in words if w in chosen), None)
+
+    columns = {c: unit(c) for c in CHANNELS}
+    for joint in "12":
+        if columns[f"v{joint}"] is None and columns[f"q{joint}"] is not None:
+            columns[f"v{joint}"] = f"{columns[f'q{joint}']}/s"
+    scale = {c: UNITS[GROUPS[c.rstrip("12")]].get(name or "", 1.0) for c, name in columns.items()}
+    commanded = {f"{c}_commanded": scale[c] for c in ("tau1", "tau2")}
+    return {"time": TIME_UNITS.get(chosen.get("time", ""), 1.0), **scale, **commanded}
+
+
+def _unit(path: Path, key: str, value: Any) -> str:
+    """The unit that a line of `[units]` names, by its short name."""
+    if not isinstance(value, str):
+        raise BadInput(f"{path}: units.{key} must be text in quotes, not {_brief(value)}")
+    table = UNITS[key if key in UNITS else GROUPS[key.rstrip("12")]]
+    words = "".join(c for c in value if c not in " *.·").split("/")
+    name = "/".join(SPELLED.get(w, w) for w in words)
+    if name not in table:
+        raise BadInput(f"{path}: units.{key} = {_brief(value)} is unknown; {nearest(name, tuple(table))}")
+    return name

@@ -78,6 +78,17 @@ def test_declared_units_give_the_same_data(tmp_path):
         np.testing.assert_allclose(getattr(two, field), getattr(one, field), rtol=1e-12, atol=1e-15)
 
 
+def test_units_by_column_and_written_out_give_the_same_data(tmp_path):
+    columns = gentle()
+    scale = {"time": 1e3, "q1": 180 / np.pi, "v1": 180 / np.pi, "tau2": 1e3}
+    other = {k: x * scale.get(k, 1.0) for k, x in columns.items()}
+    meta = META + '[units]\ntime = "milliseconds"\nangle = "rad"\nq1 = "degrees"\ntau2 = "mN m"\n'
+    one = read_recording(write(tmp_path / "si", {"t": columns})).trials[0]
+    two = read_recording(write(tmp_path / "other", {"t": other}, meta)).trials[0]
+    for field in ("time", "q", "v", "torque"):
+        np.testing.assert_allclose(getattr(two, field), getattr(one, field), rtol=1e-12, atol=1e-15)
+
+
 def test_clock_time_is_counted_from_the_first_row(tmp_path):
     columns = gentle() | {"time": gentle()["time"] + 1.7e9}
     trial = read_recording(write(tmp_path, {"t": columns})).trials[0]
@@ -132,6 +143,7 @@ META_FAULTS = [
     (META + "[noise]\nq3 = 1\n", "unknown key 'q3' in [noise]"),
     (META + "[noise]\nq1 = -1\n", "noise.q1 = -1 is negative"),
     (META + '[units]\ntime = "minutes"\n', "units.time = 'minutes' is unknown"),
+    (META + '[units]\nq3 = "deg"\n', "unknown key 'q3' in [units]"),
     (META + "[known]\nm1 = true\n", "known.m1 must be a number"),
     ("geometry = 3\n" + META.split("[geometry]")[0], "geometry must be a table"),
     ("unactuated = [3]\n" + META, "unactuated must be a list"),

@@ -1,4 +1,4 @@
-"""Scooping in two engines behind one signature: ours in JAX (hydro), and Drake.
+"""Scooping in four engines behind one signature: ours in JAX (hydro), Drake, and a sphere cloud in MJX and native MuJoCo.
 
 `simulate(params [B, 4], commands [B, 3], initial [B, 2]) -> Trajectory`: commands are actions as executed (pitch rad, rate rad/s,
 distance m), initial the place of the piece m. `state [B, T, 6]` holds, in rows of 10 ms, the piece's x, y, z m and the tip's
@@ -20,7 +20,7 @@ from adaptsim_jax.models.backends.base import Backend, Trajectory
 from adaptsim_jax.models.scooping import ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
 
-NAMES = ("hydro", "drake")
+NAMES = ("hydro", "drake", "mjx", "native")
 ROW = 0.01  # s between rows; row k is at (k + 1) ROW
 STATE = 6
 BATCH = 64  # trials side by side on a CPU: more do not fit into its cache
@@ -29,9 +29,9 @@ BATCH = 64  # trials side by side on a CPU: more do not fit into its cache
 def make_backend(name: str, options: ScoopOptions = ScoopOptions(), **settings: Any) -> Backend:  # noqa: B008
     """A backend for `options`; BadInput where the name is unknown, the engine absent, or a setting makes no sense.
 
-    `settings` are the engine's own: `numerics` of hydro, `contact` and `threads` of drake.
+    `settings` are the engine's own: `numerics` of hydro, `contact` and `threads` of drake, `dt` of mjx and native.
     """
-    makers = {"hydro": _hydro, "drake": _drake}
+    makers = {"hydro": _hydro, "drake": _drake, "mjx": _mjx, "native": _native}
     if name not in makers:
         raise BadInput(f"backend '{name}' is unknown; use one of {', '.join(makers)}")
     return Backend(name, makers[name](model.check_options(options), **settings))
@@ -41,6 +41,18 @@ def _drake(options: ScoopOptions, **settings: Any):
     from adaptsim_jax.models.backends.scooping_drake import make_drake
 
     return make_drake(options, **settings)
+
+
+def _mjx(options: ScoopOptions, **settings: Any):
+    from adaptsim_jax.models.backends.scooping_mjx import make_mjx
+
+    return make_mjx(options, **settings)
+
+
+def _native(options: ScoopOptions, **settings: Any):
+    from adaptsim_jax.models.backends.scooping_native import make_native
+
+    return make_native(options, **settings)
 
 
 def _hydro(options: ScoopOptions, numerics: Numerics = Numerics()):  # noqa: B008

@@ -21,7 +21,17 @@ from adaptsim_jax.progress import Report, silent
 
 LOW_RELAXATION = 0.02
 """s: of the pair that is compared with hardly any dissipation, where contact is least a matter of numerics."""
-ENGINES = ("hydro", "drake", "drake_finer_mesh", "drake_other_step", "hydro_low", "drake_low")
+ENGINES = (
+    "hydro",
+    "drake",
+    "drake_finer_mesh",
+    "drake_other_step",
+    "hydro_low",
+    "drake_low",
+    "drake_low_finer_mesh",
+    "native",
+    "mjx",
+)
 _SETTINGS: dict[str, dict[str, Any]] = {
     "hydro": {"numerics": Numerics()},
     "drake": {"contact": DrakeContact()},
@@ -29,6 +39,9 @@ _SETTINGS: dict[str, dict[str, Any]] = {
     "drake_other_step": {"contact": DrakeContact(dt=0.005)},
     "hydro_low": {"numerics": replace(Numerics(), relaxation=LOW_RELAXATION)},
     "drake_low": {"contact": DrakeContact(relaxation=LOW_RELAXATION)},
+    "drake_low_finer_mesh": {"contact": DrakeContact(relaxation=LOW_RELAXATION, resolution=0.003)},
+    "native": {},
+    "mjx": {},
 }
 
 

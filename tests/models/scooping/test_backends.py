@@ -94,7 +94,7 @@ def test_gradient_of_an_early_place_by_the_action():
         assert float(slope(at)) == pytest.approx(numeric, rel=1e-3) and abs(numeric) > 0.1
 
 
-@pytest.mark.parametrize("name, says", [("mjx", "hydro, drake"), ("hydro", "divide"), ("drake", "divide")])
+@pytest.mark.parametrize("name, says", [("bullet", "hydro, drake"), ("hydro", "divide"), ("drake", "divide")])
 def test_bad_backends_are_refused(name, says):
     settings = {"hydro": {"numerics": Numerics(dt=0.004)}, "drake": {"contact": DrakeContact(dt=0.004)}}
     with pytest.raises(BadInput, match=says):
