@@ -16,7 +16,7 @@ import sys
 import traceback
 from typing import NoReturn
 
-from adaptsim_jax import __version__, compile_cache
+from adaptsim_jax import __version__, compile_cache, memory
 from adaptsim_jax.commands import SUMMARIES, common
 from adaptsim_jax.config import suggest
 from adaptsim_jax.errors import BadInput
@@ -53,6 +53,7 @@ def main(argv: list[str] | None = None) -> int:
         args = parse(argv)
         _limit_blas_threads()
         _set_up_cache(args)
+        _set_up_memory()
         return args.run(args) or 0
     except SystemExit as stop:  # argparse's --help and --version
         return stop.code if isinstance(stop.code, int) else FAILED
@@ -140,6 +141,11 @@ def _set_up_cache(args: argparse.Namespace) -> None:
         compile_cache.disable()
     elif trouble := compile_cache.enable():
         print(f"adaptsim: {trouble}", file=sys.stderr)
+
+
+def _set_up_memory() -> None:
+    if "jax" not in sys.modules:  # else a Python program called us, whose memory is its own
+        memory.keep_freed()
 
 
 def _file_system(error: OSError) -> int:

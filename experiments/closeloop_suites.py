@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
+from adaptsim_jax import memory
 from experiments.closeloop_scores import score_case, summarise, table
 from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case, disguise
@@ -79,9 +80,10 @@ def main() -> None:
     p.add_argument("--keep-data", action="store_true")
     p.add_argument("--generate-only", action="store_true", help="write the data sets and their truths, no diagnosis")
     a = p.parse_args()
+    memory.keep_freed()
     for name in ("cases", "data", "reports"):
         (a.out / name).mkdir(parents=True, exist_ok=True)
-    pool = ProcessPoolExecutor(a.workers, mp_context=get_context("spawn")) if a.workers > 1 else None
+    pool = ProcessPoolExecutor(a.workers, get_context("spawn"), memory.keep_freed) if a.workers > 1 else None
     suites = {s: SUITES[s](a.count, a.seed) for s in a.suite}
     for suite, cases in suites.items():
         if a.generate_only:
