@@ -21,8 +21,8 @@ PIECES = [(0.3, e, g, h) for e in (1e4, 1e6) for g in (0.0, 1.0, 2.0) for h in (
 
 @pytest.mark.parametrize("params", PIECES)
 def test_spheres_fill_the_outline_and_nothing_beyond(params):
-    """Along 64 directions the union of spheres reaches as far as the piece does; short of it by at most 1.2 % of a flat ellipsoid, by a
-    rounded corner of a flat piece."""
+    """Along 64 directions the union of spheres reaches as far as the piece does; short of it by at most 1.2 % of a flat ellipsoid,
+    by a rounded corner of a flat piece."""
     found = clouds.cloud(jnp.array(params))
     x, z, r = np.asarray(found.centres)[:, 0], np.asarray(found.centres)[:, 2], np.asarray(found.radii)
     angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
