@@ -64,7 +64,7 @@ def scooping_world(
     numerics: Numerics = Numerics(),  # noqa: B008
     **settings: Any,
 ) -> World:
-    """Scooping in `backend` (hydro, drake). Trials that fail give not-a-number, hence reward 0."""
+    """Scooping in `backend` (`backends.NAMES`). Trials that fail give not-a-number, hence reward 0."""
     own = {"numerics": numerics} if backend == "hydro" else {}
     simulate = backends.make_backend(backend, options, **own, **settings).simulate
     rows = np.maximum(np.round(np.array(model.SEEN_AT) / backends.ROW).astype(int) - 1, 0)
