@@ -78,17 +78,24 @@ def default_config(task: str) -> TrainConfig:
 
 
 def pushing_sweep() -> TrainConfig:
-    """Phase 1 of the push for many seeds: one task policy for all of Omega is made first and serves every visit of Phase 1,
-    moved to the mean of E; only Phase 2 trains it further (3000 trials a visit).
+    """Phase 1 of the push for many seeds: one task policy for all of Omega is made first and serves every visit, moved to the
+    mean of E; each action is corrected there by 8 simulated pushes (in Phase 1 by 3), in place of a training at E.
 
     So steps cost little, and what a visit shows depends on the mean of E alone, and not on which anchor was near. An
-    iteration's two goals are always the same two. Steps shrink from 0.2 of the range to 0.1: with steps of one size the
+    iteration's two goals are always the same two. Steps shrink from 0.3 of the range to 0.025: with steps of one size the
     grid that a start can reach misses WD's parameters by too much (docs/results/table1_pushing.md).
     """
     base = pushing()
     return replace(
         base,
-        task={"trials": 3000, "pretrain": True, "goals": "fixed"},
+        task={
+            "trials": 3000,
+            "pretrain": True,
+            "goals": "fixed",
+            "tune": False,
+            "refine": 8,
+            "rehearsal": [8, 3],
+        },
         phase1=replace(
             base.phase1,
             trajectories=5000,
@@ -98,7 +105,7 @@ def pushing_sweep() -> TrainConfig:
             reuse=ReuseConfig(threshold=9.0, first=2000, most=3000, least=1000, capacity=250, together=250),
         ),
         hyper=replace(
-            base.hyper, delta=0.2, shrink=0.9, gain=5.0, soft=1.0, learner=replace(base.hyper.learner, discount=0.6)
+            base.hyper, delta=0.3, shrink=0.7, gain=5.0, soft=1.0, learner=replace(base.hyper.learner, discount=0.6)
         ),
     )
 

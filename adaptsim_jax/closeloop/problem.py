@@ -25,7 +25,7 @@ from adaptsim_jax.models.effects import Effect, Reach
 from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from adaptsim_jax.models.plant import Plant
 
-HELD_SHAPES = ("side", "loss")  # shapes that are chosen on a grid and not moved by the fit
+HELD_SHAPES = ("side",)  # shapes that are chosen on a grid and not moved by the fit
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 

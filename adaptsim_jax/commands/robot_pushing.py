@@ -25,7 +25,9 @@ def opened(session: Session, total: int) -> str:
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters; `tasks.pushing_measured.read_policy` reads it."""
-    return {"hidden": list(_config(session).hidden), "policy": {"weights": policy.weights.tolist()}}
+    from adaptsim_jax.tasks.pushing_measured import policy_table
+
+    return policy_table(policy, _config(session))
 
 
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:

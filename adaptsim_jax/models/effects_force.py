@@ -53,9 +53,15 @@ def periodic_disturbance(p, m: Motion):
 
 
 def hard_stop(p, m: Motion):
-    """A lossy spring beyond an angle: an upper stop where the angle is above the middle of travel, else a lower one."""
+    """A spring beyond an angle that never pulls: an upper stop where `side` is 1, a lower one where it is -1.
+
+    It loses energy as a dashpot beside the spring (`damping`, Kelvin and Voigt), or in proportion to the depth (`loss`;
+    Hunt and Crossley, 1975).
+    """
     depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
-    return -p["side"] * p["stiffness"] * depth * jnp.maximum(1.0 + p["side"] * p["loss"] * m.v, 0.0)
+    inward = p["side"] * m.v
+    pressed = depth * (1.0 + p["loss"] * inward) + jnp.where(depth > 0.0, p["damping"] * inward, 0.0)
+    return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
 
 
 def load_friction(p, m: Motion):
@@ -94,8 +100,8 @@ def _frequencies(reach, joint):
 def _stops(reach, joint):
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
     span = high - low
-    upper = [{"angle": high - span * s, "side": 1.0, "loss": 0.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
-    return upper + [{"angle": low + span * s, "side": -1.0, "loss": 0.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
+    upper = [{"angle": high - span * s, "side": 1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
+    return upper + [{"angle": low + span * s, "side": -1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
 
 
 def _deflections(reach, joint):
@@ -215,7 +221,8 @@ FORCE = (
             Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
             Parameter("angle", "rad", -20.0, 20.0, 1.5, None),
             Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True),
-            Parameter("loss", "s", 0.0, 1.0, 0.0, None, held=True),
+            Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True),
+            Parameter("damping", "s", 0.0, 0.5, 0.0, None, optional=True),
         ),
         hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
         ("spring", "cogging"), smooth=False, grid=_stops, amiss=_no_stop,

@@ -6,7 +6,7 @@ simulated target the reward is the mean over a fixed set of goals, `1 - distance
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -23,6 +23,7 @@ from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.pushing_refine import refine
 
 # Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
 SETTINGS = {
@@ -55,7 +56,10 @@ class PushingConfig:
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
     trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
     pretrain: go on from one policy for all of Omega (`naf_shared`) instead of from nothing. It is made first, by `shared`
-    with `learning_rate`; `train` then moves it to the mean of E and tunes it by `tuning` with `tuning_rate`.
+    with `learning_rate`; `train` then moves it to the mean of E and, unless `tune` is false, tunes it by `tuning` with
+    `tuning_rate`.
+    refine: pushes simulated at the mean of E that each action is corrected by before it is made (`pushing_refine`), with
+    `pretrain` only; 0: actions are the network's own. rehearsal: tests and refine that Phase 1 makes do with, where not 0.
     coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
     friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
@@ -80,6 +84,9 @@ class PushingConfig:
         )
     )
     tuning_rate: float = 1e-3
+    tune: bool = True
+    refine: int = 0
+    rehearsal: tuple[int, int] = (0, 0)
     coefficients: Literal["native", "drake"] = "native"
     friction: Literal["clean", "coupled"] = "clean"
     duration: float = 1.3
@@ -192,14 +199,31 @@ def make_pushing_naf(config: PushingConfig) -> NAF:
 
 def make_policy(config: PushingConfig = PushingConfig()) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
     """`act(policy, goal [..., 2] m) -> [..., 2]`: the push for a goal, speed m/s and angle rad. Pure."""
-    naf = make_pushing_naf(config)
-    return lambda policy, goal: physical_action(naf.greedy(policy.weights, seen_goal(goal)))
+    choose = make_choice(config)
+    return lambda policy, goal: physical_action(choose(policy, goal))
+
+
+def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
+    """The same with actions in [-1, 1]. A policy for no E in particular (UDR's) is not refined: there is no mean to try it at."""
+    naf, space, twin = make_pushing_naf(config), pushing_space(config), TWINS[config.coefficients]
+    options = PushOptions(friction=config.friction, duration=config.duration)
+
+    def choose(policy, goal):
+        action = naf.greedy(policy.weights, seen_goal(goal))
+        if config.refine == 0 or policy.at is None:
+            return action
+        params = space.physical(policy.at)
+        push = lambda a: planar.rollout(params, physical_action(a), options, twin)[-1]
+        better = jax.vmap(lambda g, a: refine(push, g, a, config.refine))
+        return better(goal.reshape(-1, 2), action.reshape(-1, 2)).reshape(action.shape)
+
+    return choose
 
 
 def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
     """The push as a `Task`, simulated with the planar model."""
     options, twin = _checked(config), TWINS[config.coefficients]
-    space, naf, act = pushing_space(config), make_pushing_naf(config), make_policy(config)
+    space, naf = pushing_space(config), make_pushing_naf(config)
     how = config.tuning if config.pretrain else config.training
     learner = make_goal_learner(naf, _problem(space, options, twin), how, naf_rates(config, config.pretrain))
     block = how.block
@@ -207,6 +231,8 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
     def train_many(keys, dists, policies, trials):
         rounds = (trials + block - 1) // block
         policies = jax.vmap(moved)(policies, dists.mean)
+        if config.pretrain and not config.tune:
+            return policies
         return policies._replace(weights=learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)))
 
     def train(key, dist, policy):
@@ -214,15 +240,8 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         trained = train_many(key[None], *one, jnp.full(1, config.trials))
         return jax.tree.map(lambda x: x[0], trained)
 
-    grid = goal_lattice(config.tests)
-
-    def rollout(key, policy, params):
-        goals = visit_goals(key, config)
-        push = jax.vmap(lambda a: planar.rollout(params, a, options, twin))
-        # apart, so that the compiler leaves the test goals out where only the observation is asked for
-        tested = push_reward(push(act(policy, grid))[:, -1], grid).mean()
-        return measured(goals, push(act(policy, goals)), tested)
-
+    tests, refinement = (a or b for a, b in zip(config.rehearsal, (config.tests, config.refine), strict=True))
+    rehearsed = replace(config, tests=tests, refine=refinement)
     return Task(
         name="pushing",
         space=space,
@@ -231,14 +250,29 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         settings=SETTINGS,
         init_policy=lambda key: _blank(naf.init(key).online, config, space),
         train=train,
-        rollout=rollout,
+        rollout=_make_rollout(config, options, twin),
         observe=lambda trajectory: observed(trajectory, config),
         score=lambda trajectory: trajectory.rewards.mean(),
         reference=lambda params: jnp.zeros(()),
         reward=lambda trajectory, reference: trajectory.tested,
         train_many=train_many,
+        rehearse=None if rehearsed == config else _make_rollout(rehearsed, options, twin),
         pretrain=_pretrain(config, space, options, twin) if config.pretrain else None,
     )
+
+
+def _make_rollout(config: PushingConfig, options: PushOptions, twin: planar.PlanarCoefficients) -> Callable:
+    """`(key, policy, params [D]) -> PushingTrajectory`: the visit's pushes, and the tests that its reward is the mean of."""
+    grid, act = goal_lattice(config.tests), make_policy(config)
+
+    def rollout(key, policy, params):
+        goals = visit_goals(key, config)
+        push = jax.vmap(lambda a: planar.rollout(params, a, options, twin))
+        # apart, so that the compiler leaves the test goals out where only the observation is asked for
+        tested = push_reward(push(act(policy, grid))[:, -1], grid).mean()
+        return measured(goals, push(act(policy, goals)), tested)
+
+    return rollout
 
 
 def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
@@ -319,4 +353,12 @@ def _checked(config: PushingConfig) -> PushOptions:
     for name in ("learning_rate", "tuning_rate"):
         if getattr(config, name) <= 0:
             raise BadInput(f"pushing, {name} = {getattr(config, name)}: give a positive one, such as 1e-3")
+    if min(config.refine, *config.rehearsal) < 0:
+        raise BadInput(
+            f"pushing, refine = {config.refine}, rehearsal = {config.rehearsal}: give numbers of pushes, 0 for none"
+        )
+    if config.refine and not config.pretrain:
+        raise BadInput(
+            "pushing, refine: only a policy made with pretrain = true knows the mean of E to try a push at; set it"
+        )
     return planar.check_options(PushOptions(friction=config.friction, duration=config.duration))

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import config as configs
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pushing as model
 from adaptsim_jax.models.pushing import PushOptions
@@ -27,6 +28,7 @@ ASIDE = 0.03  # m between where the bottle stood and where the task wants it
 FAR = 3.0  # m; nothing is pushed so far, so it is another unit
 STILL = 0.005  # m; every push within the bounds moves the bottle farther
 FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the bottle
+_SIMULATOR = ("pretrain", "refine", "coefficients", "friction", "duration", "mu", "e", "mu_p", "y_p")  # options of it
 _GOALS = 0x60A15  # tells the goals' keys from those that policies are trained with
 
 
@@ -58,7 +60,27 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
 
     Raises BadInput where the file holds no policy of this task.
     """
-    return read_saved(path, PushingConfig, PushingPolicy, pushing.make_pushing_naf, pushing.make_policy, "the push")
+    act = read_saved(path, PushingConfig, PushingPolicy, pushing.make_pushing_naf, pushing.make_policy, "the push")
+    table = configs.read(path)
+    if "simulator" not in table:
+        return act
+    config = configs.from_table(PushingConfig, {**table["simulator"], "hidden": table["hidden"]}, f"{path}: simulator")
+    at, weights = table["policy"].get("at"), jnp.asarray(table["policy"]["weights"], jnp.float32)
+    if not isinstance(at, list) or np.shape(at) != (pushing.pushing_space(config).dim,):
+        raise BadInput(f"{path}: the mean of E, policy.at, is missing; write it again with 'adaptsim robot next'")
+    policy = PushingPolicy(weights, at=jnp.asarray(at, jnp.float32))
+    choose = jax.jit(pushing.make_policy(config))
+    return lambda goal: np.asarray(choose(policy, jnp.asarray(goal, jnp.float32)))
+
+
+def policy_table(policy: PushingPolicy, config: PushingConfig) -> dict[str, Any]:
+    """What a file holds of a policy for `read_policy`: its network and, where its actions are refined, the simulator at E."""
+    table: dict[str, Any] = {"hidden": list(config.hidden), "policy": {"weights": policy.weights.tolist()}}
+    if config.refine == 0 or policy.at is None:
+        return table
+    table["policy"]["at"] = policy.at.tolist()
+    whole = configs.to_table(config)
+    return table | {"simulator": {name: whole[name] for name in _SIMULATOR}}
 
 
 def measured_trajectory(

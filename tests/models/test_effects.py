@@ -85,7 +85,7 @@ def test_entry_is_complete(effect):
         assert p.off is None or p.low <= p.off <= p.high
         assert p.sign <= 0 or p.low >= 0 or p.plausible is not None
     for point in effect.grid_points(REACH, 1):
-        assert set(point) >= {p.name for p in effect.shapes} or effect.jump
+        assert set(point) >= {p.name for p in effect.shapes if not p.optional} or effect.jump
         for p in effect.parameters:
             low, high = p.bounds(float(REACH.torque[1]))
             assert p.name not in point or low <= point[p.name] <= high
