@@ -51,8 +51,9 @@ class Arena:
         self._seen = jax.jit(jax.vmap(self._look))
         self._train = jax.jit(jax.vmap(one.task.train))
 
-    def _look(self, contexts, outcomes):
+    def _look(self, policy, contexts, outcomes):
         trajectory = self.one.trajectory(contexts, outcomes)
+        trajectory = trajectory if self.one.expect is None else self.one.expect(trajectory, policy)
         return self.one.task.observe(trajectory), self.one.task.score(trajectory)
 
     def train(self, keys, dists, policies):
@@ -76,7 +77,7 @@ class Arena:
         """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
         contexts = np.asarray(self._of_visit(keys))
         outcomes = self.run(where, contexts, np.asarray(self._act(policies, jnp.asarray(contexts))))
-        obs, score = self._seen(jnp.asarray(contexts), outcomes)
+        obs, score = self._seen(policies, jnp.asarray(contexts), outcomes)
         return Seen(np.asarray(obs), np.asarray(score))
 
     def explored(self, keys, where: np.ndarray, policies, count: int) -> Trials:

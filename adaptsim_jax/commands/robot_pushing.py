@@ -51,10 +51,13 @@ def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the pushes that were asked for."""
     from adaptsim_jax.closeloop.table import read_table
     from adaptsim_jax.tasks import pushing_measured as measured
+    from adaptsim_jax.tasks.pushing import make_expectation
 
     table = read_table(path, measured.COLUMNS, least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
-    return measured.measured_trajectory(table.columns, at, str(path), _pushes(session, state), _config(session))
+    config = _config(session)
+    found = measured.measured_trajectory(table.columns, at, str(path), _pushes(session, state), config)
+    return make_expectation(config)(found, state.policy)
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:

@@ -59,6 +59,8 @@ class OneShot:
     reward_unit: str
     oracle_means: str
     visit: Callable[[Array], Array] | None = None  # (key) -> contexts [trials, g] of a visit; None: each drawn
+    # (trajectory, policy) -> trajectory with what else is observed that the policy tells, such as what E expects; None: nothing
+    expect: Callable[[Any, Any], Any] | None = None
 
 
 def action_grid(points: tuple[int, ...]) -> np.ndarray:

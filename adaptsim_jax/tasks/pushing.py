@@ -41,6 +41,7 @@ GOAL_CENTRE, GOAL_RADII, GOAL_ANGLE = (
     (0.25, 0.55),
     0.175,
 )  # a sector that x = 0.7 to 1.0 m and 10 degrees span
+_SMALL = 0.004  # m: gaps up to here are shown as they are, larger ones by their logarithm
 _MIDDLE, _HALF = np.array([0.85, 0.0]), np.array([0.15, 0.1])  # goals to [-1, 1], and what is seen of the bottle alike
 
 
@@ -50,9 +51,10 @@ class PushingConfig:
 
     observation: six points of each trajectory, or the `final` position alone (the paper's state-only variant).
     show_goal: observe also the goal of each push, without which a miss cannot be told from a far goal.
+    show_gap: observe also how far the points lie from those of the same pushes simulated at the mean of E (`pretrain` only).
     trajectories: pushes an iteration; tests: goals that the reward of a simulated target is averaged over.
     goals: of an iteration's pushes: drawn anew; `spread`, drawn one in each equal part of the sector's angle and far out; or
-    `fixed`, always the same, so that what is seen differs by parameters alone.
+    `fixed`, always the same, so that what is seen differs by parameters alone, or `edges`, likewise but near the sector's edges.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
     trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
     pretrain: go on from one policy for all of Omega (`naf_shared`) instead of from nothing. It is made first, by `shared`
@@ -66,9 +68,10 @@ class PushingConfig:
 
     observation: Literal["points", "final"] = "points"
     show_goal: bool = True
+    show_gap: bool = False
     trajectories: int = 2
     tests: int = 24
-    goals: Literal["drawn", "spread", "fixed"] = "drawn"
+    goals: Literal["drawn", "spread", "fixed", "edges"] = "drawn"
     targets: Literal["omega", "wide"] = "wide"
     trials: int = 10_000
     training: GoalConfig = field(
@@ -107,12 +110,14 @@ class PushingPolicy(NamedTuple):
 
 class PushingTrajectory(NamedTuple):
     """goals: `[N, 2]` m; points: `[N, 6, 2]` m, the bottle at six even times, the last at the end; rewards: `[N]` of these
-    pushes; tested: `[]`, mean reward over the test goals (in simulation only; elsewhere the mean of `rewards`)."""
+    pushes; tested: `[]`, mean reward over the test goals (in simulation only; elsewhere the mean of `rewards`); expected:
+    `[N, 6, 2]` m, the points of the same pushes simulated at the mean of E, where they are observed (else None)."""
 
     goals: jax.Array
     points: jax.Array
     rewards: jax.Array
     tested: jax.Array
+    expected: jax.Array | None = None
 
 
 def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
@@ -152,6 +157,8 @@ def visit_goals(key: jax.Array, config: PushingConfig) -> jax.Array:
     n = config.trajectories
     if config.goals == "drawn":
         return jax.vmap(draw_goal)(jax.random.split(key, n))
+    if config.goals == "edges":
+        return _goal_at(jnp.stack([jnp.linspace(0.95, 0.6, n), jnp.linspace(0.12, 0.88, n)], -1))
     u = jax.random.uniform(key, (n, 2)) if config.goals == "spread" else jnp.full((n, 2), 0.5)
     u = u.at[:, 0].set(0.4 + 0.6 * u[:, 0]) if config.goals == "spread" else u.at[:, 0].set(jnp.linspace(0.9, 0.6, n))
     return _goal_at(u.at[:, 1].set((jnp.arange(n) + u[:, 1]) / n))
@@ -246,7 +253,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         name="pushing",
         space=space,
         targets=space if config.targets == "omega" else wide_space(),
-        obs_dim=config.trajectories * (2 * (POINTS if config.observation == "points" else 1) + 2 * config.show_goal),
+        obs_dim=_obs_dim(config),
         settings=SETTINGS,
         init_policy=lambda key: _blank(naf.init(key).online, config, space),
         train=train,
@@ -263,16 +270,30 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
 
 def _make_rollout(config: PushingConfig, options: PushOptions, twin: planar.PlanarCoefficients) -> Callable:
     """`(key, policy, params [D]) -> PushingTrajectory`: the visit's pushes, and the tests that its reward is the mean of."""
-    grid, act = goal_lattice(config.tests), make_policy(config)
+    grid, act, expect = goal_lattice(config.tests), make_policy(config), make_expectation(config)
 
     def rollout(key, policy, params):
         goals = visit_goals(key, config)
         push = jax.vmap(lambda a: planar.rollout(params, a, options, twin))
         # apart, so that the compiler leaves the test goals out where only the observation is asked for
         tested = push_reward(push(act(policy, grid))[:, -1], grid).mean()
-        return measured(goals, push(act(policy, goals)), tested)
+        return expect(measured(goals, push(act(policy, goals)), tested), policy)
 
     return rollout
+
+
+def make_expectation(config: PushingConfig) -> Callable[[PushingTrajectory, PushingPolicy], PushingTrajectory]:
+    """`expect(trajectory, policy)`: the trajectory of the policy's pushes, from any engine, with what they do at the mean of E."""
+    if not config.show_gap:
+        return lambda trajectory, policy: trajectory
+    options, space, act = _checked(config), pushing_space(config), make_policy(config)
+
+    def expect(trajectory, policy):
+        params = space.physical(policy.at)
+        push = jax.vmap(lambda a: planar.rollout(params, a, options, TWINS[config.coefficients]))
+        return trajectory._replace(expected=_points(push(act(policy, trajectory.goals))))
+
+    return expect
 
 
 def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
@@ -305,7 +326,11 @@ def _pretrain(config: PushingConfig, space: Space, options: PushOptions, twin) -
 def measured(goals: jax.Array, places: jax.Array, tested: jax.Array | None = None) -> PushingTrajectory:
     """The trajectory of `N` pushes for `goals [N, 2]` m from the bottle's `places [N, T, 2]` m at even times, from any
     backend or from a camera; the last row is the end."""
-    return of_points(goals, places[:, observed_rows(places.shape[1])], tested)
+    return of_points(goals, _points(places), tested)
+
+
+def _points(places: jax.Array) -> jax.Array:
+    return places[:, observed_rows(places.shape[1])]
 
 
 def of_points(goals: jax.Array, points: jax.Array, tested: jax.Array | None = None) -> PushingTrajectory:
@@ -321,10 +346,19 @@ def observed_rows(T: int) -> np.ndarray:
 
 def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
     """`[obs_dim]`: places, and goals where shown, in the network's coordinates; far out they are held at 4."""
-    points = trajectory.points if config.observation == "points" else trajectory.points[:, -1:]
-    shown = [points, trajectory.goals[:, None]] if config.show_goal else [points]
+    told = lambda points: points if config.observation == "points" else points[:, -1:]
+    shown = [told(trajectory.points), trajectory.goals[:, None]] if config.show_goal else [told(trajectory.points)]
     seen = seen_goal(jnp.concatenate(shown, 1))
+    if config.show_gap:
+        gap = told(trajectory.points) - told(trajectory.expected)
+        # millimetres tell as much as centimetres do when E is nearly right
+        seen = jnp.concatenate([seen, jnp.arcsinh(gap / _SMALL)], 1)
     return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
+
+
+def _obs_dim(config: PushingConfig) -> int:
+    points = POINTS if config.observation == "points" else 1
+    return config.trajectories * 2 * (points * (1 + config.show_gap) + config.show_goal)
 
 
 def _problem(space: Space, options: PushOptions, twin: planar.PlanarCoefficients) -> GoalProblem:

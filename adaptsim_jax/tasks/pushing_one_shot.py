@@ -58,6 +58,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",
         visit=lambda key: task.visit_goals(key, config),
+        expect=task.make_expectation(config),
     )
 
 

@@ -1,0 +1,56 @@
+"""A push for a goal, corrected by trying it in the simulator at the mean of E before it is made.
+
+A NAF network is a few centimetres off where the patch begins. The simulator is at hand, so a push can be tried there first and
+mended by where its bottle ends: no push of the target is spent, and nothing is learned of the target.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.models import pushing as model
+
+_LEAP = 0.4  # of the action's range [-1, 1]: the farthest that one correction goes
+_DAMPING = (1e-3, 0.3, 8.0)  # of the steps, m^2: at first, and its factors after a success and a failure
+
+
+def refine(push: Callable[[jax.Array], jax.Array], goal: jax.Array, action: jax.Array, trials: int) -> jax.Array:
+    """The best of `trials` simulated pushes for `goal [2]` m, the first of them `action [2]` in [-1, 1].
+
+    `push(action [2] in [-1, 1]) -> [2]` m, where the bottle ends. Damped steps of Gauss and Newton with a slope that is not
+    computed: a guess, mended by what each trial shows (Broyden 1965).
+    """
+
+    def one(carry, _):
+        tried, best, miss, slope, damping = carry
+        new = push(tried) - goal
+        away = tried - best
+        slope = slope + jnp.outer(new - miss - slope @ away, away) / jnp.maximum(away @ away, 1e-6)
+        better = new @ new < miss @ miss
+        best, miss = jnp.where(better, tried, best), jnp.where(better, new, miss)
+        damping = damping * jnp.where(better, _DAMPING[1], _DAMPING[2])
+        return (_ahead(best, miss, slope, damping), best, miss, slope, damping), None
+
+    miss = push(action) - goal
+    slope, damping = _guess(miss + goal, action), jnp.asarray(_DAMPING[0], miss.dtype)
+    begin = (_ahead(action, miss, slope, damping), action, miss, slope, damping)
+    return jax.lax.scan(one, begin, length=trials - 1)[0][1]
+
+
+def _ahead(action, miss, slope, damping) -> jax.Array:
+    """The next action to try."""
+    (a, b), (_, c) = slope.T @ slope + damping * jnp.eye(2)
+    x, y = slope.T @ miss
+    step = -jnp.stack([c * x - b * y, a * y - b * x]) / (a * c - b * b)
+    return jnp.clip(action + jnp.clip(step, -_LEAP, _LEAP), -1.0, 1.0)
+
+
+def _guess(final: jax.Array, action: jax.Array) -> jax.Array:
+    """`[2, 2]`: what a change of `action` does to `final`, for a bottle that slides along the push as far as its speed squared."""
+    low, high = jnp.asarray(model.ACTION_LOW), jnp.asarray(model.ACTION_HIGH)
+    half = ((high - low) / 2).astype(final.dtype)
+    speed = (low + high)[0] / 2 + action[0] * half[0]
+    went = final - jnp.asarray(model.START, final.dtype)
+    aside = jnp.stack([-went[1], went[0]])
+    return jnp.stack([2.0 * went / speed * half[0], aside * half[1]], 1)
