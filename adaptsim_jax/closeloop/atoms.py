@@ -79,6 +79,15 @@ def _unit_params(effect: Effect, shape: dict[str, float]) -> list[list[float]]:
     return [values + [1.0 if p is size else 0.0 for p in effect.parameters] for size in sizes]
 
 
+def gravity_torque(plant: Plant, theta: np.ndarray, windows: Windows) -> np.ndarray:
+    """How large gravity's torque is along the measured motion, `[N, n]` N m."""
+    last = windows.time.argmax(1)
+    live = np.arange(windows.time.shape[1])[None] <= last[:, None]
+    with jax.enable_x64(True):
+        force = plant.gravity_force(jnp.asarray(theta, float), jnp.asarray(windows.motion_q[live].T))
+    return np.abs(np.asarray(force)).T
+
+
 def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
     """What the data cover: peaks and quantiles over all trials, and inertias at the middle of travel."""
     last = windows.time.argmax(1)
@@ -86,7 +95,7 @@ def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
     q, v, u = (z[live] for z in (windows.motion_q, windows.motion_v, np.abs(windows.torque)))
     with jax.enable_x64(True):
         inertia = np.asarray(plant.inertia_at(jnp.asarray(theta), jnp.asarray(np.median(q, 0))[:, None]))[:, 0]
-    torque = np.quantile(u, 0.998, axis=0)
+    torque = np.quantile(u if np.any(u) else gravity_torque(plant, theta, windows), 0.998, axis=0)
     torque = np.maximum(torque, 0.05 * torque.max() + 1e-6)
     speed = np.maximum(np.quantile(np.abs(v), 0.9, axis=0), 0.05)
     low, high = np.quantile(q, [0.005, 0.995], axis=0)

@@ -16,6 +16,7 @@ from adaptsim_jax.closeloop.declared import declared, timed
 from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.freed import confounded, freed
+from adaptsim_jax.closeloop.geometry import misdeclared
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.model_file import fitted_model, write_model
@@ -123,6 +124,7 @@ def examine(
     verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
     if found.added or verdict.name == "structured_unattributed":
         verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)
+        verdict = misdeclared(verdict, problem, base, effects, settings.explained)
     parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
     report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
     add_ceiling(report["error"], flexible)

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from adaptsim_jax.closeloop.atoms import make_reach
+from adaptsim_jax.closeloop.atoms import gravity_torque, make_reach
 from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.basis import generic_forces
 from adaptsim_jax.closeloop.clocks import clock_of
@@ -67,7 +67,9 @@ class Problem:
 
     @property
     def torque_rms(self) -> np.ndarray:
-        """RMS of the recorded torque per joint `[n]` N m."""
+        """RMS of the recorded torque per joint `[n]` N m; of gravity's, where none was applied."""
+        if not driven(self.recording):
+            return np.sqrt(np.mean(gravity_torque(self.plant, self.theta0, self.windows) ** 2, axis=0))
         return np.sqrt(np.mean(np.concatenate([t.torque for t in self.recording.trials]) ** 2, axis=0))
 
     @property
@@ -105,6 +107,7 @@ def prepare(
     given = declared_model(recording, effects)
     motions = [smooth(t, noise) for t in recording.trials]
     plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
+    plant = plant if driven(recording) else plant.unscaled()
     check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
     theta0 = plant.initial_theta(
         [(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)]
@@ -120,6 +123,11 @@ def prepare(
     merged = max(1, windows.measured.shape[1] // rows_kept)
     base, eff0 = ((), None) if given is None else (given.active, given.effect_vector(model.layout))
     return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged, base, eff0)
+
+
+def driven(recording: Recording) -> bool:
+    """Whether any torque acts at all."""
+    return any(np.any(t.torque) for t in recording.trials)
 
 
 def _masked(trial: Trial, valid: np.ndarray | None) -> Trial:

@@ -8,7 +8,7 @@ from adaptsim_jax.closeloop.ceiling import Ceiling
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.power import MATTERS, Power
-from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.problem import Problem, driven
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
 from adaptsim_jax.closeloop.search import Found, Settings
@@ -222,7 +222,7 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
 
 
 def _not_established(problem: Problem, found: Found, verdict: Verdict, powers: list[Power]) -> list[str]:
-    lines = []
+    lines = [] if driven(problem.recording) else [_unscaled(problem)]
     hidden = [
         n
         for n, p in problem.plant.physical(found.base.candidate.theta, problem.recording.known).items()
@@ -239,6 +239,13 @@ def _not_established(problem: Problem, found: Found, verdict: Verdict, powers: l
     if verdict.named:
         lines.append("Whether the named effect is the cause or only acts like it within this motion.")
     return lines
+
+
+def _unscaled(problem: Problem) -> str:
+    name, unit = problem.plant.theta_names[0], problem.plant.theta_units[0]
+    known = [n for n in problem.recording.known if n in problem.plant.theta_names]
+    given = " and ".join(known) if known else f"{name} = 1 {unit}, which is arbitrary"
+    return f"How large masses and torques are: no torque was applied, and motions alone fix ratios. All sizes go with {given}."
 
 
 def _torques(problem: Problem, found: Found) -> dict[str, Any]:

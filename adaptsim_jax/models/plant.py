@@ -10,7 +10,7 @@ Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -104,6 +104,15 @@ class Plant:
         design, target = np.concatenate(rows), np.concatenate(right)
         theta = _bounded_regression(design, target, self.low, self.high)
         return theta if self.sound is None else np.clip(self.sound(self.constants, theta), self.low, self.high)
+
+    def unscaled(self) -> "Plant":
+        """The plant for motions on which no torque acts, which fix `theta` up to a common factor: the first is held at 1,
+        unless one of them is known."""
+        if np.any(self.low == self.high):
+            return self
+        low, high = self.low.copy(), self.high.copy()
+        low[0] = high[0] = 1.0
+        return replace(self, low=low, high=high)
 
     def physical(self, theta: np.ndarray, known: Mapping[str, float] | None = None) -> dict[str, Physical]:
         """Declared physical parameters behind `theta: [P]`, each with whether the data (and `known`) fix it."""

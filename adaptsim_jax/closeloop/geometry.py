@@ -1,0 +1,86 @@
+"""Whether a wrong length of the first link would explain what no effect does.
+
+The declared parameters of a rigid pendulum absorb every error of its geometry but one: `l1` also turns the second link's
+moment about its joint into the coupling of both (`pendulum_rigid.base_mass_matrix`). A tape measure that is off by half a
+percent leaves structure that precise encoders see, and that is nobody's effect.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from adaptsim_jax.closeloop.declared import declared
+from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
+from adaptsim_jax.closeloop.rivals import Fitted, unexplained
+from adaptsim_jax.closeloop.verdict import Verdict
+from adaptsim_jax.models.effects import Effect
+
+STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
+FARTHEST = 0.15  # of the length: beyond this nobody measured it
+ROUNDS = 4
+
+
+class Remeasured(NamedTuple):
+    """The declared model with another `l1` [m], and the share of the unexplained force that it leaves."""
+
+    l1: float
+    model: Fitted
+    left: float
+
+
+def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Remeasured | None:
+    """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, or for a
+    model whose geometry its parameters absorb."""
+    recording = problem.recording
+    if recording.model != "rigid_body" or "l1" not in recording.geometry:
+        return None
+    fits = {0.0: base}
+
+    def total(offset: float) -> float:
+        if offset not in fits:
+            fits[offset] = _with_length(problem, effects, recording.geometry["l1"] * (1.0 + offset))
+        return fits[offset].total
+
+    try:
+        offset = _likeliest(total)
+    except Diverged:
+        return None
+    return Remeasured(recording.geometry["l1"] * (1.0 + offset), fits[offset], unexplained(fits[offset], base))
+
+
+def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitted:
+    changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
+    return declared(*prepare_within_reach(changed, problem.audit, problem.noise, effects))[0]
+
+
+def _likeliest(total) -> float:
+    """The offset [1] with the largest total that a few parabolas lead to, within `FARTHEST`."""
+    centre, step = 0.0, STEP
+    for _ in range(ROUNDS):
+        low, middle, high = total(centre - step), total(centre), total(centre + step)
+        bend, slope = low + high - 2.0 * middle, 0.5 * (high - low)
+        leap = np.clip(-slope / bend, -3.0, 3.0) if bend < 0 else 3.0 * np.sign(slope)
+        tried = float(np.clip(centre + leap * step, -FARTHEST, FARTHEST))
+        best = max((centre - step, centre, centre + step, tried), key=total)
+        if abs(leap) <= 1.0:
+            return best
+        centre = best
+    return centre
+
+
+def misdeclared(
+    verdict: Verdict, problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float
+) -> Verdict:
+    """`verdict`, unless it is `structured_unattributed` and another `l1` leaves no more than the share `explained` of the
+    unexplained force."""
+    if verdict.name != "structured_unattributed":
+        return verdict
+    found = remeasured(problem, base, effects)
+    if found is None or found.left > explained or abs(found.l1 / problem.recording.geometry["l1"] - 1.0) >= FARTHEST:
+        return verdict
+    message = (
+        f"The declared model explains the data if l1 is not {problem.recording.geometry['l1']:.4g} but {found.l1:.4g} m "
+        f"(that leaves {100 * found.left:.0f} % of the unexplained torque, and no effect does so): measure it again."
+    )
+    return Verdict("confounded_with_declared", message, False)

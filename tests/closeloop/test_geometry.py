@@ -1,0 +1,73 @@
+"""What the declared model cannot know by itself: a first link that was measured wrong, and the scale of a free swing."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.closeloop.audit import audit, usable
+from adaptsim_jax.closeloop.declared import declared
+from adaptsim_jax.closeloop.geometry import FARTHEST, _likeliest, misdeclared
+from adaptsim_jax.closeloop.noise import noise_floor
+from adaptsim_jax.closeloop.problem import prepare_within_reach
+from adaptsim_jax.closeloop.recording import read_recording
+from adaptsim_jax.closeloop.verdict import Verdict
+from adaptsim_jax.models.effects import catalogue
+from tests.closeloop.small_rig import GEOMETRY, TRUE, make_trials
+
+EFFECTS = tuple(e for e in catalogue() if e.name in ("coulomb", "quadratic_drag"))
+STRUCTURED = Verdict("structured_unattributed", "There is structure.", False)
+
+
+def written(folder, trials, l1=GEOMETRY["l1"]):
+    for i, t in enumerate(trials):
+        rows = np.column_stack([t.time, t.q, t.torque])
+        np.savetxt(folder / f"t{i}.csv", rows, delimiter=",", header="time,q1,q2,tau1,tau2", comments="", fmt="%.9g")
+    lengths = f"[geometry]\nl1 = {l1}\nl2 = {GEOMETRY['l2']}\ng = {GEOMETRY['g']}\n"
+    (folder / "meta.toml").write_text(f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}')
+    return folder
+
+
+def prepared(folder):
+    recording = read_recording(folder)
+    checked = audit(recording)
+    recording = usable(recording, checked)
+    return prepare_within_reach(recording, checked, noise_floor(recording, checked), EFFECTS)
+
+
+@pytest.mark.parametrize("top", [0.0, 0.004, -0.03, 0.11])
+def test_parabolas_lead_to_the_likeliest_length(top):
+    def total(offset):
+        return -1e4 * (offset - top) ** 2 - 3e4 * abs(offset - top) ** 3
+
+    assert _likeliest(total) == pytest.approx(top, abs=2e-3)
+    assert abs(_likeliest(lambda offset: 50.0 * offset)) <= FARTHEST + 1e-9
+
+
+@pytest.mark.slow
+def test_a_first_link_measured_wrong_is_said_to_be(tmp_path):
+    folder = written(tmp_path, make_trials(seed=5, count=3, seconds=2.0, noise=0.1), l1=1.02 * GEOMETRY["l1"])
+    problem, start = prepared(folder)
+    base, _ = declared(problem, start)
+    verdict = misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35)
+    assert verdict.name == "confounded_with_declared" and not verdict.named
+    said = float(verdict.message.split(" but ")[1].split(" m ")[0])
+    assert said == pytest.approx(GEOMETRY["l1"], rel=3e-3)
+
+
+@pytest.mark.slow
+def test_a_hidden_force_is_not_taken_for_a_wrong_length(tmp_path):
+    trials = make_trials(seed=6, count=3, seconds=2.0, noise=0.1, extra=lambda t, q, v, u: -0.05 * np.tanh(v / 0.01))
+    problem, start = prepared(written(tmp_path, trials))
+    base, _ = declared(problem, start)
+    assert misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35) is STRUCTURED
+
+
+def test_a_free_swing_fixes_parameters_up_to_a_factor(tmp_path):
+    trials = make_trials(seed=7, count=3, seconds=2.0, noise=0.1, extra=lambda t, q, v, u: -u)
+    for t in trials:
+        t.torque = np.zeros_like(t.torque)
+    problem, _ = prepared(written(tmp_path, trials))
+    assert problem.theta0[0] == 1.0
+    np.testing.assert_allclose(problem.theta0[:4], TRUE[:4] / TRUE[0], rtol=0.05)
+    weight = GEOMETRY["g"] * TRUE[2] / TRUE[0]  # what the bounds of a force are counted in
+    assert 0.05 * weight < problem.reach.torque[0] < 2 * weight
+    assert np.all(problem.torque_scale > 0)
