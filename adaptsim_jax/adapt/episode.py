@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax import space as spaces
+from adaptsim_jax.adapt.guided import Guide
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.base import Task
 
@@ -64,12 +65,13 @@ def run_episode(
     delta: jax.Array | float,
     shrink: jax.Array | float = 1.0,
     obs_noise: jax.Array | float = 0.0,
+    guide: Guide | None = None,
 ) -> Episode:
     """Adapt `start` to `target: [D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`.
 
-    Step i is of `delta shrink^i`.
+    Step i is of `delta shrink^i`. `guide` may lead the trajectory (Phase 1 only).
     """
-    reference = task.reference(target)
+    reference, whole_key = task.reference(target), key
 
     # The visit stands once in the program, inside the scan: it is most of what there is to compile. The action after
     # the last visit is computed and dropped.
@@ -79,6 +81,8 @@ def run_episode(
         visit_key, act_key = jax.random.split(key)
         now = visit(visit_key, task, dist, policy, target, reference, obs_noise)
         action = act(act_key, now.obs)
+        if guide is not None:
+            action = guide(whole_key, act_key, action, dist.mean, target, delta * shrink**number)
         return (spaces.step(task.space, dist, action, delta * shrink**number), now.policy), (now, action)
 
     _, (visits, actions) = jax.lax.scan(one, (start, policy), (jax.random.split(key, steps + 1), jnp.arange(steps + 1)))

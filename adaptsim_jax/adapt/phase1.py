@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptsim_jax.adapt import reuse
 from adaptsim_jax.adapt.episode import Episode, run_episode
+from adaptsim_jax.adapt.guided import Guide
 from adaptsim_jax.adapt.reuse import Pool, ReuseConfig
 from adaptsim_jax.adapt.reuse_episode import run_reusing
 from adaptsim_jax.errors import BadInput
@@ -34,7 +35,7 @@ class Phase1Config:
     trajectories: how many adaptation trajectories in all, K / horizon; parallel: how many at once; horizon: adaptation
     steps of each; updates: gradient steps after each round; batch: transitions in each; capacity: of the replay, in
     transitions; archive: size of S_E, distributions; warmup: rounds before the first update; reuse: of task policies, for
-    tasks whose training is dear.
+    tasks whose training is dear. guided: share of trajectories that are led towards their target (`guided`).
     """
 
     trajectories: int = 20_000
@@ -49,6 +50,7 @@ class Phase1Config:
     activation: str = "elu"
     layer_norm: bool = False
     reuse: ReuseConfig = field(default_factory=ReuseConfig)
+    guided: float = 0.0
 
     @property
     def rounds(self) -> int:
@@ -206,6 +208,7 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon):
         return run_key, gaussian(task.space, task.space.sample(start_key)), task.init_policy(run_key), target
 
     sizes = {"steps": config.horizon, "delta": hyper.delta, "shrink": hyper.shrink, "obs_noise": hyper.obs_noise}
+    sizes["guide"] = Guide(config.guided, task.space) if config.guided else None
     if state.pool is None:
 
         def one(key):
@@ -298,6 +301,8 @@ def _check(config: Phase1Config, task: Task) -> None:
             f"{config.trajectories} trajectories do not divide into rounds of {config.parallel}; "
             f"use {config.parallel * max(1, round(config.trajectories / max(config.parallel, 1)))}"
         )
+    if not 0.0 <= config.guided <= 1.0:
+        raise BadInput(f"Phase 1: guided = {config.guided} is a share of trajectories; give 0 to 1")
     if min(config.horizon, config.updates, config.batch) < 1 or config.warmup < 0:
         raise BadInput(f"Phase 1 sizes must be positive, got {config}")
     ring.check_capacity(config.capacity, config.parallel * config.horizon)

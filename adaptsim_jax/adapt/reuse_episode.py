@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.adapt.episode import Episode, look
+from adaptsim_jax.adapt.guided import Guide
 from adaptsim_jax.adapt.reuse import Pool, ReuseConfig, lend, settle, train_loans
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.base import Task
@@ -40,11 +41,12 @@ def run_reusing(
     delta: jax.Array | float,
     shrink: jax.Array | float = 1.0,
     obs_noise: jax.Array | float = 0.0,
+    guide: Guide | None = None,
 ) -> Reusing:
     """Adapt `starts [P]` to `targets [P, D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`; step i is of
     `delta shrink^i`.
 
-    `policies [P, ...]` are untrained: what a visit far from every anchor starts from.
+    `policies [P, ...]` are untrained: what a visit far from every anchor starts from. `guide` may lead trajectories.
     """
     references = jax.vmap(task.reference)(targets)
 
@@ -59,6 +61,9 @@ def run_reusing(
         )
         now = jax.vmap(see)(parts[:, 1], parts[:, 2], dists, trained, targets, references)
         action = jax.vmap(act)(parts[:, 3], now.obs)
+        if guide is not None:
+            lead = lambda k, s, a, m, t: guide(k, s, a, m, t, delta * shrink**number)
+            action = jax.vmap(lead)(keys, parts[:, 3], action, dists.mean, targets)
         after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta * shrink**number))(dists, action)
         return (after, pool), (now, action, loan.budget, loan.place >= 0)
 
