@@ -69,6 +69,15 @@ def oracle_of(out: Path, one, world, targets: np.ndarray, without: bool) -> np.n
     return np.load(kept)
 
 
+def without_nan(value):
+    """`value` with None where a float is not a number, for JSON has no such number."""
+    if isinstance(value, dict):
+        return {k: without_nan(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(v) for v in value]
+    return None if isinstance(value, float) and value != value else value
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="pushing", choices=("pushing", "scooping"))
@@ -109,6 +118,7 @@ def main() -> None:
     rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one.task.space)]
     command = {"command": " ".join(["python experiments/table1_pushing.py", *sys.argv[1:]])}
     results = stamped(args.task, config) | command | about(one, world, args.settings, targets, oracle) | {"rows": rows}
+    results = without_nan(results) if args.no_oracle else results
     write_comparison(results, out)
     print(table(results))
 
