@@ -176,7 +176,8 @@ def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) 
             eff[at] = ranked.atom.shape[p.name]
         elif p.off is not None:
             value = next(amplitudes, p.off)
-            value = max(value, 0.0) if p.sign > 0 else value
+            # Declared parameters that bent to the effect may turn its sign; at zero its shape would have no slope.
+            value = abs(value) if p.sign > 0 else value
             eff[at] = p.off + share * (value - p.off)
         eff[at] = np.clip(eff[at], low[at], high[at])
     return eff
