@@ -19,6 +19,7 @@ from adaptsim_jax.closeloop.problem import (
 )
 
 Instance = tuple[str, str]  # (effect, where)
+SURE = 1.6449  # standard errors of a 90 % interval
 
 
 @dataclass(frozen=True)
@@ -99,15 +100,23 @@ def _amiss(problem: Problem, candidate: Candidate) -> Iterator[tuple[Instance, s
     layout, windows = problem.model.layout, problem.windows
     for active in candidate.active:
         instance = layout.instances[layout.index(*active)]
+        fitted = candidate.parameters(*active)
+        if _is_nothing(instance.effect.amplitudes, fitted):
+            yield active, "its size cannot be told from none"
         if instance.effect.amiss is None:
             continue
-        fitted = candidate.parameters(*active)
         seen = np.asarray(windows.measured)[..., instance.joint][np.asarray(windows.weight)[..., instance.joint] > 0]
         names = [p.name for p in instance.effect.parameters]
         value = dict(zip(names, candidate.eff[instance.at], strict=True)) | {n: v for n, (v, _) in fitted.items()}
         error = {n: e for n, (_, e) in fitted.items()}
         if why := instance.effect.amiss(value, error, seen, problem.reach.duration):
             yield active, why
+
+
+def _is_nothing(amplitudes, fitted: dict[str, tuple[float, float]]) -> bool:
+    """Whether 90 % intervals of all amplitudes hold the value without effect."""
+    known = [(*fitted[p.name], p.off) for p in amplitudes if p.name in fitted]
+    return bool(known) and all(abs(value - off) <= SURE * error for value, error, off in known)
 
 
 def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:

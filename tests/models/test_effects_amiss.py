@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.models.effects import catalogue
+from adaptsim_jax.closeloop.rivals import _is_nothing
+from adaptsim_jax.models.effects import Parameter, catalogue
 
 ANGLES = np.linspace(-1.0, 1.0, 201)
 TRIAL = 6.0  # s
@@ -28,3 +29,18 @@ def test_what_the_fitted_values_say_of_an_effect(name, value, error, reason):
     assert effect.amiss is not None
     why = effect.amiss(value, error, ANGLES, TRIAL)
     assert (reason in why) if reason else why == ""
+
+
+@pytest.mark.parametrize(
+    ("fitted", "nothing"),
+    [
+        ({"lag": (0.05, 0.03)}, False),
+        ({"lag": (0.05, 0.04)}, True),
+        ({"sine": (0.1, 1.0), "cosine": (0.5, 0.1)}, False),
+        ({"sine": (0.1, 1.0), "cosine": (0.5, 0.6)}, True),
+        ({}, False),
+    ],
+)
+def test_a_size_that_may_be_none_is_no_effect(fitted, nothing):
+    amplitudes = [Parameter(name, "1", -1.0, 1.0, 0.0) for name in ("lag", "sine", "cosine")]
+    assert _is_nothing(amplitudes, fitted) is nothing
