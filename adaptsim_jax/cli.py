@@ -16,7 +16,7 @@ import sys
 import traceback
 from typing import NoReturn
 
-from adaptsim_jax import __version__, compile_cache, memory
+from adaptsim_jax import __version__, compile_cache
 from adaptsim_jax.commands import SUMMARIES, common
 from adaptsim_jax.config import suggest
 from adaptsim_jax.errors import BadInput
@@ -145,6 +145,8 @@ def _set_up_cache(args: argparse.Namespace) -> None:
 
 def _set_up_memory() -> None:
     if "jax" not in sys.modules:  # else a Python program called us, whose memory is its own
+        from adaptsim_jax import memory
+
         memory.keep_freed()
 
 

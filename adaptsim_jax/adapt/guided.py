@@ -13,9 +13,7 @@ import jax.numpy as jnp
 from adaptsim_jax.learners.bdq import explore
 from adaptsim_jax.space import MINUS, PLUS, STAY, Space
 
-_ASTRAY = (
-    0.3  # share of a led trajectory's steps of single parameters that are random, so that others can be valued, too
-)
+_ASTRAY = 0.3  # share of a led trajectory's steps of single parameters that are random: others get a value, too
 
 
 class Guide(NamedTuple):

@@ -79,19 +79,21 @@ def _unit_params(effect: Effect, shape: dict[str, float]) -> list[list[float]]:
     return [values + [1.0 if p is size else 0.0 for p in effect.parameters] for size in sizes]
 
 
+def _live(windows: Windows) -> np.ndarray:
+    """`[W, L]`: rows of a trial, and not the padding after a window's last."""
+    return np.arange(windows.time.shape[1])[None] <= windows.time.argmax(1)[:, None]
+
+
 def gravity_torque(plant: Plant, theta: np.ndarray, windows: Windows) -> np.ndarray:
     """How large gravity's torque is along the measured motion, `[N, n]` N m."""
-    last = windows.time.argmax(1)
-    live = np.arange(windows.time.shape[1])[None] <= last[:, None]
     with jax.enable_x64(True):
-        force = plant.gravity_force(jnp.asarray(theta, float), jnp.asarray(windows.motion_q[live].T))
+        force = plant.gravity_force(jnp.asarray(theta, float), jnp.asarray(windows.motion_q[_live(windows)].T))
     return np.abs(np.asarray(force)).T
 
 
 def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
     """What the data cover: peaks and quantiles over all trials, and inertias at the middle of travel."""
-    last = windows.time.argmax(1)
-    live = np.arange(windows.time.shape[1])[None] <= last[:, None]
+    live = _live(windows)
     q, v, u = (z[live] for z in (windows.motion_q, windows.motion_v, np.abs(windows.torque)))
     with jax.enable_x64(True):
         inertia = np.asarray(plant.inertia_at(jnp.asarray(theta), jnp.asarray(np.median(q, 0))[:, None]))[:, 0]

@@ -67,24 +67,28 @@ def test_trials_are_sorted_as_people_count_and_picked_by_name(tmp_path):
     assert "did you mean 'trial_10'" in refusal(folder, trials=["trial_100"])
 
 
-def test_declared_units_give_the_same_data(tmp_path):
-    columns = gentle()
-    scale = {"time": 1e3, "q1": 180 / np.pi, "q2": 180 / np.pi, "v1": 180 / np.pi, "v2": 180 / np.pi}
-    other = {k: x * scale.get(k, 1e3) for k, x in columns.items()}
-    meta = META + '[units]\ntime = "ms"\nangle = "deg"\ntorque = "N mm"\n'
-    one = read_recording(write(tmp_path / "si", {"t": columns})).trials[0]
-    two = read_recording(write(tmp_path / "other", {"t": other}, meta)).trials[0]
-    for field in ("time", "q", "v", "torque"):
-        np.testing.assert_allclose(getattr(two, field), getattr(one, field), rtol=1e-12, atol=1e-15)
+DEG = 180 / np.pi
 
 
-def test_units_by_column_and_written_out_give_the_same_data(tmp_path):
+@pytest.mark.parametrize(
+    ("scale", "units"),
+    [
+        (
+            {"time": 1e3, "q1": DEG, "q2": DEG, "v1": DEG, "v2": DEG, "tau1": 1e3, "tau2": 1e3},
+            'time = "ms"\nangle = "deg"\ntorque = "N mm"\n',
+        ),
+        (
+            {"time": 1e3, "q1": DEG, "v1": DEG, "tau2": 1e3},
+            'time = "milliseconds"\nangle = "rad"\nq1 = "degrees"\ntau2 = "mN m"\n',
+        ),
+    ],
+    ids=["by quantity", "by column and written out"],
+)
+def test_declared_units_give_the_same_data(tmp_path, scale, units):
     columns = gentle()
-    scale = {"time": 1e3, "q1": 180 / np.pi, "v1": 180 / np.pi, "tau2": 1e3}
     other = {k: x * scale.get(k, 1.0) for k, x in columns.items()}
-    meta = META + '[units]\ntime = "milliseconds"\nangle = "rad"\nq1 = "degrees"\ntau2 = "mN m"\n'
     one = read_recording(write(tmp_path / "si", {"t": columns})).trials[0]
-    two = read_recording(write(tmp_path / "other", {"t": other}, meta)).trials[0]
+    two = read_recording(write(tmp_path / "other", {"t": other}, f"{META}[units]\n{units}")).trials[0]
     for field in ("time", "q", "v", "torque"):
         np.testing.assert_allclose(getattr(two, field), getattr(one, field), rtol=1e-12, atol=1e-15)
 
