@@ -29,8 +29,8 @@ MEANINGS = {
     "explained": "The mended model is ready to use: the effect held on trials without a part in finding it.",
     "explained_class": "The mended model predicts better, whichever of the names is right: "
     "with these trials they cannot be told apart.",
-    "confounded_with_declared": "Changing the declared parameters does the same as adding the effect "
-    "along these motions, so neither can be held responsible.",
+    "confounded_with_declared": "Another declared value does the same as an effect along these motions, "
+    "so neither can be held responsible.",
     "structured_unattributed": "What is left repeats from trial to trial, yet no effect in the catalogue "
     "accounts for it. No name is forced on it.",
     "within_noise": "What is left looks like the noise. Nothing needs to be added for motions like these.",
@@ -41,8 +41,8 @@ MEANINGS = {
 NEXT = {
     "explained": "Use the mended model, and test it on motions that it has not seen.",
     "explained_class": "Use the mended model for motions like these; other motions can tell the names apart.",
-    "confounded_with_declared": "Measure the declared parameter by itself and put it under [known] "
-    "in meta.toml, or record motions that part the two.",
+    "confounded_with_declared": "Measure the declared value again and put it right in meta.toml, "
+    "or record motions that part the two.",
     "structured_unattributed": "Look where the structure sits, and add a candidate effect for it.",
     "within_noise": "Keep the declared model.",
     "underpowered": "Record more trials, longer ones, or with more excitation; then run this again.",
@@ -105,9 +105,10 @@ def headline(report: Mapping) -> str:
     if verdict == "explained_class":
         return f"The declared model lacks {names}; these trials cannot tell which." if names else ""
     if verdict == "confounded_with_declared":
-        suspects = [effect_name(row) for row in report["candidates"] if status(row, report) == "confounded"][:3]
-        what = names or fmt.listing(suspects, "or") or "an effect"
-        return f"{what[:1].upper()}{what[1:]} cannot be told from the declared parameters."
+        # Candidates that the declared parameters absorb are no suspects: the message says what is.
+        if not names:
+            return "A declared value is wrong, or an effect acts just like it."
+        return f"{names[:1].upper()}{names[1:]} cannot be told from the declared parameters."
     if verdict == "structured_unattributed":
         found = f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
         return f"{found} something more that no candidate explains." if names else f"{found} no candidate explains it."

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from adaptsim_jax.closeloop.schema import VERDICTS, ReportError, read_report
 from adaptsim_jax.report.diagnosis import print_summary, render, write_diagnosis
+from adaptsim_jax.report.diagnosis_words import headline
 from tests.report.diagnosis_cases import REPORTS, evidence, held_out
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -100,7 +101,7 @@ def test_page_says_the_verdict_and_the_message(written, verdict):
     [
         ("explained", "The declared model lacks Coulomb friction at joint 1."),
         ("explained_class", "The declared model lacks constant bias, base tilt or encoder offset at joint 1"),
-        ("confounded_with_declared", "Torque gain at joint 1 cannot be told from the declared parameters."),
+        ("confounded_with_declared", "A declared value is wrong, or an effect acts just like it."),
         ("structured_unattributed", "Coulomb friction at joint 1 found, and something more"),
         ("within_noise", "The declared model explains these data to within the noise."),
         ("underpowered", "These data cannot decide whether the declared model is complete."),
@@ -109,6 +110,12 @@ def test_page_says_the_verdict_and_the_message(written, verdict):
 )  # fmt: skip
 def test_headlines(written, verdict, sentence):
     assert sentence in written[verdict][1].text
+
+
+def test_what_declared_parameters_absorb_is_no_suspect():
+    report = REPORTS["confounded_with_declared"]()
+    assert any(row["status"] == "confounded" for row in report["candidates"]) and not report["effects"]
+    assert "orque gain" not in headline(report)
 
 
 def test_numbers_are_for_people(written):
