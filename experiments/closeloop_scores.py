@@ -103,7 +103,7 @@ def declared_errors(truth: dict[str, float], declared: dict) -> dict[str, dict]:
     return out
 
 
-def share(records: list[dict], test) -> dict:
+def share(records: list, test) -> dict:
     """How many pass a test, with the Wilson interval."""
     n, hits = len(records), sum(bool(test(r)) for r in records)
     low, high = wilson(hits, n)
@@ -118,6 +118,13 @@ def gap_closed(r: dict) -> float | None:
     if any(v is None for v in numbers) or numbers[0] <= numbers[2]:
         return None
     return (numbers[0] - numbers[1]) / (numbers[0] - numbers[2])
+
+
+def beside_truth(r: dict) -> float | None:
+    """Held-out error of the mended model over that of the true model refitted, where an effect was named rightly."""
+    true = (r.get("true_model") or {}).get("rmse")
+    after = (r["error"] or {}).get("after")
+    return after / true if true and after and r["named"] and all(r["hits"]) else None
 
 
 def consistent(group: list[dict]) -> float:
@@ -140,6 +147,7 @@ def _suite(name: str, rs: list[dict]) -> dict:
     errors = [e for r in rs for e in r["declared"].values()]
     covered = [e for e in errors if "covered" in e]
     gaps = [g for g in map(gap_closed, rs) if g is not None]
+    beside = [b for b in map(beside_truth, rs) if b is not None]
     out: dict = {
         "cases": len(rs),
         "verdicts": dict(Counter(r["verdict"] for r in rs)),
@@ -152,6 +160,9 @@ def _suite(name: str, rs: list[dict]) -> dict:
         "declared_error_after": median(abs(e["after"]) for e in errors) if errors else None,
         "declared_covered": share(covered, lambda e: e["covered"]),
     }
+    if beside:
+        out["after_over_true_model_median"] = median(beside)
+        out["after_at_most_1.15_true_model"] = share(beside, lambda b: b <= 1.15)
     if name == "null":
         out["false_alarms"] = by(rs, "condition", lambda r: bool(r["named"]))
     if name in ("single", "power"):

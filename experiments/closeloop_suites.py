@@ -17,6 +17,7 @@ from pathlib import Path
 
 from adaptsim_jax import memory
 from experiments.closeloop_scores import score_case, summarise, table
+from experiments.closeloop_truth import true_error
 from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case, disguise
 
@@ -38,6 +39,14 @@ def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tupl
     return report, time.perf_counter() - start
 
 
+def true_of(folder: Path, truth: dict) -> dict:
+    """The true model's held-out error; empty where it cannot be had, and why."""
+    try:
+        return true_error(folder, truth)
+    except Exception as problem:
+        return {"problem": f"{problem}"}
+
+
 def pending(cases: list[Case], out: Path) -> list[Case]:
     return [c for c in cases if not (out / "cases" / f"{c.name}.json").exists()]
 
@@ -51,8 +60,10 @@ def write_batch(cases: list[Case], out: Path) -> list[tuple[Case, Path, dict]]:
     return jobs
 
 
-def run_suite(suite: str, cases: list[Case], out: Path, pool: ProcessPoolExecutor | None, keep: bool) -> None:
-    """Diagnose whatever is not done yet, batch by batch."""
+def run_suite(
+    suite: str, cases: list[Case], out: Path, pool: ProcessPoolExecutor | None, keep: bool, true: bool = False
+) -> None:
+    """Diagnose whatever is not done yet, batch by batch; `true`: and refit the true model to each."""
     todo = pending(cases, out)
     for at in range(0, len(todo), BATCH):
         jobs = write_batch(todo[at : at + BATCH], out)
@@ -63,6 +74,8 @@ def run_suite(suite: str, cases: list[Case], out: Path, pool: ProcessPoolExecuto
             results = ((futures[f], f.result()) for f in as_completed(futures))
         for (case, folder, truth), (report, seconds) in results:
             record = score_case(suite, case, truth, report) | {"seconds": seconds}
+            if true:
+                record["true_model"] = true_of(folder, truth)
             (out / "cases" / f"{case.name}.json").write_text(json.dumps(record, indent=1, default=float))
             (out / "reports" / f"{case.name}.json").write_text(json.dumps(report, indent=1, default=str))
             if not keep:
@@ -78,6 +91,7 @@ def main() -> None:
     p.add_argument("--out", type=Path, required=True)
     p.add_argument("--workers", type=int, default=1)
     p.add_argument("--keep-data", action="store_true")
+    p.add_argument("--true-model", action="store_true", help="also refit the true model to each data set")
     p.add_argument("--generate-only", action="store_true", help="write the data sets and their truths, no diagnosis")
     a = p.parse_args()
     memory.keep_freed()
@@ -90,7 +104,7 @@ def main() -> None:
             for c, _, truth in write_batch(cases, a.out):
                 (a.out / "data" / f"{c.name}.truth.json").write_text(json.dumps(truth, indent=1))
         else:
-            run_suite(suite, cases, a.out, pool, a.keep_data)
+            run_suite(suite, cases, a.out, pool, a.keep_data, a.true_model)
     if pool:
         pool.shutdown()
     if not a.generate_only:

@@ -96,7 +96,7 @@ def _batch(specs: list[Spec], engine: str) -> list[Dataset]:
     else:
         table = effect_table(drafts, drive.times.shape[1])
         run = simulate(_lanes(drafts), table, drive, table.step())
-    return [_finish(d, run) for d in drafts]
+    return [_finish(d, run, drive) for d in drafts]
 
 
 def draft(spec: Spec) -> Draft:
@@ -242,7 +242,7 @@ def _sensors(drafts: list[Draft], drive: Drive, nominal: Run) -> None:
         }
 
 
-def _finish(d: Draft, run: Run) -> Dataset:
+def _finish(d: Draft, run: Run, drive: Drive) -> Dataset:
     trials = []
     for lane, t in enumerate(d.trials, d.lanes.start):
         k = len(t.times)
@@ -251,7 +251,7 @@ def _finish(d: Draft, run: Run) -> Dataset:
         if d.condition.velocities:
             columns |= {"v1": x[:, 2], "v2": x[:, 3]}
         trials.append(columns | {"tau1": u[:, 0], "tau2": u[:, 1]})
-    return Dataset(trials, _meta(d), _truth(d))
+    return Dataset(trials, _meta(d), _truth(d) | {"free_phase": drive.free_phase[d.lanes].tolist()})
 
 
 def _meta(d: Draft) -> dict:
