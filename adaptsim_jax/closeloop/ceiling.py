@@ -18,8 +18,9 @@ import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.basis import generic_forces, generic_names
+from adaptsim_jax.closeloop.candidate import compressed, linearised, survey
 from adaptsim_jax.closeloop.disturbance import Components, Linearised
-from adaptsim_jax.closeloop.problem import Problem, at_point, compressed, linearised, survey
+from adaptsim_jax.closeloop.problem import Problem, at_point
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.view import View
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.candidate import survey
 from adaptsim_jax.closeloop.clocks import clocks
 from adaptsim_jax.closeloop.fit import FitResult
-from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit, survey
+from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit
 from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond
 from adaptsim_jax.closeloop.view import View, view
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.candidate import compressed, linearised
 from adaptsim_jax.closeloop.disturbance import Linearised
-from adaptsim_jax.closeloop.problem import Problem, at_point, compressed, linearised
+from adaptsim_jax.closeloop.problem import Problem, at_point
 from adaptsim_jax.closeloop.rivals import Fitted, Instance
 from adaptsim_jax.closeloop.view import View
 

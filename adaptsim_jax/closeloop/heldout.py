@@ -11,7 +11,8 @@ import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.abreast import abreast
-from adaptsim_jax.closeloop.problem import Problem, initial_states, refit_more
+from adaptsim_jax.closeloop.candidate import refit_more
+from adaptsim_jax.closeloop.problem import Problem, initial_states
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.score import folds
 from adaptsim_jax.closeloop.view import View

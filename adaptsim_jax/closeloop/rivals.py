@@ -6,17 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.candidate import Candidate, refit_candidate, refit_more
 from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
-from adaptsim_jax.closeloop.problem import (
-    DIVERGED,
-    Active,
-    Candidate,
-    Diverged,
-    Problem,
-    fit_plain,
-    refit_candidate,
-    refit_more,
-)
+from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, fit_plain
 
 Instance = tuple[str, str]  # (effect, where)
 SURE = 1.6449  # standard errors of a 90 % interval

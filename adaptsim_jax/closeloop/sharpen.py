@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point, compressed, linearised
+from adaptsim_jax.closeloop.candidate import compressed, linearised
+from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point
 from adaptsim_jax.closeloop.rivals import Fitted, fitted
 from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.view import View, view

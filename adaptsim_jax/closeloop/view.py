@@ -8,8 +8,9 @@ import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.basis import generic_names
+from adaptsim_jax.closeloop.candidate import survey
 from adaptsim_jax.closeloop.disturbance import Linearised
-from adaptsim_jax.closeloop.problem import Problem, survey
+from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, Response, respond
 from adaptsim_jax.closeloop.score import Atom, Score, Scorer, folds
 from adaptsim_jax.closeloop.sensitivity import Path
