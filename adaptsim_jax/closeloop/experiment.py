@@ -285,5 +285,5 @@ def _at(problem: Problem, model: Rival, windows: Windows, x0):
     start = windows.start if x0 is None else x0
     return fit(
         problem.model, mask, windows, model.theta, model.eff, start,
-        bounds=problem.bounds, fixed=problem.held(model.active), settings=FitSettings(iterations=0),
+        bounds=problem.bounds, settings=FitSettings(iterations=0),
     )  # fmt: skip

@@ -20,7 +20,6 @@ from adaptsim_jax.models.effects import Effect, Reach
 from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from adaptsim_jax.models.plant import Plant
 
-HELD_SHAPES = ("side",)  # shapes that are chosen on a grid and not moved by the fit
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 
@@ -78,10 +77,6 @@ class Problem:
         layout = self.model.layout
         clocked = any(layout.instances[layout.index(*a)].effect.clocked for a in active)
         return max(len(self.recording.trials) - 1, 0) if clocked and np.any(self.windows.clock) else 0
-
-    def held(self, active: Active) -> tuple[str, ...]:
-        """Shape parameters that stay where the grid put them."""
-        return tuple(f"{e}/{w}/{s}" for e, w in active for s in HELD_SHAPES)
 
 
 def prepare(
@@ -193,7 +188,7 @@ def declared_fit(
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows,
         problem.theta0 if start is None else start.theta, eff0, None if start is None else start.x0,
-        bounds=problem.bounds, fixed=problem.held(active), settings=Settings(iterations=30, huber=1e3),
+        bounds=problem.bounds, settings=Settings(iterations=30, huber=1e3),
     )  # fmt: skip
 
 
@@ -201,7 +196,7 @@ def fit_plain(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarr
     """Least-squares fit of a model with effects, sensors being the only noise."""
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
-        bounds=problem.bounds, fixed=problem.held(active), settings=Settings(iterations=25, tolerance=1e-3, huber=1e3),
+        bounds=problem.bounds, settings=Settings(iterations=25, tolerance=1e-3, huber=1e3),
     )  # fmt: skip
 
 
@@ -210,5 +205,5 @@ def at_point(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarra
     mask = problem.model.layout.mask(list(active))
     return fit(
         problem.model, mask, problem.windows, theta, eff, x0,
-        bounds=problem.bounds, fixed=problem.held(active), settings=Settings(iterations=0),
+        bounds=problem.bounds, settings=Settings(iterations=0),
     )  # fmt: skip
