@@ -83,7 +83,9 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
         if need not in table.columns:
             near = nearest(need, table.ignored)
             hint = f"{near} " if near.startswith("did") else ""
-            raise BadInput(f"{path}: column {need!r} is missing; {hint}needed are time, q1, q2, tau1, tau2")
+            one = need == "q2" and "q1" in table.columns
+            mend = "record both joints, one cannot be diagnosed" if one else "needed are time, q1, q2, tau1, tau2"
+            raise BadInput(f"{path}: column {need!r} is missing; {hint}{mend}")
     columns = {key: values * meta.scale[key] for key, values in table.columns.items()}
     check_time(path, table)
     _check_size(path, table, columns)

@@ -3,6 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from adaptsim_jax.progress import Report
+
+BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)
+"""Share of the time that has passed when each stage of `diagnose` begins; the search is most of it."""
 
 EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
@@ -25,10 +32,24 @@ def run(args: argparse.Namespace) -> int:
     with output(args.out) as out, progress("diagnose") as report:
         from adaptsim_jax.closeloop.diagnose import diagnose
 
-        result = diagnose(recording, out=out, seed=args.seed, progress=report)
+        result = diagnose(recording, out=out, seed=args.seed, progress=paced(report))
     from rich.console import Console
 
     from adaptsim_jax.report.diagnosis import print_summary
 
     print_summary(result, Console(), out)
     return 0
+
+
+def paced(report: Report) -> Report:
+    """Stages counted by the time that they take; within one, each word of it goes a part of the way that is left."""
+    told = {"stage": 0, "words": 0}
+
+    def say(done: float, total: float, note: str = "") -> None:
+        stage = int(done)
+        told["words"] = told["words"] + 1 if stage == told["stage"] else 0
+        told["stage"] = stage
+        start, end = BEGINS[stage], BEGINS[min(stage + 1, len(BEGINS) - 1)]
+        report(start + (end - start) * (1.0 - 0.93 ** told["words"]), 1.0, note)
+
+    return say

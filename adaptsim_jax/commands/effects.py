@@ -6,6 +6,9 @@ import argparse
 import json
 from typing import Any
 
+LEGEND = """
+Formulas: q, v angle and velocity of the joint, t time; a force adds to the joint's torque.
+Amplitude: zero switches the effect off. Shape: how it acts. Torque scale: what the joint's torque exceeds 0.2 % of the time."""
 EXAMPLES = """
   adaptsim effects                           physics, parameters, bounds, look-alikes, what shows each
   adaptsim effects pendulum --brief          a line for each
@@ -42,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         for effect in effects:
             _show(effect)
+        print(LEGEND)
     return 0
 
 
@@ -52,6 +56,7 @@ def describe(effect: Any) -> dict[str, Any]:
         "place": effect.place,
         "scope": effect.scope,
         "physics": effect.physics,
+        "formula": effect.formula,
         "parameters": [_parameter(parameter) for parameter in effect.parameters],
         "look_alikes": list(effect.look_alikes),
         "contains": list(effect.contains),
@@ -62,9 +67,10 @@ def describe(effect: Any) -> dict[str, Any]:
 
 def _parameter(parameter: Any) -> dict[str, Any]:
     sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
+    sign = "positive" if parameter.low >= 0 else sign
     role = "shape" if parameter.off is None else "amplitude"
-    numbers = {name: getattr(parameter, name) for name in ("unit", "low", "high", "default", "off", "plausible")}
-    return {"name": parameter.name, "role": role, "sign": sign, **numbers}
+    told = ("unit", "low", "high", "default", "off", "plausible", "meaning")
+    return {"name": parameter.name, "role": role, "sign": sign} | {name: getattr(parameter, name) for name in told}
 
 
 def _brief(effects: list[dict[str, Any]]) -> None:
@@ -81,8 +87,11 @@ def _show(effect: dict[str, Any]) -> None:
         else f"{effect['name']}: a force {where}"
     )
     print(f"  physics      {effect['physics']}")
+    print(f"  formula      {effect['formula']}")
     for p in effect["parameters"]:
         bounds = f"{p['low']:g} to {p['high']:g}{' times the torque scale' if 'N m' in p['unit'] else ''}"
-        print(f"  {p['name']:12} [{p['unit']}] {bounds}; {p['sign']} sign; {p['role']}")
+        bounds = bounds if p["high"] < 1e6 else "of the recording"
+        meaning = f"; {p['meaning']}" if p["meaning"] else ""
+        print(f"  {p['name']:12} [{p['unit']}] {bounds}; {p['sign']} sign; {p['role']}{meaning}")
     print(f"  look-alikes  {', '.join(effect['look_alikes']) or 'none known'}")
     print(f"  shown by     {effect['excitation']}")

@@ -28,7 +28,8 @@ class Parameter:
 
     low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
     serves a finger and an excavator. `sign` is +1 where only positive values are that effect. A `held` shape is chosen on
-    the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is `default` there.
+    the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it is,
+    where its name does not say.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Parameter:
     plausible: float | None = None
     held: bool = False
     optional: bool = False
+    meaning: str = ""
 
     def bounds(self, torque: float) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m."""
@@ -110,6 +112,7 @@ class Effect:
     `motion.clock`, a sine of which (amplitudes sine, cosine; shape frequency) may have another phase in each trial.
     `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
     this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
+    `formula`: the physics in a line, for people.
     """
 
     name: str
@@ -128,6 +131,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
     amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
+    formula: str = ""
 
     def __post_init__(self):
         if self.place not in PLACES:

@@ -82,36 +82,43 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
 
 
-BEFORE = Parameter("before", "1", 0.0, 1.0, 0.0, None, optional=True)
-"""The torque as the recording begins, as a share of the first command: no log says what was commanded before it."""
+BEFORE = Parameter(
+    "before", "1", 0.0, 1.0, 0.0, None, optional=True, meaning="torque as a trial begins, over its first command"
+)
+"""No log says what was commanded before it began."""
 
 COMMAND = (
     Effect(
         "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
         "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
         jump=True, grid=_delays,
+        formula="command(t - delay)",
     ),
     Effect(
         "saturation", "command", (
-            Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1),
-            Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True),
+            Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
+            Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest command recorded; not fitted"),
         ), saturation,
         "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
         ("torque_gain",), smooth=False, jump=True, grid=_cuts,
+        formula="command within +-(1 - cut) peak",
     ),
     Effect(
         "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
         "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
         ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
+        formula="command less width, zero within +-width",
     ),
     Effect(
         "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
         "the torque constant is off by a share", "driven motion beside free swings",
         ("load_friction", "rotor_inertia"),
+        formula="(1 + gain) command",
     ),
     Effect(
         "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
         "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
         jump=True, grid=_lags,
+        formula="lag torque' = command - torque",
     ),
 )  # fmt: skip

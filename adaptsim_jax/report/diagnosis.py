@@ -120,7 +120,8 @@ def _data_words(data: Mapping) -> str:
     held = len(held) if isinstance(held, list) else held
     parts = [fmt.count(data["trials"], "trial"), fmt.count(data["samples"], "sample")]
     if held:
-        parts.insert(1, f"{int(held)} held out")
+        whole = int(held) == data["trials"]
+        parts.insert(1, "each held out in turn" if whole else f"{int(held)} held out")
     return ", ".join(parts)
 
 
