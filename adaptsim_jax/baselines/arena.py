@@ -26,10 +26,11 @@ class Trials(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a policy's own trials showed: `obs [B, obs_dim]`, raw return `score [B]`."""
+    """What a policy's own trials showed: `obs [B, obs_dim]`, raw return `score [B]`, and the `trials` `[B, N]` themselves."""
 
     obs: np.ndarray
     score: np.ndarray
+    trials: Trials
 
 
 class Arena:
@@ -76,9 +77,10 @@ class Arena:
     def visit(self, keys, where: np.ndarray, policies) -> Seen:
         """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
         contexts = np.asarray(self._of_visit(keys))
-        outcomes = self.run(where, contexts, np.asarray(self._act(policies, jnp.asarray(contexts))))
+        actions = np.asarray(self._act(policies, jnp.asarray(contexts)))
+        outcomes = self.run(where, contexts, actions)
         obs, score = self._seen(policies, jnp.asarray(contexts), outcomes)
-        return Seen(np.asarray(obs), np.asarray(score))
+        return Seen(np.asarray(obs), np.asarray(score), Trials(contexts, actions, outcomes))
 
     def explored(self, keys, where: np.ndarray, policies, count: int) -> Trials:
         """`count` trials of each policy with its learner's own noise."""

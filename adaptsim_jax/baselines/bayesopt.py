@@ -10,6 +10,7 @@ from scipy.stats import qmc
 from adaptsim_jax.baselines import gp
 from adaptsim_jax.baselines.arena import lanes
 from adaptsim_jax.baselines.learned import Bout, Trip, first_policies, two_keys
+from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.space import gaussian
 
@@ -42,6 +43,7 @@ def bayesopt(bout: Bout) -> Trip:
     points = np.zeros((len(rngs), total, D))
     points[:, :initial] = [qmc.LatinHypercube(D, rng=rng).random(initial) for rng in rngs]
     told, rewards = np.zeros((len(rngs), total)), np.zeros((len(rngs), total))
+    memory = Memory(arena, batch, total)
     for i in range(total):
         if i >= initial:
             for b, rng in enumerate(rngs):
@@ -49,8 +51,10 @@ def bayesopt(bout: Bout) -> Trip:
         train_keys, visit_keys = two_keys(batch.at(i))
         dists = jax.vmap(lambda m: gaussian(space, m))(jnp.asarray(points[:, i], jnp.float32))
         policies = arena.train(train_keys, dists, first_policies(bout, batch, arena.untrained(train_keys)))
-        told[:, i] = arena.visit(visit_keys, batch.where, policies).score
-        rewards[:, i] = arena.score(batch.where, policies)
+        seen = arena.visit(visit_keys, batch.where, policies)
+        rewards[:, i] = arena.score(batch.where, memory.deployed(policies))
+        memory.add(seen.trials)
+        told[:, i] = seen.score
         bout.report(i + 1, total)
     spent = arena.one.trials * np.arange(1, total + 1)
     return Trip(batch.grid(rewards), batch.grid(points), spent)

@@ -16,6 +16,7 @@ from adaptsim_jax.adapt.phase1 import make_phase1
 from adaptsim_jax.adapt.sweep import TrainedMany, stack, starts_of, train_many
 from adaptsim_jax.baselines import sysid
 from adaptsim_jax.baselines.arena import Arena, Lanes, Progress, lanes
+from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.baselines.sysid_bayes import mixture_estimator
 from adaptsim_jax.baselines.sysid_point import point_estimator
 from adaptsim_jax.progress import silent
@@ -69,13 +70,14 @@ def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iteration
         return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, size)
 
     at = lambda m: gaussian(space, m)
-    means, rewards = [], []
+    means, rewards, memory = [], [], Memory(arena, batch, iterations + 1)
     for i in range(iterations + 1):
         train_keys, visit_keys = two_keys(batch.at(i))
         policies = arena.train(train_keys, jax.vmap(at)(mean), policies)
         seen = arena.visit(visit_keys, batch.where, policies)
         means.append(mean)
-        rewards.append(arena.score(batch.where, policies))
+        rewards.append(arena.score(batch.where, memory.deployed(policies)))
+        memory.add(seen.trials)
         mean = np.asarray(advance(jnp.asarray(mean), jnp.asarray(seen.obs), i))
         bout.report(i + 1, iterations + 1, "Phase 2")
     spent = starts * arena.one.trials * np.arange(1, iterations + 2)
@@ -96,15 +98,16 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
 
     state, infer = jax.jit(begin)(*two_keys(batch.keys)), infers(config.first_fit)
     state = state._replace(policy=first_policies(bout, batch, state.policy))
-    means, rewards = [], []
+    means, rewards, memory = [], [], Memory(arena, batch, config.iterations + 1)
     for i in range(config.iterations + 1):
         train_keys, visit_keys, infer_keys = (jax.vmap(jax.random.fold_in, (0, None))(batch.at(i), j) for j in range(3))
         state = state._replace(policy=arena.train(train_keys, state.dist, state.policy))
         means.append(np.asarray(state.dist.mean))
-        rewards.append(arena.score(batch.where, state.policy))
+        rewards.append(arena.score(batch.where, memory.deployed(state.policy)))
         bout.report(i + 1, config.iterations + 1)
         if i < config.iterations:
             seen = arena.visit(visit_keys, batch.where, state.policy)
+            memory.add(seen.trials)
             state = infer(infer_keys, state, jnp.asarray(seen.obs))
             infer = infers(config.next_fit) if i == 0 and config.next_fit != config.first_fit else infer
     spent = arena.one.trials * np.arange(1, config.iterations + 2)

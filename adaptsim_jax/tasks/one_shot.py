@@ -61,6 +61,9 @@ class OneShot:
     visit: Callable[[Array], Array] | None = None  # (key) -> contexts [trials, g] of a visit; None: each drawn
     # (trajectory, policy) -> trajectory with what else is observed that the policy tells, such as what E expects; None: nothing
     expect: Callable[[Any, Any], Any] | None = None
+    # (policy, actions [K, d] and outcomes [K, ...] of the target's trials, which of them count [K]) -> policy to deploy, mended by
+    # them; None: it is not
+    remember: Callable[[Any, Array, Outcome, Array], Any] | None = None
 
 
 def action_grid(points: tuple[int, ...]) -> np.ndarray:

@@ -24,6 +24,7 @@ from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pushing_refine import refine
+from adaptsim_jax.tasks.pushing_told import Told, with_gaps
 
 # Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
 SETTINGS = {
@@ -61,7 +62,9 @@ class PushingConfig:
     with `learning_rate`; `train` then moves it to the mean of E and, unless `tune` is false, tunes it by `tuning` with
     `tuning_rate`.
     refine: pushes simulated at the mean of E that each action is corrected by before it is made (`pushing_refine`), with
-    `pretrain` only; 0: actions are the network's own. rehearsal: tests and refine that Phase 1 makes do with, where not 0.
+    `pretrain` only; 0: actions are the network's own. correct: what is deployed is refined in the simulator as mended by the
+    pushes made in the target so far (`pushing_told`); a visit's own pushes are not, nor is anything in Phase 1. rehearsal: tests
+    and refine that Phase 1 makes do with, where not 0.
     coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
     friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
@@ -89,6 +92,7 @@ class PushingConfig:
     tuning_rate: float = 1e-3
     tune: bool = True
     refine: int = 0
+    correct: bool = False
     rehearsal: tuple[int, int] = (0, 0)
     coefficients: Literal["native", "drake"] = "native"
     friction: Literal["clean", "coupled"] = "clean"
@@ -101,11 +105,13 @@ class PushingConfig:
 
 class PushingPolicy(NamedTuple):
     """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where it came of one for all of Omega (else None):
-    tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit coordinates) that it stands for."""
+    tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit coordinates) that it stands for. told:
+    pushes of the target that its actions are corrected by, where there are any (else None)."""
 
     weights: jax.Array
     tilt: jax.Array | None = None
     at: jax.Array | None = None
+    told: Told | None = None
 
 
 class PushingTrajectory(NamedTuple):
@@ -221,6 +227,7 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
             return action
         params = space.physical(policy.at)
         push = lambda a: planar.rollout(params, physical_action(a), options, twin)[-1]
+        push = push if policy.told is None else with_gaps(push, policy.told)
         better = jax.vmap(lambda g, a: refine(push, g, a, config.refine))
         return better(goal.reshape(-1, 2), action.reshape(-1, 2)).reshape(action.shape)
 
@@ -391,6 +398,8 @@ def _checked(config: PushingConfig) -> PushOptions:
         raise BadInput(
             f"pushing, refine = {config.refine}, rehearsal = {config.rehearsal}: give numbers of pushes, 0 for none"
         )
+    if config.correct and not config.refine:
+        raise BadInput("pushing, correct: it is by refining that actions are corrected; give refine, such as 8")
     if config.refine and not config.pretrain:
         raise BadInput(
             "pushing, refine: only a policy made with pretrain = true knows the mean of E to try a push at; set it"

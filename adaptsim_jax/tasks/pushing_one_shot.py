@@ -16,6 +16,7 @@ from adaptsim_jax.tasks import pushing as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy
+from adaptsim_jax.tasks.pushing_told import Told
 
 BOTTLES = {"paper": model.PAPER, "heavy": model.HEAVY, "light": model.LIGHT}
 
@@ -59,6 +60,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",
         visit=lambda key: task.visit_goals(key, config),
         expect=task.make_expectation(config),
+        remember=_remember if config.correct else None,
     )
 
 
@@ -88,6 +90,10 @@ def pushing_world(backend: str, options: PushOptions = model.PAPER, bottle: str 
 
 def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
     return task.push_reward(points[-1], goal)
+
+
+def _remember(policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array) -> PushingPolicy:
+    return policy._replace(told=Told(actions, points[:, -1], used))
 
 
 def _everywhere(space: Any, options: PushOptions, twin: planar.PlanarCoefficients) -> GoalProblem:
