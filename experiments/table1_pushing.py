@@ -94,10 +94,12 @@ def main() -> None:
     parser.add_argument("--bottle", default="paper")
     parser.add_argument("--no-oracle", action="store_true", help="leave out the best actions, which are dear in Drake")
     parser.add_argument("--iterations", type=int, default=8)
+    parser.add_argument("--starts", type=int, default=2, help="distributions that AdaptSim adapts side by side")
     args = parser.parse_args()
     compile_cache.enable()
     out = output_folder(Path(args.out))
-    config = replace(default_comparison(args.task), iterations=args.iterations, seeds=args.seeds, seed=args.first)
+    sizes = {"iterations": args.iterations, "starts": args.starts, "seeds": args.seeds, "seed": args.first}
+    config = replace(default_comparison(args.task), **sizes)
     options = dict(config.train.task)
     if args.tests:
         options["tests"] = args.tests

@@ -6,6 +6,7 @@
 
 AdaptSim makes 4 pushes an iteration (two starts, two pushes each): what it deploys after 4 i pushes is the policy of iteration i.
 Two rows of it: the mean of its two starts, which anyone could have, and the better of them as the test goals tell, as in Table 1.
+With `--starts 1 --methods adaptsim` in another folder, given here as a second one, the same pushes go to one start.
 """
 
 import argparse
@@ -27,6 +28,9 @@ def rows_of(out: Path) -> dict[str, np.ndarray]:
         rewards = np.concatenate([part["rewards"] for part in parts], 1)[0]  # [S, N, I + 1]
         if method == "adaptsim":
             before = parts[0]["spent"] - parts[0]["spent"][0]  # a policy is deployed before its own visit
+            if rewards.shape[1] == 1:
+                rows[f"{name}, one start"] = at_budgets(before, rewards[:, 0])
+                continue
             rows[f"{name}, mean of two starts"] = at_budgets(before, rewards.mean(1))
             rows[f"{name}, better of two starts"] = at_budgets(before, rewards.max(1))
         else:
@@ -75,11 +79,13 @@ def draw(rows: dict[str, np.ndarray], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
+    parser.add_argument("out", type=Path, nargs="+", help="folders of table1_pushing.py; the figure goes to the first")
     args = parser.parse_args()
-    rows = rows_of(args.out)
+    rows = {name: values for folder in args.out for name, values in rows_of(folder).items()}
+    if not rows:
+        raise SystemExit(f"{args.out[0]}: no results there; run experiments/table1_pushing.py first")
     print(table(rows))
-    draw(rows, args.out / "data_budget.png")
+    draw(rows, args.out[0] / "data_budget.png")
 
 
 if __name__ == "__main__":
