@@ -25,6 +25,7 @@ from adaptsim_jax.models.scooping import ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.scooping_bank import BOXES as BANK_BOXES
 from adaptsim_jax.tasks.scooping_bank import Bank, load_bank
 
 # Paper, table A2: friction, modulus Pa, shape (0 ellipsoid, 1 cylinder, 2 box), height m.
@@ -340,4 +341,18 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
     if len(config.camera) != 2 or config.camera[1] < 0:
         raise BadInput(f"scooping, camera = {config.camera}: give a mean and a standard deviation of at least 0, in m")
     hydro.check_numerics(config.numerics)
+    _check_covered(config)
     return model.check_options(ScoopOptions(clearance=config.clearance, noise=config.noise))
+
+
+def _check_covered(config: ScoopingConfig) -> None:
+    """BadInput where Omega reaches beyond the pieces that the bank was made of: its networks know nothing there."""
+    if "bank" not in (config.source, config.rehearsal):
+        return
+    for name, low, high in zip(model.PARAMETERS, *BANK_BOXES["wide"], strict=True):
+        given = getattr(config, name, (low, high))  # the shapes are no option
+        if given[0] < low or given[1] > high:
+            raise BadInput(
+                f"scooping, {name} = {list(given)}: the bank holds pieces of {low:g} to {high:g}; stay within, or use "
+                "source = rehearsal = 'simulator'"
+            )

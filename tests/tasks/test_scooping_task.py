@@ -247,8 +247,13 @@ def test_settings_are_physical_and_only_what_the_paper_bolds_is_outside():
 @pytest.mark.parametrize(
     "options, says",
     [({"trails": 3}, "trials"), ({"tests": 0}, "tests = 0"), ({"source": "x"}, "bank"), ({"camera": [0.1]}, "camera"),
-     ({"numerics": {"dt": 0.0033}}, "dt")],
+     ({"numerics": {"dt": 0.0033}}, "dt"), ({"mu": [0.1, 0.4]}, "mu = .* 0.15 to 0.5"), ({"h": [0.015, 0.035]}, "h = ")],
 )  # fmt: skip
 def test_bad_options_are_refused(options, says):
     with pytest.raises(BadInput, match=says):
         make_task("scooping", options)
+
+
+def test_pieces_that_the_bank_does_not_hold_may_be_simulated():
+    wide = make_task("scooping", {"mu": [0.1, 0.6], "source": "simulator", "rehearsal": "simulator"})
+    assert wide.rehearse is None and wide.space.parameters[0].high == 0.6
