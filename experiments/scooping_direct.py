@@ -62,11 +62,12 @@ def beside(rewards: np.ndarray, direct: np.ndarray, seed: int) -> dict[str, floa
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trajectories", type=int, default=60)
+    parser.add_argument("--trajectories", type=int, default=20)
+    parser.add_argument("--parallel", type=int, default=10, help="of them at once")
     parser.add_argument("--horizon", type=int, default=5)
     parser.add_argument("--trials", type=int, default=1200, help="of each policy's training")
     parser.add_argument(
-        "--near", type=float, default=0.4, help="policies are lent within this distance (presets: 0.16)"
+        "--near", type=float, default=0.6, help="policies are lent within this distance (presets: 0.16)"
     )
     parser.add_argument("--seed", type=int, default=200)
     parser.add_argument("--out", type=Path)
@@ -76,7 +77,13 @@ def main() -> None:
     lent = replace(base.reuse, threshold=args.near, first=args.trials, most=args.trials, least=args.trials // 2)
     count = args.trajectories * args.horizon
     sizes = replace(
-        base, trajectories=args.trajectories, parallel=20, horizon=args.horizon, updates=1, capacity=count, reuse=lent
+        base,
+        trajectories=args.trajectories,
+        parallel=args.parallel,
+        horizon=args.horizon,
+        updates=1,
+        capacity=count,
+        reuse=lent,
     )
     found, rewards = {}, {}
     for way in WAYS:
