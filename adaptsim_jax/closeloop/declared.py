@@ -10,7 +10,7 @@ from adaptsim_jax.closeloop.candidate import survey
 from adaptsim_jax.closeloop.clocks import clocks
 from adaptsim_jax.closeloop.fit import FitResult
 from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit
-from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond
+from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond, unmoved
 from adaptsim_jax.closeloop.view import View, view
 
 SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
@@ -33,12 +33,26 @@ def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
     if not fits:
         raise Diverged("the declared model runs away from every start; look at the signs and units of the torques")
     base = max(fits, key=lambda m: (_sane(problem, m), m.total))
+    if not _sane(problem, base):
+        base = _least_squares(problem) or base
     return base, view(problem, base)
 
 
 def _sane(problem: Problem, model: Fitted) -> bool:
     """Whether the force left unexplained is no larger than the torques themselves."""
     return bool(np.all(model.parts.force_std() < problem.torque_scale))
+
+
+def _least_squares(problem: Problem) -> Fitted | None:
+    """The least-squares fit as it is. Forces beyond the torques themselves are no chance (a vibration, say), and parameters
+    refitted as if they were follow them anywhere."""
+    result = declared_fit(problem)
+    if result.code == DIVERGED:
+        return None
+    _, lin, _, result = survey(problem, problem.base, result.theta, result.eff, result.x0)
+    response = respond(lin)
+    parts = disturbance.estimate(lin, response.kernels)
+    return unmoved(problem, problem.base, result.theta, result.eff, result.x0, parts, response)
 
 
 def _declared_from(problem: Problem, theta, eff, x0) -> Fitted:

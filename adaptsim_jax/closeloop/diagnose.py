@@ -13,6 +13,7 @@ from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.ceiling import ceiling
 from adaptsim_jax.closeloop.declared import declared, timed
+from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.freed import confounded, freed
@@ -22,7 +23,7 @@ from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.model_file import fitted_model, write_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
-from adaptsim_jax.closeloop.problem import Problem, prepare_within_reach
+from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.closeloop.schema import check, new_report
@@ -33,6 +34,7 @@ from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.trim import trimmed
 from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide, unforced
 from adaptsim_jax.closeloop.view import View, view
+from adaptsim_jax.errors import BadInput
 from adaptsim_jax.files import output_folder, write_bytes
 from adaptsim_jax.models.effects import Effect, catalogue
 
@@ -100,13 +102,17 @@ def examine(
     """Everything between reading and writing."""
     say(2, STAGES, "declared model")
     problem, start = prepare_within_reach(recording, checked, noise, effects)
-    base, first = declared(problem, start)
+    try:
+        base, first = declared(problem, start)
+    except Diverged as error:
+        raise BadInput(f"{recording.path}: {error}") from None
     problem, first = timed(problem, base, first, settings.alpha)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
     found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
     problem, found = sharpened(problem, found, first)
+    problem, found = elaborated(problem, found, first, settings)
     found, tested = trimmed(problem, found, first, settings)
     seen = found.view or first
     after = before if not found.added else leftover(problem, seen)

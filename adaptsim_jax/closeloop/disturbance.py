@@ -53,6 +53,12 @@ class Components:
         """Standard deviation of the unexplained force, per joint `[n]` N m."""
         return np.sqrt(self.force.sum(1))
 
+    def no_more_than(self, torque: np.ndarray) -> "Components":
+        """The same, or the sensors alone where the force is beyond `torque [n]` N m: that is no disturbance, and a fit that
+        takes it for one trusts nothing."""
+        wild = np.any(self.force_std() > torque)
+        return Components(self.sensor, np.zeros_like(self.force)) if wild else self
+
 
 @dataclass(frozen=True)
 class Whitened:

@@ -55,7 +55,8 @@ def held_out(problem: Problem, model: Fitted, view: View, *, most_folds: int = 6
     fold = folds(trial, windows.real.astype(float))
     fold = np.where(fold >= 0, fold % most_folds, -1)
     c = model.candidate
-    factor = disturbance.whitener(view.lin, model.parts, view.response.kernels)
+    parts = model.parts.no_more_than(problem.torque_scale)
+    factor = disturbance.whitener(view.lin, parts, view.response.kernels)
     start = refit_more(problem, c, factor, iterations=0)
     measured = np.asarray(windows.measured)
     weight = np.asarray(windows.weight)

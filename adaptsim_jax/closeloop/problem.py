@@ -46,18 +46,21 @@ class Problem:
     rows_merged: int
     base: Active = ()  # effects that the declared model has already (it is a mended one)
     eff0: np.ndarray | None = None  # `[E]` where they start
+    elaborated: Active = ()  # found effects whose late parameters are fitted too
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the effect parameters `[E]`, for this rig; what the declared model has already stays within them."""
-        low, high = self.model.layout.bounds(self.reach)
-        if self.eff0 is None:
-            return low, high
-        layout, room = self.model.layout, 2.0 * self.eff0  # what it has may be large for the torques of this recording
+        """Of the effect parameters `[E]`, for this rig; what the declared model has already stays within them, and late
+        parameters stay where they are."""
+        layout = self.model.layout
+        low, high = layout.bounds(self.reach)
+        start = layout.off() if self.eff0 is None else self.eff0
+        room = 2.0 * start  # what the declared model has may be large for the torques of this recording
         for name, where in self.base:
             at = layout.instances[layout.index(name, where)].at
             low[at], high[at] = np.minimum(low[at], room[at]), np.maximum(high[at], room[at])
-        return low, high
+        late = layout.vector(lambda p, i: p.late and (i.effect.name, i.where) not in self.elaborated).astype(bool)
+        return np.where(late, start, low), np.where(late, start, high)
 
     @property
     def torque_rms(self) -> np.ndarray:
@@ -87,21 +90,22 @@ def prepare(
     *,
     duration: float = 0.5,
     rows_kept: int = 34,
+    averaged: bool = False,
 ) -> Problem:
     """Cut windows, start the declared parameters, and say what the motion covers.
 
     Angles alone are fitted: a driver's velocity is a filtered difference of them, with a lag of its own. `duration` s is
     a window's length; about `rows_kept` averaged rows of each are kept for the residual statistics. Where the recording
-    names a mended model, that is the declared one: its effects act from the start. Raises BadInput where it does not fit.
+    names a mended model, that is the declared one: its effects act from the start. averaged: the start of the declared
+    parameters is taken from slow motion alone (`Plant.averaged_theta`). Raises BadInput where the model does not fit.
     """
     given = declared_model(recording, effects)
     motions = [smooth(t, noise) for t in recording.trials]
     plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
     plant = plant if driven(recording) else plant.unscaled()
     check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
-    theta0 = plant.initial_theta(
-        [(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)]
-    )
+    regress = plant.averaged_theta if averaged else plant.initial_theta
+    theta0 = regress([(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)])
     theta0 = theta0 if given is None else np.clip(given.theta(plant), plant.low, plant.high)
     sigma = np.array([noise.std["q1"], noise.std["q2"], np.inf, np.inf])
     trials = [_masked(t, audit.valid.get(t.name)) for t in recording.trials]
@@ -134,17 +138,31 @@ def prepare_within_reach(
 
     Where the motion is unstable and much is missing, a model strays so far within half a second that no step on its
     linearisation is worth anything: what counts is how far it strays times how much a small error grows. Where errors do not
-    grow, long windows stay: they see the slow forces, short ones mostly the fast.
+    grow, long windows stay: they see the slow forces, short ones mostly the fast. A regression that vibrations have spoilt strays
+    too: before windows are cut shorter, the one of slow motion is tried.
     """
     least = 12.0 * max(t.dt for t in recording.trials)
     while True:
         problem = prepare(recording, audit, noise, effects, duration=duration)
         start = regressed_start(problem)
-        if (start.code != DIVERGED and strayed(problem, start) * growth(problem, start) < FAR) or duration < max(
-            0.1, 2.0 * least
-        ):
+        if beyond_reach(problem, start) and recording.model_file is None:
+            other = prepare(recording, audit, noise, effects, duration=duration, averaged=True)
+            calm = regressed_start(other)
+            if distance(other, calm) < distance(problem, start):
+                problem, start = other, calm
+        if not beyond_reach(problem, start) or duration < max(0.1, 2.0 * least):
             return problem, start
         duration *= 0.5
+
+
+def beyond_reach(problem: Problem, result: FitResult) -> bool:
+    """Whether a model strays too far within its windows for its linearisation to lead it back."""
+    return result.code == DIVERGED or strayed(problem, result) * growth(problem, result) >= FAR
+
+
+def distance(problem: Problem, result: FitResult) -> float:
+    """How far a model strays [rad], infinitely where it runs away."""
+    return np.inf if result.code == DIVERGED else strayed(problem, result)
 
 
 def initial_states(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:

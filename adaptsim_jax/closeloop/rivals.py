@@ -131,9 +131,15 @@ def fitted_plainly(
     result = fit_plain(problem, active, c.theta, eff, problem.windows.start)
     if result.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its fit starts")
+    start = unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
+    return settled(problem, start, response, rounds=1)
+
+
+def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response) -> Fitted:
+    """A model judged where it is, nothing refitted."""
     factor = disturbance.whitener(response.lin, parts, response.kernels)
-    start = refit_candidate(problem, active, result.theta, result.eff, result.x0, factor, iterations=0)
-    return settled(problem, _judged(problem, start, parts, response), response, rounds=1)
+    start = refit_candidate(problem, active, theta, eff, x0, factor, iterations=0)
+    return _judged(problem, start, parts, response)
 
 
 def plausible(model: Fitted, base: Fitted) -> bool:

@@ -82,7 +82,7 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     seen, current, ranked = first, base, found.last
     while len(current.active) - len(base.active) < settings.most_effects:
         best, trials = _next(problem, found, current, seen, ranked, settings, say)
-        if best is None or not _pays(best, current, settings):
+        if best is None or not pays(best, current, settings):
             break
         new = _new(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
@@ -113,7 +113,7 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
         best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
-    if best is not None and _pays(best, current, settings):
+    if best is not None and pays(best, current, settings):
         alike = look_alikes(problem, _new(best, current), ranked, leaders)
         more = abreast(lambda r: extend(problem, current, r, seen, say), alike)
         more = abreast(lambda t: settled(problem, t, seen.response), [t for t in more if t is not None])
@@ -205,7 +205,7 @@ def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings:
     return share > strict * settings.least_share and beside > strict * settings.least_beside
 
 
-def _pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
+def pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
     """More likely by more than the price of its parameters and the selection it was picked from."""
     extra = new.size - old.size
     return new.total - old.total > settings.price * extra + 6.0
@@ -213,7 +213,7 @@ def _pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
 
 def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
     """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
-    if not _pays(new, old, settings):
+    if not pays(new, old, settings):
         return False
     return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
 
@@ -224,7 +224,7 @@ def _needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settin
     if alone:
         return _earns(problem, new, without, found.base, settings)
     falls = unexplained(new, without) < 1.0 - 0.5 * settings.least_fall
-    return falls and _pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
+    return falls and pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
 
 
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:

@@ -29,7 +29,7 @@ class Parameter:
     low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
     serves a finger and an excavator. `sign` is +1 where only positive values are that effect. A `held` shape is chosen on
     the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it is,
-    where its name does not say.
+    where its name does not say. A `late` one stays at its default until its effect has been found (`closeloop/elaborate.py`).
     """
 
     name: str
@@ -43,6 +43,7 @@ class Parameter:
     held: bool = False
     optional: bool = False
     meaning: str = ""
+    late: bool = False
 
     def bounds(self, torque: float) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m."""

@@ -19,9 +19,16 @@ def torque_gain(p, t, u):
 
 
 def saturation(p, t, u):
-    """The limit is written as a share cut off the largest command, so that no cut changes nothing."""
+    """The limit is written as a share cut off the largest command, so that no cut changes nothing. With softness the knee is
+    round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness."""
     level = (1.0 - p["cut"]) * p["peak"]
-    return jnp.clip(u, -level, level)
+    sharp = jnp.clip(u, -level, level)
+    n = 1.0 / jnp.maximum(p["softness"], 0.02)
+    over = jnp.abs(u) / level
+    most = jnp.maximum(over, 1.0)  # what is raised to n stays within 1
+    round_ = u / (most * (most**-n + (over / most) ** n) ** (1.0 / n))
+    share = jnp.where(p["softness"] > 0.0, jnp.clip(p["cut"] / 1e-3, 0.0, 1.0), 0.0)
+    return sharp + share * (round_ - sharp)
 
 
 def dead_zone(p, t, u):
@@ -98,10 +105,11 @@ COMMAND = (
         "saturation", "command", (
             Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
             Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest command recorded; not fitted"),
+            Parameter("softness", "1", 0.0, 0.7, 0.0, None, optional=True, meaning="of the knee; 0 is sharp", late=True),
         ), saturation,
         "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
         ("torque_gain",), smooth=False, jump=True, grid=_cuts,
-        formula="command within +-(1 - cut) peak",
+        formula="command within +-(1 - cut) peak, the knee round where there is softness",
     ),
     Effect(
         "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,

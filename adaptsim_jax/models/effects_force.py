@@ -37,7 +37,12 @@ def tilt(p, m: Motion):
 
 
 def cogging(p, m: Motion):
-    return p["sine"] * jnp.sin(p["order"] * m.q) + p["cosine"] * jnp.cos(p["order"] * m.q)
+    """A ripple and its second harmonic, which is written as a share of the first and turned with it."""
+    at = p["order"] * m.q
+    sine, cosine, ahead, across = p["sine"], p["cosine"], p["second_sine"], p["second_cosine"]
+    first = sine * jnp.sin(at) + cosine * jnp.cos(at)
+    second_sine, second_cosine = sine * ahead - cosine * across, sine * across + cosine * ahead
+    return first + second_sine * jnp.sin(2.0 * at) + second_cosine * jnp.cos(2.0 * at)
 
 
 def friction_drift(p, m: Motion):
@@ -196,10 +201,12 @@ FORCE = (
             Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
             Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
             Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn"),
+            Parameter("second_sine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
+            Parameter("second_cosine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
         ),
         cogging, "torque ripple periodic in the joint's angle (magnets, gear teeth)", "slow sweeps over many periods",
         ("spring",), grid=_orders, amiss=_no_ripple,
-        formula="sine sin(order q) + cosine cos(order q)",
+        formula="sine sin(order q) + cosine cos(order q) + second harmonic",
     ),
     Effect(
         "friction_drift", "force",

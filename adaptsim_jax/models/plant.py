@@ -100,8 +100,16 @@ class Plant:
         motions: per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances over intervals need no
         acceleration, which noise would drown.
         """
-        rows, right = zip(*(_balances(self, *m, interval) for m in motions), strict=True)
-        design, target = np.concatenate(rows), np.concatenate(right)
+        return self._regressed([_balances(self, *m, interval) for m in motions])
+
+    def averaged_theta(
+        self, motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], interval: float = 0.7
+    ):
+        """The same from balances averaged under a bump of `interval` s: slow motion counts, vibrations do not."""
+        return self._regressed([_averaged_balances(self, *m, interval) for m in motions])
+
+    def _regressed(self, balances: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        design, target = (np.concatenate(z) for z in zip(*balances, strict=True))
         theta = _bounded_regression(design, target, self.low, self.high)
         return theta if self.sound is None else np.clip(self.sound(self.constants, theta), self.low, self.high)
 
@@ -153,10 +161,7 @@ def solve_mass(mass: jax.Array, inertia: jax.Array, total: jax.Array) -> jax.Arr
 
 def _balances(plant: Plant, time, q, v, torque, interval: float):
     """Momentum balances over consecutive intervals: `[R * n, P]` and `[R * n]` (impulse, N m s)."""
-    with jax.enable_x64(True):
-        short = -len(time) % 256  # padded, so that trials of like length share a program
-        padded = (np.pad(z.T, ((0, 0), (0, short))) for z in (q, v))
-        momentum, push = (np.asarray(z)[:, : len(time)] for z in _momentum_columns(plant, *padded))
+    momentum, push = _columns(plant, q, v)
     dt = np.diff(time)
     pushed = np.concatenate(
         [np.zeros_like(push[:, :1]), np.cumsum(0.5 * (push[:, 1:] + push[:, :-1]) * dt[None, :, None], 1)], 1
@@ -166,6 +171,36 @@ def _balances(plant: Plant, time, q, v, torque, interval: float):
     cut = np.arange(0, len(time), stride)
     design = np.diff((momentum - pushed)[:, cut], axis=1)
     return design.reshape(-1, design.shape[-1]), np.diff(impulse[:, cut], axis=1).reshape(-1)
+
+
+def _averaged_balances(plant: Plant, time, q, v, torque, interval: float):
+    """Momentum balances times a bump, integrated by parts over overlapping intervals (the weak form: Messenger and Bortz,
+    2021): no end points, so that noise and vibrations average out. `[R * n, P]` and `[R * n]` (N m s)."""
+    momentum, push = _columns(plant, q, v)
+    length = int(np.clip(round(interval / float(np.median(np.diff(time)))), 8, len(time) - 1))
+    design, target = [], []
+    for first in range(0, len(time) - length, max(1, length // 2)):
+        rows = slice(first, first + length + 1)
+        t = time[rows]
+        dt, at = np.diff(t), np.pi * (t - t[0]) / (t[-1] - t[0])
+        bump = np.sin(at) ** 4
+        slope = 4.0 * np.sin(at) ** 3 * np.cos(at) * np.pi / (t[-1] - t[0])
+        weight = 0.5 * (np.append(dt, 0.0) + np.append(0.0, dt))
+        design.append(
+            -np.einsum("ntp,t->np", momentum[:, rows], slope * weight)
+            - np.einsum("ntp,t->np", push[:, rows], bump * weight)
+        )
+        target.append(torque[rows][:-1].T @ (0.5 * (bump[1:] + bump[:-1]) * dt))
+    return np.concatenate(design), np.concatenate(target)
+
+
+def _columns(plant: Plant, q, v) -> tuple[np.ndarray, np.ndarray]:
+    """Momentum and push per unit of each theta, `[n, T, P]` each, of a trial `q, v: [T, n]`."""
+    with jax.enable_x64(True):
+        short = -len(q) % 256  # padded, so that trials of like length share a program
+        padded = (np.pad(z.T, ((0, 0), (0, short))) for z in (q, v))
+        momentum, push = (np.asarray(z)[:, : len(q)] for z in _momentum_columns(plant, *padded))
+    return momentum, push
 
 
 @jax.jit

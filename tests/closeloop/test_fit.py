@@ -148,3 +148,23 @@ def test_a_trial_that_is_too_short_is_refused(clean):
     stub = SimpleNamespace(**{k: v[:3] for k, v in vars(clean[0]).items()})
     with pytest.raises(BadInput, match="too short"):
         cut_windows([stub], SIGMA)
+
+
+def test_a_vibration_spoils_no_start(model):
+    """A motor on a soft coupling shakes its encoder: balances from point to point follow the shaking, averaged ones do not."""
+    trials = make_trials(seed=5, count=4, seconds=3.0, noise=0.1)
+    shaken = []
+    for k, t in enumerate(trials):
+        phase = 2 * np.pi * 14.0 * t.time + k
+        q, v = t.q.copy(), t.v.copy()
+        q[:, 0] += 0.02 * np.sin(phase)
+        v[:, 0] += 0.02 * 2 * np.pi * 14.0 * np.cos(phase)
+        shaken.append((t.time, q, v, t.torque))
+    away = lambda theta: np.abs(theta / TRUE - 1.0)[:4].max()  # damping is small beside the rest
+    point, averaged = away(model.plant.initial_theta(shaken)), away(model.plant.averaged_theta(shaken))
+    assert averaged < 0.1 and 3.0 * averaged < point
+
+
+def test_averaged_balances_agree_with_the_others(model, clean):
+    motions = [(t.time, *local_motion(t.time, t.q, t.v), t.torque) for t in clean]
+    np.testing.assert_allclose(model.plant.averaged_theta(motions), TRUE, rtol=0.15)

@@ -1,0 +1,65 @@
+"""The finer shape of an effect that is found: fitted where the data show it, left alone where they do not."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.closeloop.audit import audit, usable
+from adaptsim_jax.closeloop.declared import declared
+from adaptsim_jax.closeloop.elaborate import elaborated
+from adaptsim_jax.closeloop.noise import noise_floor
+from adaptsim_jax.closeloop.problem import prepare_within_reach
+from adaptsim_jax.closeloop.recording import read_recording
+from adaptsim_jax.closeloop.rivals import fitted
+from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.models.effects import catalogue
+from tests.closeloop.small_rig import GEOMETRY, make_trials
+
+LIMIT, PLACE = 0.4, ("saturation", "joint1")
+EFFECTS = tuple(e for e in catalogue() if e.name in ("saturation", "coulomb"))
+
+
+def soft(u):
+    """A limit with a round knee, in other words than the catalogue's: exponent 6."""
+    return u / (1.0 + np.abs(u / LIMIT) ** 6) ** (1.0 / 6.0)
+
+
+def sharp(u):
+    return np.clip(u, -LIMIT, LIMIT)
+
+
+def limited(limit):
+    return lambda t, q, v, u: np.array([limit(u[0]) - u[0], 0.0])
+
+
+def written(folder, trials):
+    for i, t in enumerate(trials):
+        rows = np.column_stack([t.time, t.q, t.torque])
+        np.savetxt(folder / f"t{i}.csv", rows, delimiter=",", header="time,q1,q2,tau1,tau2", comments="", fmt="%.9g")
+    lengths = "[geometry]\n" + "".join(f"{k} = {v}\n" for k, v in GEOMETRY.items())
+    (folder / "meta.toml").write_text(f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}')
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [soft, sharp], ids=["soft", "sharp"])
+def test_a_knee_is_fitted_where_there_is_one(tmp_path, limit):
+    trials = make_trials(seed=8, count=3, noise=0.3, extra=limited(limit))
+    recording = read_recording(written(tmp_path, trials))
+    checked = audit(recording)
+    recording = usable(recording, checked)
+    problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), EFFECTS)
+    base, first = declared(problem, start)
+    layout, c = problem.model.layout, base.candidate
+    at = layout.instances[layout.index(*PLACE)].at
+    eff = layout.off()
+    eff[at] = [1.0 - LIMIT / problem.reach.peak[0], problem.reach.peak[0], 0.0]
+    plain = fitted(problem, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
+    assert "softness" not in plain.candidate.parameters(*PLACE)  # late: not fitted in the search
+    again, found = elaborated(problem, Found(base, plain, [], view=first), first, Settings())
+    if limit is soft:
+        fine = found.final.candidate.parameters(*PLACE)
+        assert again.elaborated == (PLACE,) and abs(fine["softness"][0] - 1 / 6) < 0.03
+        assert np.abs((1.0 - fine["cut"][0]) * problem.reach.peak[0] - LIMIT) < 0.02 * LIMIT
+        assert found.final.parts.force_std()[0] < 0.3 * plain.parts.force_std()[0]
+    else:
+        assert found.final is plain and again is problem
