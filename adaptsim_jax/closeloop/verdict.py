@@ -20,6 +20,9 @@ class Verdict:
 
 
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
+WELL_PREDICTED = (
+    0.4  # below this they are structure whatever the linear scores say, where the error is beyond the noise
+)
 NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
 LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance, whatever its shape
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
@@ -44,7 +47,8 @@ def decide(
     over the sensors' noise."""
     active = found.added
     if not active:
-        if _structured(found, before, settings, flexible):
+        well = flexible < WELL_PREDICTED and beyond > BEYOND_FLOOR
+        if well or _structured(found, before, settings, flexible):
             return Verdict("structured_unattributed", _unattributed(before), False)
         if np.max(force) > LARGE:
             return Verdict("structured_unattributed", _large(force), False)

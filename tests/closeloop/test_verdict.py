@@ -81,3 +81,13 @@ def test_pieces_abreast_keep_their_order_and_raise():
     assert abreast(lambda k: k * k, range(9)) == [k * k for k in range(9)]
     with pytest.raises(ZeroDivisionError):
         abreast(lambda k: 1 // k, [1, 0, 2])
+
+
+@pytest.mark.parametrize(
+    ("flexible", "beyond", "expected"),
+    [(0.05, 30.0, "structured_unattributed"), (0.05, 1.1, "within_noise"), (0.6, 30.0, "within_noise")],
+)
+def test_forces_that_predict_left_out_trials_are_structure(flexible, beyond, expected):
+    """A mass that leaks away: no linear score about the declared model shows it, smooth forces of time do."""
+    nothing, quiet = SimpleNamespace(added=(), tried=[], base=None), left(0.0, 1.0)
+    assert decide(nothing, quiet, quiet, Settings(), True, flexible, np.zeros(2), beyond).name == expected
