@@ -55,7 +55,8 @@ def beside(rewards: np.ndarray, direct: np.ndarray, seed: int) -> dict[str, floa
     gap = (rewards - direct).mean(1)
     low, high = np.quantile(gap[rng.integers(len(gap), size=(DRAWS, len(gap)))].mean(1), (0.025, 0.975))
     alike = np.corrcoef(rewards.ravel(), direct.ravel())[0, 1]
-    return {"difference": gap.mean(), "low": low, "high": high, "correlation": alike} | {
+    found = {"difference": gap.mean(), "low": low, "high": high, "correlation": alike}
+    return {name: float(value) for name, value in found.items()} | {
         "root_mean_square": float(np.sqrt(((rewards - direct) ** 2).mean()))
     }
 
