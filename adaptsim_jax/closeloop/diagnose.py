@@ -13,7 +13,6 @@ from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.ceiling import ceiling
 from adaptsim_jax.closeloop.declared import declared, timed
-from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.freed import confounded, freed
@@ -109,10 +108,9 @@ def examine(
     problem, first = timed(problem, base, first, settings.alpha)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
-    found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
+    problem, found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
     problem, found = sharpened(problem, found, first)
-    problem, found = elaborated(problem, found, first, settings)
     found, tested = trimmed(problem, found, first, settings)
     seen = found.view or first
     after = before if not found.added else leftover(problem, seen)

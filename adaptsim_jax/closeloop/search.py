@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
@@ -71,8 +72,11 @@ class Found:
         return tuple(a for a in self.final.active if a not in self.base.active)
 
 
-def search(problem: Problem, base: Fitted, first: View, settings: Settings, say: Progress = lambda _: None) -> Found:
-    """Add effects greedily while they earn their price, with one look back after each.
+def search(
+    problem: Problem, base: Fitted, first: View, settings: Settings, say: Progress = lambda _: None
+) -> tuple[Problem, Found]:
+    """Add effects greedily while they earn their price, with one look back after each; the problem comes back with the effects
+    whose finer shape was fitted.
 
     An effect that pays for its parameters but explains too little by itself is kept for a while: of two that act together,
     as friction at both joints does, the first leaves most of the residual. The set is judged, not its first member.
@@ -82,13 +86,16 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     seen, current, ranked = first, base, found.last
     while len(current.active) - len(base.active) < settings.most_effects:
         best, trials = _next(problem, found, current, seen, ranked, settings, say)
-        if best is None or not pays(best, current, settings):
+        if best is None or not _pays(best, current, settings):
             break
         new = _new(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
         current = best
         if _earns(problem, current, found.final, base, settings):
-            current = found.final = _look_back(problem, found, current, new, seen, settings, say)
+            current = _look_back(problem, found, current, new, seen, settings, say)
+            better = lambda new, old: _pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
+            problem, current = elaborated(problem, current, base, seen.response, better)
+            found.final = current
         elif unexplained(found.final, base) < settings.explained:
             break
         seen = view(problem, current)
@@ -98,7 +105,7 @@ def search(problem: Problem, base: Fitted, first: View, settings: Settings, say:
     found.leading = None if current is found.final else current
     found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
     found.classes = {e: class_of(e, found, settings, problem.model.layout) for e in found.added}
-    return found
+    return problem, found
 
 
 def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: list[Ranked], settings: Settings, say):
@@ -113,7 +120,7 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
         best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
-    if best is not None and pays(best, current, settings):
+    if best is not None and _pays(best, current, settings):
         alike = look_alikes(problem, _new(best, current), ranked, leaders)
         more = abreast(lambda r: extend(problem, current, r, seen, say), alike)
         more = abreast(lambda t: settled(problem, t, seen.response), [t for t in more if t is not None])
@@ -205,7 +212,7 @@ def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings:
     return share > strict * settings.least_share and beside > strict * settings.least_beside
 
 
-def pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
+def _pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
     """More likely by more than the price of its parameters and the selection it was picked from."""
     extra = new.size - old.size
     return new.total - old.total > settings.price * extra + 6.0
@@ -213,7 +220,7 @@ def pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
 
 def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
     """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
-    if not pays(new, old, settings):
+    if not _pays(new, old, settings):
         return False
     return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
 
@@ -224,7 +231,7 @@ def _needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settin
     if alone:
         return _earns(problem, new, without, found.base, settings)
     falls = unexplained(new, without) < 1.0 - 0.5 * settings.least_fall
-    return falls and pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
+    return falls and _pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
 
 
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:

@@ -16,8 +16,8 @@ from adaptsim_jax.errors import BadInput
 
 PLACES = ("command", "force", "measurement")
 UNITS = {
-    "1": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1), "N m": (1, 0), "N m/rad": (1, 0),
-    "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
+    "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
+    "N m": (1, 0), "N m/rad": (1, 0), "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
 }  # fmt: skip
 """Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
 

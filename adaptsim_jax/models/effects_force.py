@@ -6,6 +6,7 @@ import numpy as np
 from adaptsim_jax.models.effects import Dry, Effect, Motion, Parameter, Relaxation
 
 LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must
+HERTZ_DEPTH = 0.1  # rad
 MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
 
 
@@ -23,7 +24,8 @@ def quadratic_drag(p, m: Motion):
 
 
 def spring(p, m: Motion):
-    return p["preload"] - p["stiffness"] * m.q
+    """A cubic about any angle, written about zero: a spring that hardens need not do so about the joint's zero."""
+    return p["preload"] - p["stiffness"] * m.q * (1.0 + p["bend"] * m.q + p["hardening"] * m.q**2)
 
 
 def bias(p, m: Motion):
@@ -61,11 +63,13 @@ def hard_stop(p, m: Motion):
     """A spring beyond an angle that never pulls: an upper stop where `side` is 1, a lower one where it is -1.
 
     It loses energy as a dashpot beside the spring (`damping`, Kelvin and Voigt), or in proportion to the depth (`loss`;
-    Hunt and Crossley, 1975).
+    Hunt and Crossley, 1975). A round contact is softer where it touches: `exponent` 1.5 is Hertz's, and the stiffness is then
+    force over depth at `HERTZ_DEPTH`.
     """
     depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
     inward = p["side"] * m.v
-    pressed = depth * (1.0 + p["loss"] * inward) + jnp.where(depth > 0.0, p["damping"] * inward, 0.0)
+    spring_like = depth * jnp.power(jnp.maximum(depth, 1e-6) / HERTZ_DEPTH, p["exponent"] - 1.0)
+    pressed = spring_like * (1.0 + p["loss"] * inward) + jnp.where(depth > 0.0, p["damping"] * inward, 0.0)
     return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
 
 
@@ -177,11 +181,13 @@ FORCE = (
         (
             Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, plausible=2.0),
             Parameter("preload", "N m", -5.0, 5.0, 0.0),
+            Parameter("bend", "1/rad", -5.0, 5.0, 0.0, None, optional=True, meaning="lopsidedness", late=True),
+            Parameter("hardening", "1/rad^2", -5.0, 5.0, 0.0, None, optional=True, meaning="cubic share", late=True),
         ),
         spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
         "a wide range of angles",
         ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",), amiss=_no_spring,
-        formula="preload - stiffness q",
+        formula="preload - stiffness q (1 + bend q + hardening q^2)",
     ),
     Effect(
         "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0, plausible=0.5),), bias,
@@ -239,10 +245,11 @@ FORCE = (
             Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True, meaning="1: stops motion upwards, -1: downwards"),
             Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True, meaning="energy lost in proportion to depth"),
             Parameter("damping", "s", 0.0, 0.5, 0.0, None, optional=True, meaning="a dashpot beside the spring, over its stiffness"),
+            Parameter("exponent", "1", 0.7, 2.5, 1.0, None, optional=True, meaning="of depth; 1.5 is Hertz's", late=True),
         ),
         hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
         ("spring", "cogging"), smooth=False, grid=_stops, amiss=_no_stop,
-        formula="-side stiffness max(0, depth (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
+        formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
     ),
     Effect(
         "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6),), load_friction,

@@ -9,8 +9,7 @@ from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.rivals import fitted
-from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.closeloop.rivals import fitted, unexplained
 from adaptsim_jax.models.effects import catalogue
 from tests.closeloop.small_rig import GEOMETRY, make_trials
 
@@ -55,11 +54,12 @@ def test_a_knee_is_fitted_where_there_is_one(tmp_path, limit):
     eff[at] = [1.0 - LIMIT / problem.reach.peak[0], problem.reach.peak[0], 0.0]
     plain = fitted(problem, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
     assert "softness" not in plain.candidate.parameters(*PLACE)  # late: not fitted in the search
-    again, found = elaborated(problem, Found(base, plain, [], view=first), first, Settings())
+    better = lambda new, old: new.total > old.total + 10.0 and unexplained(new, old) < 0.9
+    again, final = elaborated(problem, plain, base, first.response, better)
     if limit is soft:
-        fine = found.final.candidate.parameters(*PLACE)
+        fine = final.candidate.parameters(*PLACE)
         assert again.elaborated == (PLACE,) and abs(fine["softness"][0] - 1 / 6) < 0.03
         assert np.abs((1.0 - fine["cut"][0]) * problem.reach.peak[0] - LIMIT) < 0.02 * LIMIT
-        assert found.final.parts.force_std()[0] < 0.3 * plain.parts.force_std()[0]
+        assert final.parts.force_std()[0] < 0.3 * plain.parts.force_std()[0]
     else:
-        assert found.final is plain and again is problem
+        assert final is plain and again is problem
