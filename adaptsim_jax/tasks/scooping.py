@@ -27,6 +27,7 @@ from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.scooping_bank import BOXES as BANK_BOXES
 from adaptsim_jax.tasks.scooping_bank import Bank, load_bank
+from adaptsim_jax.tasks.scooping_told import Told
 
 # Paper, table A2: friction, modulus Pa, shape (0 ellipsoid, 1 cylinder, 2 box), height m.
 SETTINGS = {
@@ -53,7 +54,9 @@ class ScoopingConfig:
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included (`wide`).
     source: of the trials that policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase 1
     learns from, likewise. lucks: execution errors that a trial of the bank is averaged over. checks: places and errors that the
-    best of a training's policies is chosen by, in the bank; 0 keeps the last one. trials: M of the paper; training: how;
+    best of a training's policies is chosen by, in the bank; 0 keeps the last one. correct: what is deployed is the best action by
+    the bank at E's mean as mended by the scoops made in the target so far (`scooping_told`); a visit's own scoops are not, nor is
+    anything in Phase 1. trials: M of the paper; training: how;
     hidden, learning_rate: of the NAF. clearance, noise: difficulty, see `models.scooping.ScoopOptions`.
     camera: mean along the motion and standard deviation of the noise on observed places, m. numerics: of the engine.
     mu, e, h: Omega.
@@ -66,6 +69,7 @@ class ScoopingConfig:
     rehearsal: Literal["bank", "simulator"] = "bank"
     lucks: int = 4
     checks: int = 16
+    correct: bool = False
     trials: int = 1200
     training: GoalConfig = field(
         default_factory=lambda: GoalConfig(
@@ -84,9 +88,12 @@ class ScoopingConfig:
 
 
 class ScoopingPolicy(NamedTuple):
-    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does."""
+    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where deployed policies are corrected (else None): at:
+    `[D]`, the mean of E (unit coordinates) that it stands for; told: the target's scoops that it is corrected by, if any."""
 
     weights: jax.Array
+    at: jax.Array | None = None
+    told: Told | None = None
 
 
 class ScoopingTrajectory(NamedTuple):
@@ -187,15 +194,16 @@ def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:
     draw = lambda key, dist: space.physical(spaces.sample(key, dist))
     learner = make_goal_learner(naf, training_problem(config, draw), config.training, naf_rates(config))
     block = config.training.block
+    at_mean = lambda weights, mean: ScoopingPolicy(weights, mean if config.correct else None)
 
     def train_many(keys, dists, policies, trials):
         rounds = (trials + block - 1) // block
-        return ScoopingPolicy(learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)))
+        return at_mean(learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)), dists.mean)
 
     def train(key, dist, policy):
         one = jax.tree.map(lambda x: x[None], (dist, policy.weights))
         rounds = -(-config.trials // block)
-        return ScoopingPolicy(learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)[0])
+        return at_mean(learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)[0], dist.mean)
 
     rollout, rehearse = make_rollouts(config, naf)
 
@@ -205,7 +213,7 @@ def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:
         targets=space if config.targets == "omega" else wide_space(),
         obs_dim=config.trajectories * POINTS * 2,
         settings=SETTINGS,
-        init_policy=lambda key: ScoopingPolicy(naf.init(key).online),
+        init_policy=lambda key: at_mean(naf.init(key).online, jnp.full(space.dim, 0.5)),
         train=train,
         rollout=rollout,
         observe=observed,
@@ -307,6 +315,19 @@ def bank_chance(bank: Bank, params: jax.Array, action: jax.Array) -> jax.Array:
     return jax.nn.sigmoid(bank.logit(params, action))
 
 
+def expected_odds(bank: Bank, params: jax.Array, options: ScoopOptions) -> Callable[[jax.Array], jax.Array]:
+    """`odds(action [3] in [-1, 1]) -> []`: log odds of success at `params [4]` when the action is asked for, over even errors."""
+    even = jnp.stack(jnp.meshgrid(*[jnp.array([-2.0, 0.0, 2.0]) / 3.0] * 2, indexing="ij"), -1).reshape(-1, 2)
+    lucks = jnp.zeros((len(even), CONTEXT)).at[:, 2:4].set(even)
+
+    def odds(action):
+        logits = jax.vmap(lambda luck: bank.logit(params, executed(action, luck, options)))(lucks)
+        lost = jax.nn.logsumexp(jax.nn.log_sigmoid(-logits))
+        return jax.nn.logsumexp(jax.nn.log_sigmoid(logits)) - lost
+
+    return odds
+
+
 def bank_outcome(bank: Bank, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
     """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says; the last height is 0."""
     x = bank.places(params, action, won)
@@ -347,12 +368,12 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
 
 def _check_covered(config: ScoopingConfig) -> None:
     """BadInput where Omega reaches beyond the pieces that the bank was made of: its networks know nothing there."""
-    if "bank" not in (config.source, config.rehearsal):
+    if "bank" not in (config.source, config.rehearsal) and not config.correct:
         return
     for name, low, high in zip(model.PARAMETERS, *BANK_BOXES["wide"], strict=True):
         given = getattr(config, name, (low, high))  # the shapes are no option
         if given[0] < low or given[1] > high:
             raise BadInput(
                 f"scooping, {name} = {list(given)}: the bank holds pieces of {low:g} to {high:g}; stay within, or use "
-                "source = rehearsal = 'simulator'"
+                "source = rehearsal = 'simulator', correct = false"
             )

@@ -1,5 +1,6 @@
 """Scooping as the baselines see it: one scoop of one piece, tried in either engine."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,8 @@ from adaptsim_jax.tasks import scooping as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
+from adaptsim_jax.tasks.scooping_bank import load_bank
+from adaptsim_jax.tasks.scooping_told import Doubt, Told, best_action, with_outcomes
 
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts
@@ -44,7 +47,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         draw=task.draw_context,
         reward=lambda outcome, context: task.success(outcome),
         trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
-        **policies._asdict(),
+        **(policies._asdict() | {"act": make_choice(config)}),
         inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
         worth=lambda seen, context: seen[0],
@@ -55,7 +58,25 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         reward_unit=f"share of pieces on the spatula at the end, over {config.tests} places and execution errors",
         oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the target: all are tried in one test "
         f"context, the {FINALISTS} that are best there and around in all",
+        remember=_remember if config.correct else None,
     )
+
+
+def make_choice(config: ScoopingConfig, doubt: Doubt = Doubt()) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:  # noqa: B008
+    """`act(policy, contexts [N, 5]) -> [N, 3]` in [-1, 1]. A policy that was told of the target's scoops does what is likeliest to
+    succeed by them and by the bank at its mean of E, the same in all contexts; any other does what its network says."""
+    naf, space, options = task.make_scooping_naf(config), task.scooping_space(config), task.checked(config)
+    bank = load_bank(options, config.numerics) if config.correct else None
+
+    def choose(policy, contexts):
+        action = naf.greedy(policy.weights, task.seen_place(contexts))
+        if bank is None or policy.at is None or policy.told is None:
+            return action
+        odds = task.expected_odds(bank, space.physical(policy.at), options)
+        best = best_action(with_outcomes(odds, policy.told, doubt), jnp.concatenate([action, policy.told.actions]))
+        return jnp.broadcast_to(best, action.shape)
+
+    return choose
 
 
 def scooping_world(
@@ -96,6 +117,10 @@ def best_shared_action(world: World, params: np.ndarray, tests: np.ndarray) -> n
     pairs = np.repeat(chosen, len(tests), 0)
     rewards = _rewards(world, params, np.tile(tests, (len(chosen), 1)), pairs).reshape(len(chosen), -1)
     return rewards[rewards.mean(1).argmax()]
+
+
+def _remember(policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array) -> ScoopingPolicy:
+    return policy._replace(told=Told(actions, task.success(outcomes), used))
 
 
 def _rewards(world: World, params: np.ndarray, contexts: np.ndarray, actions: np.ndarray) -> np.ndarray:

@@ -1,0 +1,124 @@
+"""How what is deployed in scooping may be corrected by the target's own scoops, tried on random targets and seeds that no table uses.
+
+    python experiments/scooping_correction.py --out OUT --doubts 0.5,2,3 0.3,2,3
+
+AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. Each doubt (reach,
+spread, most; see `tasks/scooping_told.py`) then says what would be deployed at the last visits, which is scored in the engine in
+12 test contexts. `network` is E's policy as it is, `search` the best action by the bank at E's mean, nothing seen of the target.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pickle
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax import compile_cache
+from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, lanes
+from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
+from adaptsim_jax.baselines.memory import Memory
+from adaptsim_jax.baselines.methods import default_comparison
+from adaptsim_jax.config import from_table
+from adaptsim_jax.files import output_folder, write_json
+from adaptsim_jax.tasks.registry import make_one_shot
+from adaptsim_jax.tasks.scooping import ScoopingConfig
+from adaptsim_jax.tasks.scooping_one_shot import make_choice
+from adaptsim_jax.tasks.scooping_told import Doubt
+from experiments.scooping_choices import targets
+
+CONFIG = default_comparison("scooping")
+OPTIONS = dict(CONFIG.train.task) | {"tests": 12, "correct": True}
+PIECES = {"slippery": [0, 2, 3, 5], "cylinders": [6, 7], "boxes": [10, 11], "ellipsoids": [14, 15]}
+METHODS = {"adaptsim": (adaptsim, 2, 1), "sysid_point": (sysid_point, 1, 3)}  # how, starts, label of its lanes
+LATE = 4  # visits that are scored, the last
+
+
+class Recorder(Arena):
+    """An arena that keeps what each visit was and showed, and scores nothing."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.kept: list[tuple] = []
+
+    def visit(self, keys, where, policies) -> Seen:
+        seen = super().visit(keys, where, policies)
+        self.kept.append((jax.tree.map(np.asarray, policies._replace(told=None)), seen.trials))
+        return seen
+
+    def score(self, where, policies) -> np.ndarray:
+        return np.zeros(len(where))
+
+
+def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> list[tuple]:
+    """The visits of `method`, from the file where it made them before."""
+    path = out / f"visits-{method}.pkl"
+    if not path.exists():
+        one = make_one_shot("scooping", OPTIONS)
+        arena, begin = Recorder(one, one.world(one.engine), pieces), time.process_time()
+        METHODS[method][0](Bout(replace(CONFIG, iterations=8), arena, seeds))
+        path.write_bytes(pickle.dumps(arena.kept))
+        print(f"{method}: {len(arena.kept)} visits, {time.process_time() - begin:.0f} s of CPU time", flush=True)
+    return pickle.loads(path.read_bytes())
+
+
+def deployed(arena: Arena, batch: Lanes, visits: list[tuple], doubt: Doubt | None, blind: bool) -> np.ndarray:
+    """Actions `[LATE, B, G, d]` in the test contexts at the last visits; no `doubt`: of the networks. `blind`: nothing was seen."""
+    memory, found = Memory(arena, batch, len(visits)), []
+    act = make_choice(from_table(ScoopingConfig, OPTIONS, "correction"), doubt or Doubt())
+    act = jax.jit(jax.vmap(act, (0, None)))
+    for i, (policies, trials) in enumerate(visits):
+        if i >= len(visits) - LATE:
+            told = jax.tree.map(jnp.asarray, policies) if doubt is None else memory.deployed(policies)
+            if blind:
+                told = told._replace(told=told.told._replace(used=jnp.zeros_like(told.told.used)))
+            found.append(np.asarray(act(told, jnp.asarray(arena.one.tests))))
+        memory.add(trials)
+    return np.stack(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--seeds", type=int, default=3, help="from 100 on")
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    parser.add_argument("--doubts", nargs="+", default=["network", "search", "0.5,2,3"])
+    args = parser.parse_args()
+    compile_cache.enable()
+    out, seeds = output_folder(Path(args.out)), np.arange(100, 100 + args.seeds)
+    pieces = targets()[[i for rows in PIECES.values() for i in rows]]
+    one = make_one_shot("scooping", OPTIONS)
+    arena = Arena(one, one.world(one.engine), pieces)
+    for method in args.methods:
+        visits, (_, starts, label) = visits_of(method, out, seeds, pieces), METHODS[method]
+        batch = lanes(len(pieces), seeds, starts, label)
+        for name in args.doubts:
+            begin = time.process_time()
+            doubt = Doubt() if name == "search" else None if name == "network" else Doubt(*map(float, name.split(",")))
+            actions = deployed(arena, batch, visits, doubt, name == "search")
+            rewards = np.stack([arena.score_actions(batch.where, a) for a in actions], -1)
+            told = by_group(batch.grid(rewards))
+            write_json(out / f"{method}-{name}.json", told)
+            row = "  ".join(f"{n} {v['late']:.3f} {v['best']:.3f}" for n, v in told.items())
+            print(f"{method:12} {name:12} late, best: {row}  {time.process_time() - begin:.0f} s", flush=True)
+
+
+def by_group(rewards: np.ndarray) -> dict[str, dict[str, float]]:
+    """Of `rewards [T, S, N, LATE]`, by group of pieces: the mean, the mean over seeds of the best, and each piece's mean."""
+    found, at = {}, 0
+    for name, rows in PIECES.items():
+        some = rewards[at : at + len(rows)]
+        found[name] = {"late": float(some.mean()), "best": float(some.max((2, 3)).mean())}
+        found[name]["each"] = some.mean((1, 2, 3)).round(3).tolist()
+        at += len(rows)
+    found["all"] = {key: float(np.mean([g[key] for g in found.values()])) for key in ("late", "best")}
+    return found
+
+
+if __name__ == "__main__":
+    main()
