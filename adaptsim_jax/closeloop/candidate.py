@@ -6,7 +6,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.basis import generic_forces
 from adaptsim_jax.closeloop.disturbance import Linearised
-from adaptsim_jax.closeloop.fit import FitResult
+from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, at_point
 from adaptsim_jax.closeloop.refit import Point, Refit, refit
 from adaptsim_jax.closeloop.score import Atom

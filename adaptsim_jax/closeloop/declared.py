@@ -8,7 +8,7 @@ import numpy as np
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.candidate import survey
 from adaptsim_jax.closeloop.clocks import clocks
-from adaptsim_jax.closeloop.fit import FitResult
+from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit
 from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond, unmoved
 from adaptsim_jax.closeloop.view import View, view
@@ -24,6 +24,7 @@ def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
     effect that is missing to parameters that are far off (a link too heavy to move misses least).
     """
     fits: list[Fitted] = []
+    result = start
     for second in (False, True):
         if fits and not np.any(fits[0].parts.force_std() > SUSPICIOUS * problem.torque_scale):
             break
@@ -34,7 +35,7 @@ def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
         raise Diverged("the declared model runs away from every start; look at the signs and units of the torques")
     base = max(fits, key=lambda m: (_sane(problem, m), m.total))
     if not _sane(problem, base):
-        base = _least_squares(problem) or base
+        base = _as_it_is(problem, result) or base  # no sane fit: least squares was the last to be tried
     return base, view(problem, base)
 
 
@@ -43,10 +44,9 @@ def _sane(problem: Problem, model: Fitted) -> bool:
     return bool(np.all(model.parts.force_std() < problem.torque_scale))
 
 
-def _least_squares(problem: Problem) -> Fitted | None:
-    """The least-squares fit as it is. Forces beyond the torques themselves are no chance (a vibration, say), and parameters
-    refitted as if they were follow them anywhere."""
-    result = declared_fit(problem)
+def _as_it_is(problem: Problem, result: FitResult) -> Fitted | None:
+    """The least-squares fit without another round. Forces beyond the torques themselves are no chance (a vibration, say),
+    and parameters refitted as if they were follow them anywhere."""
     if result.code == DIVERGED:
         return None
     _, lin, _, result = survey(problem, problem.base, result.theta, result.eff, result.x0)

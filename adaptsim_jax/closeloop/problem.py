@@ -9,7 +9,8 @@ import numpy as np
 from adaptsim_jax.closeloop.atoms import gravity_torque, make_reach
 from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.clocks import clock_of
-from adaptsim_jax.closeloop.fit import FitResult, Settings, fit
+from adaptsim_jax.closeloop.fit import Settings, fit
+from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.meta import check_known
 from adaptsim_jax.closeloop.model_file import declared_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, smooth

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
@@ -25,7 +26,6 @@ from adaptsim_jax.closeloop.rivals import (
     unexplained,
 )
 from adaptsim_jax.closeloop.view import Ranked, View, view
-from adaptsim_jax.models.effects import Layout
 
 Progress = Callable[[str], None]
 
@@ -280,32 +280,3 @@ def _merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Inst
     out = eff.copy()
     out[at] = other[at]
     return out
-
-
-def class_of(effect: Instance, found: Found, settings: Settings, layout: Layout) -> list[Instance]:
-    """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival."""
-    final = found.final
-    wider = {i.effect.name for i in layout.instances if effect[0] in i.effect.contains}
-    out = []
-    rest = [a for a in final.active if a != effect]
-    for other in found.tried:
-        extra = [a for a in other.active if a not in final.active]
-        if (
-            len(extra) != 1
-            or sorted(a for a in other.active if a != extra[0]) != sorted(rest)
-            or not plausible(other, found.base)
-            or extra[0] in {(name, effect[1]) for name in wider}
-        ):
-            continue
-        if _close(final, other, settings) and extra[0] not in out:
-            out.append(extra[0])
-    return out
-
-
-def _close(best: Fitted, other: Fitted, settings: Settings) -> bool:
-    """Vuong's (1989) comparison over windows: not far behind in nats, or not surely so."""
-    gap = best.likelihood - other.likelihood
-    price = settings.price * (best.size - other.size)
-    lead = float(gap.sum()) - price
-    scatter = float(np.std(gap) * np.sqrt(len(gap))) + 1e-9
-    return lead < settings.class_gap or (lead / scatter < settings.class_z and lead < 3 * settings.class_gap)

@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.atoms import Columns, columns_of, force_rows, measured_change
 from adaptsim_jax.closeloop.disturbance import Linearised
-from adaptsim_jax.closeloop.fit import FitResult
+from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.simulate import (
     Model,

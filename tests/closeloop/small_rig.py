@@ -1,4 +1,4 @@
-"""A small recording for tests of fit and sensitivity, made with SciPy's integrator and equations written out here."""
+"""A small recording for tests of the closed loop, made with SciPy's integrator and equations written out here."""
 
 from types import SimpleNamespace
 
@@ -50,3 +50,13 @@ def _trial(rng, seconds, rate, noise, extra, velocity, theta):
         states.append(x)
     y = np.array(states) + noise * SIGMA * rng.standard_normal((len(time), 4))
     return SimpleNamespace(time=time, q=y[:, :2], v=y[:, 2:] if velocity else None, torque=torque)
+
+
+def written(folder, trials, l1=GEOMETRY["l1"]):
+    """The trials as a folder of CSV files, angles and torques alone, with `l1` as the declared length of the first link."""
+    for i, t in enumerate(trials):
+        rows = np.column_stack([t.time, t.q, t.torque])
+        np.savetxt(folder / f"t{i}.csv", rows, delimiter=",", header="time,q1,q2,tau1,tau2", comments="", fmt="%.9g")
+    lengths = f"[geometry]\nl1 = {l1}\nl2 = {GEOMETRY['l2']}\ng = {GEOMETRY['g']}\n"
+    (folder / "meta.toml").write_text(f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}')
+    return folder

@@ -11,7 +11,7 @@ from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.rivals import fitted, unexplained
 from adaptsim_jax.models.effects import catalogue
-from tests.closeloop.small_rig import GEOMETRY, make_trials
+from tests.closeloop.small_rig import make_trials, written
 
 LIMIT, PLACE = 0.4, ("saturation", "joint1")
 EFFECTS = tuple(e for e in catalogue() if e.name in ("saturation", "coulomb"))
@@ -28,15 +28,6 @@ def sharp(u):
 
 def limited(limit):
     return lambda t, q, v, u: np.array([limit(u[0]) - u[0], 0.0])
-
-
-def written(folder, trials):
-    for i, t in enumerate(trials):
-        rows = np.column_stack([t.time, t.q, t.torque])
-        np.savetxt(folder / f"t{i}.csv", rows, delimiter=",", header="time,q1,q2,tau1,tau2", comments="", fmt="%.9g")
-    lengths = "[geometry]\n" + "".join(f"{k} = {v}\n" for k, v in GEOMETRY.items())
-    (folder / "meta.toml").write_text(f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}')
-    return folder
 
 
 @pytest.mark.slow

@@ -11,19 +11,10 @@ from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.models.effects import catalogue
-from tests.closeloop.small_rig import GEOMETRY, TRUE, make_trials
+from tests.closeloop.small_rig import GEOMETRY, TRUE, make_trials, written
 
 EFFECTS = tuple(e for e in catalogue() if e.name in ("coulomb", "quadratic_drag"))
 STRUCTURED = Verdict("structured_unattributed", "There is structure.", False)
-
-
-def written(folder, trials, l1=GEOMETRY["l1"]):
-    for i, t in enumerate(trials):
-        rows = np.column_stack([t.time, t.q, t.torque])
-        np.savetxt(folder / f"t{i}.csv", rows, delimiter=",", header="time,q1,q2,tau1,tau2", comments="", fmt="%.9g")
-    lengths = f"[geometry]\nl1 = {l1}\nl2 = {GEOMETRY['l2']}\ng = {GEOMETRY['g']}\n"
-    (folder / "meta.toml").write_text(f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}')
-    return folder
 
 
 def prepared(folder):
