@@ -72,7 +72,7 @@ def test_the_best_action_is_found_between_the_even_ones_and_among_the_known():
 
 
 def test_expected_odds_are_of_the_mean_chance_over_errors():
-    bank, params, options = load_bank(ScoopOptions(), Numerics()), jnp.array([0.3, 5e4, 1.0, 0.02]), ScoopOptions()
+    bank, params, options = load_bank(ScoopOptions(), Numerics()), jnp.array([0.3, 2e5, 1.0, 0.02]), ScoopOptions()
     action, contexts = jnp.array([0.2, -0.1, 0.3]), jnp.asarray(scooping.test_contexts(2000))
     each = jax.vmap(lambda c: scooping.bank_chance(bank, params, scooping.executed(action, c, options)))(contexts)
     got = scooping.expected_odds(bank, params, options)(action)
@@ -90,9 +90,9 @@ def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
     actions = jnp.concatenate(
         [jnp.tile(good, (16, 1)), jnp.asarray(2.0 * np.random.default_rng(0).random((48, 3)) - 1.0)]
     )
-    won = (jnp.linalg.norm(actions - good, axis=-1) < 0.4).astype(jnp.float32)
+    won = (jnp.linalg.norm(actions - good[None], axis=-1) < 0.4).astype(jnp.float32)
     found = act(policy._replace(told=Told(actions, won, jnp.ones(64, bool))), contexts)
-    assert found.shape == (3, 3) and jnp.linalg.norm(found - good, axis=-1).max() < 0.5
+    assert found.shape == (3, 3) and jnp.linalg.norm(found - good[None], axis=-1).max() < 0.5
     np.testing.assert_array_equal(found[0], found[2])
     without = scooping.make_scooping(replace(config, correct=False)).init_policy(jax.random.key(2))
     assert without.at is None and len(jax.tree.leaves(without)) == 1
