@@ -68,6 +68,7 @@ def diagnose(
     exclude: Sequence[str] = (),
     irrelevant: int = 0,
     settings: Settings | None = None,
+    follow_up: bool = True,
 ) -> dict[str, Any]:
     """Diagnose a folder of measured data; returns the report and, with `out`, writes it with its page and model.
 
@@ -86,6 +87,8 @@ def diagnose(
     recording = usable(recording, checked)
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Settings(), seed, say)
+    if follow_up:
+        add_follow_up(result, seed, say)
     return finish(result.report, result.evidence, out, recording, seed, began, result)
 
 
@@ -138,12 +141,17 @@ def examine(
         add_leading(report, problem, leading, found, tried)
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)
-    say(8, STAGES, "next experiment")
-    if plan := next_experiment(problem, found, verdict.named, powers, seed):
-        report["next_experiment"], evidence["next_experiment"] = plan.told()
-    if verdict.named and (reward := task_reward(problem, found)):
-        report["task_reward"] = reward
     return Diagnosis(*parts, report, evidence)
+
+
+def add_follow_up(result: Diagnosis, seed: int, say: Progress) -> None:
+    """Put into the report what to do next: the next experiment, and what the mended model is worth to the task."""
+    problem, found, named, report = result.problem, result.found, result.verdict.named, result.report
+    say(8, STAGES, "next experiment")
+    if plan := next_experiment(problem, found, named, result.powers, seed):
+        report["next_experiment"], result.evidence["next_experiment"] = plan.told()
+    if named and (reward := task_reward(problem, found)):
+        report["task_reward"] = reward
 
 
 def useless(count: int) -> tuple[Effect, ...]:

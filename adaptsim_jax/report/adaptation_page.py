@@ -42,7 +42,7 @@ def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
     figures = []
     if any(len(r["curve"]["median"]) > 1 for r in rows):
-        caption = _CURVES if "reward" not in results else _PLAIN_CURVES
+        caption = (_CURVES if "reward" not in results else _PLAIN_CURVES).format(over=_OVER[look.one_seed(rows)])
         figures.append((look.svg(draw.reward_over_iterations(results)), caption))
     if reward_map is not None:
         figures.append((look.svg(_map(results, settings[0], reward_map)), _MAP))
@@ -50,6 +50,7 @@ def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
         "results": results,
         "headline": headline(rows, "Reward" if "reward" in results else "Normalized reward"),
         "scale": _scale(results),
+        "over": "one seed, no interval" if look.one_seed(rows) else "mean over seeds",
         "settings": [(s, look.SETTINGS.get(s, s)) for s in settings],
         "methods": [(m, look.label(m), look.colour(m)) for m in methods],
         "cells": cells,
@@ -58,17 +59,19 @@ def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
 
 
 _CURVES = (
-    "Reward of the best distribution at each iteration: median over seeds, shaded between the quartiles. "
+    "Reward of the best distribution at each iteration: {over}. "
     "0 is one policy for all of Omega (UDR), 1 the best policy whose parameters lie in Omega."
 )
 _PLAIN_CURVES = (
     "Reward of the best distribution at each iteration (for methods without distributions: at each of their budgets of "
-    "target trials): median over seeds, shaded between the quartiles."
+    "target trials): {over}."
 )
+_OVER = {False: "median over seeds, shaded between the quartiles", True: "one seed, nothing to shade"}
 _NORMALISED = (
-    "0 is UDR, 1 the best policy of Omega; beside each mean its 95 % interval over seeds. AdaptSim spends {starts} target "
-    "rollouts an iteration, system identification one."
+    "0 is UDR, 1 the best policy of Omega. {beside} AdaptSim spends {starts} target rollouts an iteration, system identification "
+    "one."
 )
+_BESIDE = {False: "Beside each mean its 95 % interval over seeds.", True: "One seed, no interval."}
 _MAP = (
     "What each seed's best policy was trained on. Colours are the largest reward that a pair of masses can earn in the "
     "target; the box is Omega, and the star the target's own masses, which no method may choose."
@@ -93,9 +96,10 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
 
 
 def _scale(results: Mapping[str, Any]) -> str:
+    beside = _BESIDE[look.one_seed(results["rows"])]
     if "reward" in results:
-        return f"{look.reward_of(results, long=True)}. Beside each mean its 95 % interval over seeds."
-    return _NORMALISED.format(starts=results["starts"])
+        return f"{look.reward_of(results, long=True)}. {beside}"
+    return _NORMALISED.format(beside=beside, starts=results["starts"])
 
 
 def _cell(r: Mapping[str, Any]) -> dict[str, str]:

@@ -35,22 +35,42 @@ def table(results: Mapping[str, Any]) -> str:
     cells = {(r["method"], r["setting"]): r for r in rows}
     head = [look.SETTINGS.get(s, s) for s in settings]
     across = lambda cell: _grid(head, methods, cell, settings, cells)
-    spread = lambda r, *keys: f"{_number(r[keys[0]])} [{_number(r[keys[1]])}, {_number(r[keys[2]])}]"
     parts = [
-        f"{look.reward_of(results, long=True)}, {results['seeds']} seeds, "
+        f"{look.reward_of(results, long=True)}, {look.seeds(results['seeds'])}, "
         f"{results['iterations']} iterations, {results['starts']} initial distributions.",
-        "Mean over seeds of the best iteration [95 % interval of the mean]:",
-        across(lambda r: spread(r, "mean", "low", "high")),
-        "Median [quartiles] of the best iteration:",
-        across(lambda r: spread(r, "median", "q25", "q75")),
-        "Mean over seeds at the last iteration, and in brackets the best mean of any one iteration:",
-        across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
+        *(_of_one(across) if look.one_seed(rows) else _over_seeds(across)),
         *_discrepancies(rows, across),
         *_failures(rows),
         f"Target rollouts for one target: {_trials(rows, methods)}.",
         f"Command: `{results['command']}`",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _over_seeds(across) -> list[str]:
+    return [
+        "Mean over seeds of the best iteration [95 % interval of the mean]:",
+        across(lambda r: _spread(r, "mean", "low", "high")),
+        "Median [quartiles] of the best iteration:",
+        across(lambda r: _spread(r, "median", "q25", "q75")),
+        "Mean over seeds at the last iteration, and in brackets the best mean of any one iteration:",
+        across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
+    ]
+
+
+def _of_one(across) -> list[str]:
+    return [
+        "Best iteration (one seed, no interval):",
+        across(lambda r: _number(r["mean"])),
+        "Last iteration (one seed):",
+        across(lambda r: _number(r["final_mean"])),
+    ]
+
+
+def _spread(r: Mapping[str, Any], *keys: str) -> str:
+    """The number and what it is within; of one seed among rows of several, the number alone."""
+    middle, low, high = (_number(r[key]) for key in keys)
+    return f"{middle} (one seed)" if look.one_seed([r]) else f"{middle} [{low}, {high}]"
 
 
 def _grid(head, methods, cell, settings, cells) -> str:

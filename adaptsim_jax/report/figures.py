@@ -53,6 +53,15 @@ def reward_of(results, long: bool = False) -> str:
     return "Normalized reward (0 UDR, 1 best in Omega, not clipped)" if long else REWARD
 
 
+def one_seed(rows) -> bool:
+    """Whether no row of a comparison is of more than one seed, so that there is nothing to give an interval of."""
+    return all(len(r["per_seed"]) < 2 for r in rows)
+
+
+def seeds(count: int) -> str:
+    return f"{count} seed" + "s" * (count != 1)
+
+
 def setting(name: str) -> str:
     return SETTINGS.get(name, name)
 

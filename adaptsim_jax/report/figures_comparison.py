@@ -58,7 +58,7 @@ def _least(results: Mapping[str, Any]) -> float:
 
 
 def rewards(results: Mapping[str, Any], left: float | None = None) -> Figure:
-    """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval, and every seed."""
+    """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one seed none), and every seed."""
     left = _least(results) if left is None else left
     known = () if "reward" in results else ("udr", "best_in_omega")  # 0 and 1 by definition where normalised
     rows = [r for r in results["rows"] if r["method"] not in known]

@@ -79,6 +79,25 @@ def test_page_is_self_contained_and_escaped(results, chart, tmp_path):
     assert "src=" not in html and "href=" not in html.replace('href="data:,"', "").replace('xlink:href="#', "")
 
 
+def test_of_one_seed_no_interval_is_told_anywhere(results):
+    """Of several there is one in the table and beside the means on the page."""
+    html, text = adaptation_section(results), table(results)
+    assert "95 % interval" in html and "between the quartiles" in html and "[95 % interval of the mean]" in text
+    keep = lambda r: row(r["method"], r["setting"], np.full((1, 11), 0.4321), oracle=1.0, target_trials=11)
+    lone = {**results, "seeds": 1, "rows": [keep(r) for r in results["rows"]]}
+    html, text = adaptation_section(lone), table(lone)
+    for told in (html, text):
+        assert "ne seed, no interval" in told and "0.43" in told
+        assert "95 %" not in told and "uartile" not in told and "ean over seeds" not in told
+    assert "[" not in text and "1 seed," in text
+
+
+def test_one_seed_beside_rows_of_several_says_so(results):
+    lone = row("sysid_point", "wd", np.full((1, 11), 0.4321), oracle=1.0, target_trials=11)
+    rows = [r for r in results["rows"] if (r["method"], r["setting"]) != ("sysid_point", "wd")]
+    assert "| 0.43 (one seed) |" in table({**results, "rows": [*rows, lone]})
+
+
 def test_section_without_a_map_or_curves(results):
     bounds = {**results, "rows": [r for r in results["rows"] if r["method"] == "udr"]}
     assert "<svg" not in adaptation_section(bounds)
