@@ -25,7 +25,7 @@ BATCH = 24
 
 
 def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tuple[dict, float]:
-    """The report of one folder, its next experiment left out, and the seconds it took; a crash is a report with the verdict `error`."""
+    """The report of one folder (without its follow-up) and the seconds it took; a crash is a report, verdict `error`."""
     from adaptsim_jax.closeloop.diagnose import diagnose
 
     options: dict = {"follow_up": False} | ({"exclude": exclude} if exclude else {})

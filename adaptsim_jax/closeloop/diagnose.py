@@ -25,6 +25,7 @@ from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
+from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.sharpen import sharpened
@@ -43,7 +44,7 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All that a diagnosis found; `report` is what goes into report.json."""
+    """All that a diagnosis found; `report` is what goes into report.json. leading: the likeliest model where nothing is named."""
 
     problem: Problem
     found: Found
@@ -56,6 +57,7 @@ class Diagnosis:
     first: View
     report: dict[str, Any]
     evidence: dict[str, Any]
+    leading: Fitted | None = None
 
 
 def diagnose(
@@ -141,7 +143,7 @@ def examine(
         add_leading(report, problem, leading, found, tried)
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)
-    return Diagnosis(*parts, report, evidence)
+    return Diagnosis(*parts, report, evidence, leading)
 
 
 def add_follow_up(result: Diagnosis, seed: int, say: Progress) -> None:
@@ -207,10 +209,20 @@ def finish(
         folder = output_folder(out)
         if result is not None:
             evidence["regressor"] = regressors(result)
-            model = result.found.final if result.verdict.named else result.found.base
-            told = {key: report[key] for key in ("verdict", "message")} | {"data": recording.path} | report["run"]
-            write_model(folder / "model.toml", fitted_model(result.problem, model, told))
+            write_models(folder, result, report, recording.path)
         if plan := evidence.get("next_experiment"):
             write_bytes(folder / plan["csv"], csv_of(plan["time"], plan["torque"]))
         write_diagnosis(folder, report, evidence)
     return report
+
+
+def write_models(folder: Path, result: Diagnosis, report: dict[str, Any], data: str | Path) -> None:
+    """The mended model as `model.toml`; where nothing is named but a set of effects leads, that set as `leading.toml`."""
+    told = {key: report[key] for key in ("verdict", "message")} | {"data": data} | report["run"]
+    model = result.found.final if result.verdict.named else result.found.base
+    write_model(folder / "model.toml", fitted_model(result.problem, model, told))
+    if result.leading is not None:
+        told["message"] = "Not established: the likeliest set of effects, which explains too little for a name."
+        write_model(folder / "leading.toml", fitted_model(result.problem, result.leading, told))
+    else:
+        (folder / "leading.toml").unlink(missing_ok=True)  # of an earlier run into the same folder

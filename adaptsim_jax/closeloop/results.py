@@ -150,7 +150,8 @@ def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: 
     words = " and ".join(f"{name.replace('_', ' ')} at {where}" for name, where in names)
     report["not_established"].append(
         f"The likeliest set, {words}, would bring the held-out error from {1e3 * report['error']['before']:.3g} to "
-        f"{1e3 * reached:.3g} mrad and leave {100 * left:.0f} % of the unexplained torque: not enough for a name."
+        f"{1e3 * reached:.3g} mrad and leave {100 * left:.0f} % of the unexplained torque: not enough for a name. "
+        "leading.toml has it, to be tried."
     )
 
 

@@ -1,5 +1,6 @@
 """The cause made visible, and the ceiling: on the sample (0.294 N m of dry friction at joint 1) and on nothing."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,13 @@ import pytest
 import adaptsim_jax.closeloop
 from adaptsim_jax.closeloop.audit import audit
 from adaptsim_jax.closeloop.ceiling import ceiling
-from adaptsim_jax.closeloop.diagnose import examine
+from adaptsim_jax.closeloop.diagnose import examine, write_models
 from adaptsim_jax.closeloop.evidence import _variable, evidence_of
+from adaptsim_jax.closeloop.model_file import read_model
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.search import Settings
+from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.models.effects import catalogue
 from tests.generators import make_dataset, write_dataset
 
@@ -76,3 +79,17 @@ def test_the_variable_is_what_the_torque_follows():
     assert _variable(both, -0.4 * q)[0] == "angle"
     label, x = _variable(both, np.sign(v * q))  # follows both together and neither alone
     assert label.startswith("torque") and set(np.unique(x)) == {-1.0, 1.0}
+
+
+@pytest.mark.slow
+def test_a_set_that_is_not_named_can_be_tried_all_the_same(sample, tmp_path):
+    refused = replace(
+        sample, verdict=Verdict("structured_unattributed", "Something more.", False), leading=sample.found.final
+    )
+    report = sample.report | {"run": {"version": "0", "seed": 0, "seconds": 1.0}}
+    write_models(tmp_path, refused, report, SAMPLE)
+    assert not read_model(tmp_path / "model.toml").effects
+    (effect,) = read_model(tmp_path / "leading.toml").effects
+    assert (effect.name, effect.where) == ("coulomb", "joint1")
+    write_models(tmp_path, sample, report, SAMPLE)  # named this time
+    assert len(read_model(tmp_path / "model.toml").effects) == 1 and not (tmp_path / "leading.toml").exists()
