@@ -1,9 +1,9 @@
 """How what is deployed in scooping may be corrected by the target's own scoops, tried on random targets and seeds that no table uses.
 
-    python experiments/scooping_correction.py --out OUT --doubts 0.5,2,3 0.3,2,3
+    python experiments/scooping_correction.py --out OUT --doubts 1,0.5,1,3 0,0.5,2,3
 
-AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. Each doubt (reach,
-spread, most; see `tasks/scooping_told.py`) then says what would be deployed at the last visits, which is scored in the engine in
+AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. Each doubt (others,
+reach, spread, most; see `tasks/scooping_told.py`) then says what would be deployed at the last visits, scored in the engine in
 12 test contexts. `network` is E's policy as it is, `search` the best action by the bank at E's mean, nothing seen of the target.
 """
 
@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--out", required=True)
     parser.add_argument("--seeds", type=int, default=3, help="from 100 on")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
-    parser.add_argument("--doubts", nargs="+", default=["network", "search", "0.5,2,3"])
+    parser.add_argument("--doubts", nargs="+", default=["network", "search", "1,0.5,1,3"])
     args = parser.parse_args()
     compile_cache.enable()
     out, seeds = output_folder(Path(args.out)), np.arange(100, 100 + args.seeds)

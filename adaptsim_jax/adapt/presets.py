@@ -117,7 +117,10 @@ def pushing_sweep() -> TrainConfig:
 
 
 def comparison_config(task: str) -> TrainConfig:
-    """What AdaptSim's row of `adaptsim compare TASK` is trained with for every seed."""
+    """What AdaptSim's row of `adaptsim compare TASK` is trained with for every seed. What is deployed in the push and in scooping is
+    corrected by the target's own trials, of SysID and BayesOpt likewise."""
+    if task == "scooping":
+        return replace(scooping(), task={"correct": True})
     return pushing_sweep() if task == "pushing" else default_config(task)
 
 

@@ -315,17 +315,14 @@ def bank_chance(bank: Bank, params: jax.Array, action: jax.Array) -> jax.Array:
     return jax.nn.sigmoid(bank.logit(params, action))
 
 
-def expected_odds(bank: Bank, params: jax.Array, options: ScoopOptions) -> Callable[[jax.Array], jax.Array]:
-    """`odds(action [3] in [-1, 1]) -> []`: log odds of success at `params [4]` when the action is asked for, over even errors."""
-    even = jnp.stack(jnp.meshgrid(*[jnp.array([-2.0, 0.0, 2.0]) / 3.0] * 2, indexing="ij"), -1).reshape(-1, 2)
-    lucks = jnp.zeros((len(even), CONTEXT)).at[:, 2:4].set(even)
-
-    def odds(action):
-        logits = jax.vmap(lambda luck: bank.logit(params, executed(action, luck, options)))(lucks)
-        lost = jax.nn.logsumexp(jax.nn.log_sigmoid(-logits))
-        return jax.nn.logsumexp(jax.nn.log_sigmoid(logits)) - lost
-
-    return odds
+def expected_odds(bank: Bank, params: jax.Array, action: jax.Array, options: ScoopOptions) -> jax.Array:
+    """Log odds of success `[]` at `params [4]` when `action [3]` in [-1, 1] is asked for: of the mean chance over its errors, by
+    Gauss's rule of two points for each."""
+    errors = jnp.array([(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]) / np.sqrt(3.0)
+    lucks = jnp.zeros((len(errors), CONTEXT)).at[:, 2:4].set(errors)
+    logits = jax.vmap(lambda luck: bank.logit(params, executed(action, luck, options)))(lucks)
+    won, lost = (jax.nn.logsumexp(jax.nn.log_sigmoid(sign * logits)) for sign in (1.0, -1.0))
+    return won - lost
 
 
 def bank_outcome(bank: Bank, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:

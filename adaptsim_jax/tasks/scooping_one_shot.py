@@ -17,12 +17,13 @@ from adaptsim_jax.tasks import scooping as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
-from adaptsim_jax.tasks.scooping_bank import load_bank
-from adaptsim_jax.tasks.scooping_told import Doubt, Told, best_action, with_outcomes
+from adaptsim_jax.tasks.scooping_bank import load_bank, points
+from adaptsim_jax.tasks.scooping_told import Doubt, Odds, Told, chances, lattice
 
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts
 HEIGHT_UNIT = 0.02  # m
+TRIED, OTHERS = 1024, 64  # actions, and other pieces, that a correction looks at
 UDR_CHECKS = 256  # pieces of Omega that the best of UDR's policies is chosen by
 
 
@@ -64,16 +65,29 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
 
 def make_choice(config: ScoopingConfig, doubt: Doubt = Doubt()) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:  # noqa: B008
     """`act(policy, contexts [N, 5]) -> [N, 3]` in [-1, 1]. A policy that was told of the target's scoops does what is likeliest to
-    succeed by them and by the bank at its mean of E, the same in all contexts; any other does what its network says."""
+    succeed by them and by the bank, the same in all contexts; any other does what its network says.
+
+    Tried are `TRIED` even actions, what the network says, and what was done before.
+    """
     naf, space, options = task.make_scooping_naf(config), task.scooping_space(config), task.checked(config)
-    bank = load_bank(options, config.numerics) if config.correct else None
+    greedy = lambda policy, contexts: naf.greedy(policy.weights, task.seen_place(contexts))
+    if not config.correct:
+        return greedy
+    bank, even = load_bank(options, config.numerics), jnp.asarray(lattice(TRIED), jnp.float32)
+    pieces = jnp.asarray(points(OTHERS, 0, "wide")[0], jnp.float32)
+    odds = jax.vmap(lambda params, action: task.expected_odds(bank, params, action, options), (None, 0))
+    others = jax.vmap(odds, (0, None), 1)
+    known = jax.jit(others)(pieces, even)
 
     def choose(policy, contexts):
-        action = naf.greedy(policy.weights, task.seen_place(contexts))
-        if bank is None or policy.at is None or policy.told is None:
+        action = greedy(policy, contexts)
+        if policy.told is None:
             return action
-        odds = task.expected_odds(bank, space.physical(policy.at), options)
-        best = best_action(with_outcomes(odds, policy.told, doubt), jnp.concatenate([action, policy.told.actions]))
+        own = jnp.concatenate([policy.told.actions, action])
+        every, params = jnp.concatenate([own, even]), space.physical(policy.at)
+        both = Odds(odds(params, every), jnp.concatenate([others(pieces, own), known]))
+        at_told = jax.tree.map(lambda x: x[: len(policy.told.actions)], both)
+        best = every[jnp.argmax(chances(policy.told, at_told, every, both, doubt))]
         return jnp.broadcast_to(best, action.shape)
 
     return choose

@@ -2,12 +2,11 @@
 
 No E makes the bank right where the target is a piece that Omega does not have, nor where the bank itself is too hopeful, nor
 where E is not found yet. The scoops that adaptation makes anyway show it: their outcomes are taken for coins whose log odds are
-the bank's at E's mean and a smooth function of the action, a Gaussian process (Rasmussen and Williams 2006, chapter 3, Laplace's
-approximation). Far from all scoops the bank is believed, the less the bolder it is. Where the piece lies changes nothing, and is
-left out.
+the bank's at E's mean and a Gaussian process (Rasmussen and Williams 2006, chapter 3, Laplace's approximation). Its covariance is
+of two parts: departures towards other pieces, for what pieces have in common the bank knows; and smooth ones over the actions, for
+what it has wrong of all. Where the piece lies changes nothing, and is left out.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -27,57 +26,57 @@ class Told(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """reach: of the action's range [-1, 1], how far what a scoop showed holds; spread: standard deviation of what the bank's log
-    odds may be off by; most: log odds that the bank never goes beyond. Chosen on pieces and seeds that no table uses."""
+    """Of what the bank's log odds at E's mean may be off by. others: share of the way to other pieces' that the target may be; reach:
+    of the action's range [-1, 1], how far else what a scoop showed holds; spread: standard deviation of that; most: log odds that
+    the bank never goes beyond. Chosen on pieces and seeds that no table uses."""
 
+    others: float = 1.0
     reach: float = 0.5
-    spread: float = 2.0
+    spread: float = 1.0
     most: float = 3.0
 
 
-def with_outcomes(
-    odds: Callable[[jax.Array], jax.Array],
-    told: Told,
-    doubt: Doubt = Doubt(),  # noqa: B008
-) -> Callable[[jax.Array], jax.Array]:
-    """`chance(action [3]) -> []` of success, from the bank's `odds(action) -> []` (log odds) and what was seen in the target.
+class Odds(NamedTuple):
+    """The bank's log odds of success of `A` actions: at E's mean `expected [A]`, and at `J` other pieces `others [A, J]`."""
 
-    Rows that are not used count for nothing. Unsure odds are drawn towards even, as their expected chance is.
+    expected: jax.Array
+    others: jax.Array
+
+
+def chances(told: Told, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()) -> jax.Array:  # noqa: B008
+    """`[A]`, chance of success of the actions `tried [A, 3]` by the bank and by what was seen in the target, `told`; `at_told`,
+    `at_tried`: the bank's odds of both. Rows that are not used count for nothing. Unsure odds are drawn towards even, as their
+    expected chance is.
     """
-    held = lambda a: doubt.most * jnp.tanh(odds(a) / doubt.most)
-    used = told.used.astype(told.actions.dtype)
-    prior = jax.vmap(held)(told.actions)
-    alike = doubt.spread**2 * _alike(told.actions, told.actions, doubt.reach) * used[:, None] * used[None]
+    used = told.used.astype(tried.dtype)
+    prior, ways = _departures(at_told, doubt)
+    alike = _covariance(ways, told.actions, ways, told.actions, doubt) * used[:, None] * used[None]
     pull = _mode(prior, alike, told.won, used)
     at_mode = jax.nn.sigmoid(prior + alike @ pull)
     root = jnp.sqrt(at_mode * (1.0 - at_mode) * used)
-    factor = _factor(root, alike)
-
-    def chance(action):
-        near = doubt.spread**2 * _alike(action[None], told.actions, doubt.reach)[0] * used
-        known = jax.scipy.linalg.solve_triangular(factor, root * near, lower=True)
-        variance = jnp.maximum(doubt.spread**2 - known @ known, 0.0)
-        return jax.nn.sigmoid((held(action) + near @ pull) / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
-
-    return chance
+    there, tried_ways = _departures(at_tried, doubt)
+    across = _covariance(tried_ways, tried, ways, told.actions, doubt) * used[None]
+    known = jax.scipy.linalg.solve_triangular(_factor(root, alike), root[:, None] * across.T, lower=True)
+    alone = doubt.spread**2 + jnp.sum(tried_ways**2, 1)
+    variance = jnp.maximum(alone - jnp.sum(known**2, 0), 0.0)
+    return jax.nn.sigmoid((there + across @ pull) / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
 
 
-def best_action(
-    chance: Callable[[jax.Array], jax.Array], known: jax.Array, points: int = 256, rounds: int = 3
-) -> jax.Array:
-    """`[3]` in [-1, 1], the likeliest of `known [F, 3]` and `points` spread evenly, then of a quarter as many around the best in each
-    of `rounds` boxes, each half the one before."""
-    spread = jnp.asarray(_lattice(points), known.dtype)
-    near = jnp.asarray(_lattice(max(points // 4, 1)), known.dtype)
-    tried = jnp.concatenate([known, spread])
-    value = jax.vmap(chance)(tried)
-    best, worth = tried[jnp.argmax(value)], jnp.max(value)
-    for number in range(rounds):
-        tried = jnp.clip(best[None] + 0.25 * 0.5**number * near, -1.0, 1.0)
-        value = jax.vmap(chance)(tried)
-        best = jnp.where(jnp.max(value) > worth, tried[jnp.argmax(value)], best)
-        worth = jnp.maximum(worth, jnp.max(value))
-    return best
+def lattice(count: int) -> np.ndarray:
+    """`[count, 3]` actions in [-1, 1], spread evenly: a lattice of irrational steps."""
+    return 2.0 * ((np.arange(count)[:, None] + 0.5) * np.array([0.8191725, 0.6710436, 0.5497005]) % 1.0) - 1.0
+
+
+def _departures(odds: Odds, doubt: Doubt) -> tuple[jax.Array, jax.Array]:
+    """Odds at E's mean `[A]`, bounded, and the ways `[A, J]` in which those of the other pieces depart from them."""
+    held = lambda x: doubt.most * jnp.tanh(x / doubt.most)
+    expected, others = held(odds.expected), held(odds.others)
+    return expected, doubt.others * (others - expected[:, None]) / np.sqrt(max(others.shape[1], 1))
+
+
+def _covariance(ways_a, a, ways_b, b, doubt: Doubt) -> jax.Array:
+    """`[A, B]`: what pieces make actions share, and what near actions do."""
+    return ways_a @ ways_b.T + doubt.spread**2 * _alike(a, b, doubt.reach)
 
 
 def _mode(prior: jax.Array, alike: jax.Array, won: jax.Array, used: jax.Array) -> jax.Array:
@@ -85,9 +84,9 @@ def _mode(prior: jax.Array, alike: jax.Array, won: jax.Array, used: jax.Array) -
 
     def nearer(pull, _):
         odds = prior + alike @ pull
-        weight = (
-            jnp.where(jnp.abs(odds) < 1e-3, 0.25, 0.5 * jnp.tanh(0.5 * odds) / jnp.where(odds == 0, 1.0, odds)) * used
-        )
+        small = jnp.abs(odds) < 1e-3
+        slope = jnp.where(small, 0.25, 0.5 * jnp.tanh(0.5 * odds) / jnp.where(small, 1.0, odds))
+        weight = slope * used
         root = jnp.sqrt(weight)
         drive = (won - 0.5) * used - weight * prior
         inner = jax.scipy.linalg.cho_solve((_factor(root, alike), True), root * (alike @ drive))
@@ -104,8 +103,3 @@ def _factor(root: jax.Array, alike: jax.Array) -> jax.Array:
 def _alike(a: jax.Array, b: jax.Array, reach: float) -> jax.Array:
     """`[A, 3], [B, 3] -> [A, B]`: 1 for the same action, 0 for far ones."""
     return jnp.exp(-0.5 * jnp.sum(((a[:, None] - b[None]) / reach) ** 2, -1))
-
-
-def _lattice(count: int) -> np.ndarray:
-    """`[count, 3]` in [-1, 1], spread evenly: a lattice of irrational steps."""
-    return 2.0 * ((np.arange(count)[:, None] + 0.5) * np.array([0.8191725, 0.6710436, 0.5497005]) % 1.0) - 1.0
