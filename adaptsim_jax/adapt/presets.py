@@ -82,7 +82,7 @@ def pushing_sweep() -> TrainConfig:
     mean of E; each action is corrected there by 8 simulated pushes (in Phase 1 by 3), in place of a training at E.
 
     So steps cost little, and what a visit shows depends on the mean of E alone, and not on which anchor was near. Beside its
-    bottles' places stands how far E's mean puts them from there. What is deployed is corrected by all of these gaps so far, for
+    bottles' places stands how far E's mean puts them from there. What is deployed is corrected by all of these pushes so far, for
     which an iteration's two goals are drawn anew, one on each side: with the same two each time the adaptation policy does
     better, and what is deployed worse. Half of the trajectories are led towards their targets, which the others seldom come near.
     Steps shrink from 0.3 of the range to 0.025: with steps of one size the grid that a start can reach misses WD's parameters

@@ -23,8 +23,8 @@ from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.pushing_refine import refine
-from adaptsim_jax.tasks.pushing_told import Told, with_gaps
+from adaptsim_jax.tasks.pushing_refine import refine, search
+from adaptsim_jax.tasks.pushing_told import Told, nearer, with_gaps
 
 # Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
 SETTINGS = {
@@ -62,9 +62,9 @@ class PushingConfig:
     with `learning_rate`; `train` then moves it to the mean of E and, unless `tune` is false, tunes it by `tuning` with
     `tuning_rate`.
     refine: pushes simulated at the mean of E that each action is corrected by before it is made (`pushing_refine`), with
-    `pretrain` only; 0: actions are the network's own. correct: what is deployed is refined in the simulator as mended by the
-    pushes made in the target so far (`pushing_told`); a visit's own pushes are not, nor is anything in Phase 1. rehearsal: tests
-    and refine that Phase 1 makes do with, where not 0.
+    `pretrain` only; 0: actions are the network's own. correct: what is deployed is searched for in the simulator as
+    mended by the pushes made in the target so far, near E's mean and over the actions (`pushing_told`); a visit's own pushes are
+    not, nor is anything in Phase 1. rehearsal: tests and refine that Phase 1 makes do with, where not 0.
     coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
     friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
@@ -225,11 +225,15 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
         action = naf.greedy(policy.weights, seen_goal(goal))
         if config.refine == 0 or policy.at is None:
             return action
-        params = space.physical(policy.at)
-        push = lambda a: planar.rollout(params, physical_action(a), options, twin)[-1]
-        push = push if policy.told is None else with_gaps(push, policy.told)
-        better = jax.vmap(lambda g, a: refine(push, g, a, config.refine))
-        return better(goal.reshape(-1, 2), action.reshape(-1, 2)).reshape(action.shape)
+        goals, first = goal.reshape(-1, 2), action.reshape(-1, 2)
+        end = lambda at, a: planar.rollout(space.physical(at), physical_action(a), options, twin)[-1]
+        if policy.told is None:
+            push = lambda a: end(policy.at, a)
+            better = jax.vmap(lambda g, a: refine(push, g, a, config.refine))(goals, first)
+        else:
+            at = nearer(end, policy.at, policy.told)
+            better = search(with_gaps(lambda a: end(at, a), policy.told), goals, first, config.refine)
+        return better.reshape(action.shape)
 
     return choose
 

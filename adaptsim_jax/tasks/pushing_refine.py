@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from adaptsim_jax.models import pushing as model
 
 _LEAP = 0.4  # of the action's range [-1, 1]: the farthest that one correction goes
+_GRID = (17, 13)  # speeds and angles
 _DAMPING = (1e-3, 0.3, 8.0)  # of the steps, m^2: at first, and its factors after a success and a failure
 
 
@@ -36,6 +37,19 @@ def refine(push: Callable[[jax.Array], jax.Array], goal: jax.Array, action: jax.
     slope, damping = _guess(miss + goal, action), jnp.asarray(_DAMPING[0], miss.dtype)
     begin = (_ahead(action, miss, slope, damping), action, miss, slope, damping)
     return jax.lax.scan(one, begin, length=trials - 1)[0][1]
+
+
+def search(push: Callable[[jax.Array], jax.Array], goals: jax.Array, actions: jax.Array, trials: int) -> jax.Array:
+    """For each of `goals [N, 2]` m the better of two refined actions `[N, 2]`: the one given, and the best of a grid for all goals.
+
+    For what is deployed: a bottle may reach a goal across the patch or beside it, and no step leads from one to the other.
+    """
+    grid = jnp.stack(jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, n) for n in _GRID), indexing="ij"), -1).reshape(-1, 2)
+    ends = jax.vmap(push)(grid)
+    nearest = grid[jnp.argmin(jnp.sum((ends[None] - goals[:, None]) ** 2, -1), 1)]
+    found = jnp.stack([jax.vmap(lambda g, a: refine(push, g, a, trials))(goals, a) for a in (actions, nearest)])
+    apart = jnp.sum((jax.vmap(jax.vmap(push))(found) - goals[None]) ** 2, -1)
+    return jnp.where((apart[0] <= apart[1])[:, None], found[0], found[1])
 
 
 def _ahead(action, miss, slope, damping) -> jax.Array:

@@ -10,10 +10,12 @@ import pytest
 from adaptsim_jax.baselines.arena import Arena, Trials, lanes
 from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.pushing import PushingConfig
 from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
-from adaptsim_jax.tasks.pushing_told import Told, with_gaps
+from adaptsim_jax.tasks.pushing_refine import refine, search
+from adaptsim_jax.tasks.pushing_told import Told, nearer, with_gaps
 
 simulated = lambda a: jnp.stack([0.8 + 0.2 * a[0], 0.1 * a[1]])
 ACTIONS = jnp.array([[-0.5, 0.0], [0.0, 0.4], [0.6, -0.3], [0.9, 0.9]])
@@ -40,6 +42,40 @@ def test_rows_that_do_not_count_or_failed_change_nothing():
     np.testing.assert_allclose(failed(ACTIONS[0]), places[0], atol=2e-3)
     without = with_gaps(simulated, told(places, (True, False, True, False)))
     np.testing.assert_array_equal(failed(ACTIONS[1]), without(ACTIONS[1]))
+
+
+def test_the_mean_moves_to_parameters_that_explain_the_pushes_and_stays_within_omega():
+    space = pushing.pushing_space()
+    end = lambda u, a: planar.rollout(space.physical(u), pushing.physical_action(a))[-1]
+    actions = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (12, 2)), jnp.float32)
+    truth, mean = jnp.array([0.4, 0.6, 0.7, 0.5]), jnp.array([0.5, 0.45, 0.6, 0.6])
+    there = lambda u: jax.vmap(lambda a: end(u, a))(actions)
+    move = jax.jit(lambda places, used: nearer(end, mean, Told(actions, places, used)))
+    every = jnp.ones(12, bool)
+    off = lambda u: np.linalg.norm(there(u) - there(truth), axis=1).mean()
+    found = move(there(truth), every)
+    assert off(found) < 0.1 * off(mean) and np.abs(found - truth)[0] < 0.3 * np.abs(mean - truth)[0]
+    np.testing.assert_array_equal(move(there(truth), ~every), mean)
+    # two that failed tell nothing
+    some = every.at[:2].set(False)
+    np.testing.assert_array_equal(move(there(truth).at[:2].set(jnp.nan), every), move(there(truth), some))
+    # a target more slippery than any of Omega
+    beyond = move(
+        jax.vmap(lambda a: planar.rollout(jnp.array([0.03, 1e5, 0.5, 0.0]), pushing.physical_action(a))[-1])(actions),
+        every,
+    )
+    assert beyond[0] < mean[0] - 0.1 and np.all(beyond >= 0.0) and np.all(beyond <= 1.0)
+
+
+def test_a_goal_that_no_step_leads_to_is_found_by_searching():
+    """Faster pushes go less far at first (a bottle that is caught), and the farthest only beyond."""
+    far = lambda x: jnp.where(x > 0.5, 0.9 + 0.1 * x, 0.8 - 0.15 * (x + 0.5))
+    push = lambda a: jnp.stack([far(a[0]), 0.1 * a[1]])
+    goals, first = jnp.array([[0.97, 0.05], [0.7, -0.05]]), jnp.array([[-0.5, 0.0], [0.0, 0.0]])
+    apart = lambda found: np.linalg.norm(jax.vmap(push)(found) - goals, axis=1)
+    stuck = jax.vmap(lambda g, a: refine(push, g, a, 8))(goals, first)
+    assert apart(stuck)[0] > 0.05
+    assert np.all(apart(search(push, goals, first, 8)) < 0.005)
 
 
 def test_memory_shares_between_the_starts_of_a_seed_and_with_no_one_else():
