@@ -15,7 +15,8 @@ EXAMPLES = """
   adaptsim adapt runs/p --target ood-2 --video     a run of the push: figures, and a film of its first and best policy
   adaptsim adapt runs/s --target ood-1 --video     the same of scooping
 """
-# modules with `show(trained, options, found, result, out, video) -> lines`, for tasks whose trials can be looked at
+# modules with `show(trained, options, found, result, out, video) -> lines`, for tasks whose trials can be looked at; and with
+# `deployed(options, result, params) -> result`, where the trials made mend what is deployed
 SHOWS = {"pushing": "adapt_pushing", "scooping": "adapt_scooping"}
 
 
@@ -54,15 +55,21 @@ def run(args: argparse.Namespace) -> int:
         trained = trained._replace(phase1=trained.phase1._replace(task=task))
     with output(args.out or Path(args.folder) / f"adapt-{name}") as out:
         result = adapt_run(trained, jax.random.key(args.seed), params, starts=args.starts, iterations=args.iterations)
+        if hasattr(show := shown(task.name), "deployed"):
+            result = show.deployed(folder.config.get("task", {}), result, params)
         found = describe(result, task, name, params, args)
         write_json(out / "result.json", found)
     _show(found)
     print(f"written: {out / 'result.json'}")
-    if task.name in SHOWS:
-        show = importlib.import_module(f"adaptsim_jax.commands.{SHOWS[task.name]}").show
-        for line in show(trained, folder.config.get("task", {}), found, result, out, args.video):
+    if show is not None:
+        for line in show.show(trained, folder.config.get("task", {}), found, result, out, args.video):
             print(line)
     return 0
+
+
+def shown(task: str) -> Any:
+    """The module that speaks for a task whose trials can be looked at, else None."""
+    return importlib.import_module(f"adaptsim_jax.commands.{SHOWS[task]}") if task in SHOWS else None
 
 
 def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What `adaptsim adapt` shows of the push: table tops over iterations, and a film of the first and the best policy."""
+"""What `adaptsim adapt` deploys of the push, and shows: table tops over iterations, and a film of the first and the best policy."""
 
 from __future__ import annotations
 
@@ -9,6 +9,29 @@ import numpy as np
 
 COLUMNS = 6
 GOALS = ((0.78, 0.05), (0.93, -0.06))  # m: a near one on the left and a far one on the right
+
+
+def deployed(options: dict[str, Any], result: Any, target: Any) -> Any:
+    """`result` with its policies and rewards as they are deployed: corrected by the pushes made before, and the best visit's policy by
+    all that were made, where the task does that (`correct`)."""
+    import jax
+    import jax.numpy as jnp
+
+    from adaptsim_jax import config
+    from adaptsim_jax.tasks import pushing_deployed as after
+    from adaptsim_jax.tasks.pushing import PushingConfig
+
+    made = config.from_table(PushingConfig, options, "config, [task]")
+    if not made.correct or not made.show_goal:
+        return result
+    aim, history = jnp.asarray(target, jnp.float32), result.history
+    policies, every = jax.jit(lambda h: after.deployed(h, aim, made))(history)
+    flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
+    best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
+    together = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best)
+    rewards = jax.jit(lambda p: after.tested(p, aim, made))(together)
+    history = history._replace(policy=policies, reward=rewards[:-1].reshape(history.reward.shape))
+    return result._replace(policy=result.policy._replace(told=every), reward=rewards[-1], history=history)
 
 
 def show(
@@ -36,6 +59,9 @@ def show(
         target=target.tolist(),
     )
     lines = [f"written: {look.save(figure, out / 'pushes.png')}"]
+    if result.policy.told is not None:
+        made_so_far = len(result.policy.told.used)
+        lines.insert(0, f"actions are corrected by the pushes made before, the best policy's by all {made_so_far}")
     if video:
         visits = [(0, "first"), (int(best), "best")] if best else [(0, "best")]
         takes = [(f"iteration {i} ({word})", actions[i, g], goals[g]) for g in range(len(goals)) for i, word in visits]

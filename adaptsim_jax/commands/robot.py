@@ -21,7 +21,8 @@ the piece [m, x along the spatula's way], and on, 1 where it lies on the spatula
 """
 STEPS = ("new", "next", "record")
 SESSION = "robot.toml"
-# what is said and read for each task: modules with TURN, opened, policy_file, show, read, remember and told
+# what is said and read for each task: modules with TURN, opened, policy_file, show, read, remember and told; and with deployed,
+# where the trials told so far mend the policy that is written and shown
 HANDS = {"pendulum": "robot_pendulum", "pushing": "robot_pushing", "scooping": "robot_scooping"}
 
 
@@ -97,6 +98,7 @@ def ask(args: argparse.Namespace) -> None:
     task, total = session.trained.phase1.task, session.loop.trials(state)
     done = len(history) >= total
     mean, policy = (state.best_mean, state.best_policy) if done else (state.mean, state.policy)
+    policy = session.hand.deployed(session, policy, history) if hasattr(session.hand, "deployed") else policy
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
     what = "best policy" if done else f"{session.hand.TURN} {len(history) + 1} of {total}"
     print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")

@@ -30,6 +30,15 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     return policy_table(policy, _config(session))
 
 
+def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+    """The policy as it would be deployed now, corrected by the pushes told so far where the task does that."""
+    from adaptsim_jax.tasks.pushing_measured import corrected
+
+    pushes = [push for visit in history for push in visit["pushes"]]
+    actions, places = [p["action"] for p in pushes], [p["points"][-1] for p in pushes]
+    return corrected(policy, _config(session), actions, places)
+
+
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
     """Print the pushes to make and write them to actions.csv; when all is told, the best policy's over the sector of goals."""
     if done:
@@ -98,6 +107,8 @@ def _best(session: Session, policy: Any) -> None:
 
     path = session.folder / "best_actions.csv"
     write_actions(path, COLUMNS, zip(*pushes_over_sector(policy, _config(session), GRID), strict=True))
+    if policy.told is not None:
+        print(f"its actions are corrected by the {len(policy.told.used)} pushes told")
     print(f"written: {path}: its push for {GRID} goals; for any other:")
     print("  from adaptsim_jax.tasks.pushing_measured import read_policy")
     print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")

@@ -232,7 +232,8 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
             better = jax.vmap(lambda g, a: refine(push, g, a, config.refine))(goals, first)
         else:
             at = nearer(end, policy.at, policy.told)
-            better = search(with_gaps(lambda a: end(at, a), policy.told), goals, first, config.refine)
+            push = with_gaps(lambda a: end(at, a), policy.told)
+            better = search(push, goals, first, config.refine, policy.told.used.any())
         return better.reshape(action.shape)
 
     return choose

@@ -5,6 +5,7 @@ in the arm's base frame. Whatever the task cannot take is refused with the row.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy, PushingTrajectory
+from adaptsim_jax.tasks.pushing_told import Told
 from adaptsim_jax.tasks.saved_policy import read_saved
 
 COLUMNS = ("trial", "time", "x", "y")
@@ -51,8 +53,19 @@ def pushes_to_make(key: jax.Array, told: Any, policy: PushingPolicy, config: Pus
 def pushes_over_sector(policy: PushingPolicy, config: PushingConfig, count: int) -> Pushes:
     """What the policy does for `count` goals spread over the sector."""
     goals = pushing.goal_lattice(count)
-    actions = pushing.make_policy(config)(policy, goals)
+    actions = jax.jit(pushing.make_policy(config))(policy, goals)
     return Pushes(np.arange(1, count + 1), np.asarray(goals), np.asarray(actions))
+
+
+def corrected(policy: PushingPolicy, config: PushingConfig, actions: Any, places: Any) -> PushingPolicy:
+    """The policy as it is deployed after pushes `actions [K, 2]` (m/s, rad) whose bottles ended at `places [K, 2]` m: corrected by
+    them where the task does that (`correct`), else as it is."""
+    if not config.correct or not len(actions):
+        return policy
+    low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
+    own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
+    told = Told(jnp.asarray(own, jnp.float32), jnp.asarray(places, jnp.float32), jnp.ones(len(own), bool))
+    return policy._replace(told=told)
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
@@ -69,16 +82,40 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
     if not isinstance(at, list) or np.shape(at) != (pushing.pushing_space(config).dim,):
         raise BadInput(f"{path}: the mean of E, policy.at, is missing; write it again with 'adaptsim robot next'")
     policy = PushingPolicy(weights, at=jnp.asarray(at, jnp.float32))
+    if "told" in table:
+        policy = corrected(policy, replace(config, correct=True), *_told_columns(table["told"], path))
     choose = jax.jit(pushing.make_policy(config))
     return lambda goal: np.asarray(choose(policy, jnp.asarray(goal, jnp.float32)))
 
 
+def _told_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """Actions and places `[K, 2]` of a policy file's table `told`."""
+    columns = [table.get(name) if isinstance(table, dict) else None for name in ("actions", "places")]
+    shapes = [np.shape(column) if _numbers(column) else None for column in columns]
+    if shapes[0] != shapes[1] or shapes[0] is None or len(shapes[0]) != 2 or shapes[0][1] != 2:
+        raise BadInput(
+            f"{path}: told: actions and places must be pairs of numbers; write it again with 'adaptsim robot next'"
+        )
+    return np.asarray(columns[0], float), np.asarray(columns[1], float)
+
+
+def _numbers(column: Any) -> bool:
+    try:
+        return bool(np.isfinite(np.asarray(column, float)).all())
+    except (TypeError, ValueError):
+        return False
+
+
 def policy_table(policy: PushingPolicy, config: PushingConfig) -> dict[str, Any]:
-    """What a file holds of a policy for `read_policy`: its network and, where its actions are refined, the simulator at E."""
+    """What a file holds of a policy for `read_policy`: its network and, where its actions are refined, the simulator at E and the
+    pushes that correct it (m/s, rad, m)."""
     table: dict[str, Any] = {"hidden": list(config.hidden), "policy": {"weights": policy.weights.tolist()}}
     if config.refine == 0 or policy.at is None:
         return table
     table["policy"]["at"] = policy.at.tolist()
+    if policy.told is not None:
+        actions = np.asarray(pushing.physical_action(policy.told.actions))
+        table["told"] = {"actions": actions.tolist(), "places": policy.told.places.tolist()}
     whole = configs.to_table(config)
     return table | {"simulator": {name: whole[name] for name in _SIMULATOR}}
 

@@ -39,8 +39,15 @@ def refine(push: Callable[[jax.Array], jax.Array], goal: jax.Array, action: jax.
     return jax.lax.scan(one, begin, length=trials - 1)[0][1]
 
 
-def search(push: Callable[[jax.Array], jax.Array], goals: jax.Array, actions: jax.Array, trials: int) -> jax.Array:
-    """For each of `goals [N, 2]` m the better of two refined actions `[N, 2]`: the one given, and the best of a grid for all goals.
+def search(
+    push: Callable[[jax.Array], jax.Array],
+    goals: jax.Array,
+    actions: jax.Array,
+    trials: int,
+    wide: jax.Array | bool = True,
+) -> jax.Array:
+    """For each of `goals [N, 2]` m the better of two refined actions `[N, 2]`: the one given, and the best of a grid for all goals;
+    where `wide []` is false, the one given.
 
     For what is deployed: a bottle may reach a goal across the patch or beside it, and no step leads from one to the other.
     """
@@ -49,7 +56,7 @@ def search(push: Callable[[jax.Array], jax.Array], goals: jax.Array, actions: ja
     nearest = grid[jnp.argmin(jnp.sum((ends[None] - goals[:, None]) ** 2, -1), 1)]
     found = jnp.stack([jax.vmap(lambda g, a: refine(push, g, a, trials))(goals, a) for a in (actions, nearest)])
     apart = jnp.sum((jax.vmap(jax.vmap(push))(found) - goals[None]) ** 2, -1)
-    return jnp.where((apart[0] <= apart[1])[:, None], found[0], found[1])
+    return jnp.where(((apart[1] < apart[0]) & wide)[:, None], found[1], found[0])
 
 
 def _ahead(action, miss, slope, damping) -> jax.Array:
