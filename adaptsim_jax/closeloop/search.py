@@ -91,7 +91,8 @@ def search(
         new = _new(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
         current = best
-        if _earns(problem, current, found.final, base, settings):
+        earns = _earns(problem, current, found.final, base, settings)
+        if earns or _completes(problem, current, found.final, base, settings):
             current = _look_back(problem, found, current, new, seen, settings, say)
             better = lambda new, old: _pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
             problem, current = elaborated(problem, current, base, seen.response, better)
@@ -223,6 +224,16 @@ def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: S
     if not _pays(new, old, settings):
         return False
     return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
+
+
+def _completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
+    """Whether what was added to a named effect, small as it may be, brings what is left down to what a name may leave (friction
+    that differs by direction is an effect and a small bias)."""
+    if old is base or not _pays(new, old, settings):
+        return False
+    falls = unexplained(new, old) < 1.0 - settings.least_fall
+    left = unexplained(new, base) < settings.explained < unexplained(old, base)
+    return falls and left and _matters(problem, new, base, base, settings)
 
 
 def _needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settings: Settings) -> bool:

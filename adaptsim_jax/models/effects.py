@@ -244,13 +244,14 @@ class Layout:
 
 def catalogue(task: str = "pendulum") -> tuple[Effect, ...]:
     """Every effect known for a task. Add your own: `catalogue("pendulum") + (my_effect,)`."""
+    from adaptsim_jax.models.effects_base import BASE
     from adaptsim_jax.models.effects_command import COMMAND
     from adaptsim_jax.models.effects_force import FORCE
     from adaptsim_jax.models.effects_measurement import MEASUREMENT
 
     if task not in ("pendulum", "pushing", "scooping"):
         raise BadInput(f"task {task!r} is unknown; use pendulum, pushing or scooping")
-    return FORCE + COMMAND + MEASUREMENT
+    return FORCE + BASE + COMMAND + MEASUREMENT
 
 
 def effect_named(name: str, effects: tuple[Effect, ...]) -> Effect:

@@ -1,4 +1,4 @@
-"""Effects that act as a generalized force at a joint (or, for a tilt, through the plant's gravity)."""
+"""Effects that act as a generalized force at a joint."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,12 +32,6 @@ def bias(p, m: Motion):
     return p["torque"] + 0.0 * m.q
 
 
-def tilt(p, m: Motion):
-    """The base turned by an angle: gravity acts as if the first joint stood further by it."""
-    first = jnp.zeros((m.q.shape[0],) + (1,) * (m.q.ndim - 1), m.q.dtype).at[0].set(1.0)
-    return m.gravity(m.q + p["angle"] * first) - m.gravity(m.q)
-
-
 def cogging(p, m: Motion):
     """A ripple and its second harmonic, which is written as a share of the first and turned with it."""
     at = p["order"] * m.q
@@ -53,10 +47,14 @@ def friction_drift(p, m: Motion):
     return Dry(p["dry"] * fade + 0.0 * m.q, -p["viscous"] * fade * m.v)
 
 
-def periodic_disturbance(p, m: Motion):
-    """It goes on between trials, so each trial meets it at another phase."""
+def at_phase(p, m: Motion):
+    """What goes on between trials, so that each trial meets it at another phase."""
     phase = 2.0 * jnp.pi * p["frequency"] * (m.t if m.clock is None else m.clock)
-    return p["sine"] * jnp.sin(phase) + p["cosine"] * jnp.cos(phase) + 0.0 * m.q
+    return p["sine"] * jnp.sin(phase) + p["cosine"] * jnp.cos(phase)
+
+
+def periodic_disturbance(p, m: Motion):
+    return at_phase(p, m) + 0.0 * m.q
 
 
 def hard_stop(p, m: Motion):
@@ -99,7 +97,7 @@ def _orders(reach, joint):
     return [{"order": float(k)} for k in range(2, 31)]
 
 
-def _frequencies(reach, joint):
+def frequencies(reach, joint):
     """Half a cycle a trial apart, so that no frequency between two grid points goes unseen; at most half of Nyquist."""
     top = min(15.0, 0.25 / reach.dt)
     step = 0.5 / reach.duration
@@ -130,7 +128,7 @@ def _no_ripple(value, error, q, duration) -> str:
     return f"the motion covers {periods:.1f} of its periods, as of any smooth torque" if periods < LEAST_PERIODS else ""
 
 
-def _no_period(value, error, q, duration) -> str:
+def no_period(value, error, q, duration) -> str:
     """A part of a period is a drift."""
     periods = value["frequency"] * duration
     return f"a trial holds {periods:.1f} of its periods, as of any drift" if periods < 2.0 * LEAST_PERIODS else ""
@@ -196,12 +194,6 @@ FORCE = (
         formula="torque",
     ),
     Effect(
-        "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0, plausible=0.4),), tilt,
-        "the base is not level: gravity pulls along another direction", "wide angles of joint 1, of both signs",
-        ("bias", "encoder_offset"), scope="base",
-        formula="gravity(q1 + angle) - gravity(q1), at both joints",
-    ),
-    Effect(
         "cogging", "force",
         (
             Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
@@ -233,8 +225,8 @@ FORCE = (
             Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
         ),
         periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
-        "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=_frequencies,
-        amiss=_no_period,
+        "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=frequencies,
+        amiss=no_period,
         formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t through all trials",
     ),
     Effect(

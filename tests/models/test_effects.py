@@ -13,7 +13,8 @@ from adaptsim_jax.models.effects import UNITS, Dry, Effect, Layout, Motion, Para
 
 NAMES = (
     "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay actuator_lag saturation dead_zone "
-    "presliding backlash cogging rotor_inertia friction_drift periodic_disturbance hard_stop load_friction sensor_lag"
+    "presliding backlash cogging rotor_inertia friction_drift periodic_disturbance hard_stop load_friction sensor_lag "
+    "heave sway"
 ).split()
 REACH = Reach(
     np.array([0.9, 0.35]), np.array([1.0, 0.4]), np.array([3.0, 6.0]), np.array([-1.0, -1.5]), np.array([1.2, 1.0]), 6.0,
@@ -157,9 +158,10 @@ def test_layout_masks_amplitudes_and_keeps_shapes():
     np.testing.assert_array_equal(kept[other.at], [0.0, 0.0, float(eff[other.at][2])])
 
 
-def test_layout_has_one_tilt_and_two_of_the_others():
+def test_layout_has_one_of_what_the_base_does_and_two_of_the_others():
     layout = Layout(catalogue(), ("joint1", "joint2"))
-    assert len(layout.instances) == 2 * len(NAMES) - 1
+    assert [i.effect.name for i in layout.instances if i.where == "base"] == ["tilt", "heave", "sway"]
+    assert len(layout.instances) == 2 * len(NAMES) - 3
     with pytest.raises(BadInput, match=re.escape("effect 'tilt' at 'joint1'")):
         layout.index("tilt", "joint1")
 
