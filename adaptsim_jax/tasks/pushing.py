@@ -6,8 +6,8 @@ simulated target the reward is the mean over a fixed set of goals, `1 - distance
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,193 +16,47 @@ import numpy as np
 from adaptsim_jax import space as spaces
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
-from adaptsim_jax.learners.naf_goals import GoalConfig, GoalProblem, make_goal_learner
-from adaptsim_jax.learners.naf_shared import SharedConfig, fold, make_shared_learner, move
-from adaptsim_jax.models import pushing as model
+from adaptsim_jax.learners.naf_goals import GoalProblem, make_goal_learner
+from adaptsim_jax.learners.naf_shared import fold, make_shared_learner, move
 from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.models.pushing import PushOptions
-from adaptsim_jax.space import Parameter, Space
+from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.pushing_config import (
+    SETTINGS,
+    PushingConfig,
+    PushingPolicy,
+    PushingTrajectory,
+    pushing_space,
+    wide_space,
+)
+from adaptsim_jax.tasks.pushing_goals import (
+    GOAL_ANGLE,
+    GOAL_CENTRE,
+    GOAL_RADII,
+    WORST,
+    draw_goal,
+    goal_lattice,
+    physical_action,
+    push_reward,
+    seen_goal,
+    unseen,
+    visit_goals,
+)
 from adaptsim_jax.tasks.pushing_refine import refine, search
-from adaptsim_jax.tasks.pushing_told import Told, nearer, with_gaps
+from adaptsim_jax.tasks.pushing_told import nearer, with_gaps
 
-# Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
-SETTINGS = {
-    "wd": {"mu": 0.1, "e": 1e5, "mu_p": 0.6, "y_p": 0.05},
-    "ood-1": {"mu": 0.25, "e": 5e4, "mu_p": 0.1, "y_p": -0.1},
-    "ood-2": {"mu": 0.05, "e": 1e5, "mu_p": 0.9, "y_p": 0.05},
-    "ood-3": {"mu": 0.15, "e": 5e6, "mu_p": 0.1, "y_p": -0.15},
-    "ood-4": {"mu": 0.30, "e": 1e5, "mu_p": 0.15, "y_p": 0.1},
-}
+# what of the task lies in other files, so that users have it all from here
+__all__ = [
+    "GOAL_ANGLE", "GOAL_CENTRE", "GOAL_RADII", "POINTS", "SETTINGS", "TWINS", "WORST",
+    "PushingConfig", "PushingPolicy", "PushingTrajectory",
+    "draw_goal", "goal_lattice", "make_choice", "make_expectation", "make_policy", "make_pushing", "make_pushing_naf", "measured",
+    "moved", "naf_rates", "observed", "observed_rows", "of_points", "physical_action", "push_reward", "pushing_space", "seen_goal",
+    "unseen", "visit_goals", "wide_space",
+]  # fmt: skip
 TWINS = {"native": planar.DEFAULT, "drake": planar.DRAKE}
 POINTS = 6
-WORST = 0.2  # m: a bottle this far from its goal, or farther, earns nothing
-GOAL_CENTRE, GOAL_RADII, GOAL_ANGLE = (
-    (0.45, 0.0),
-    (0.25, 0.55),
-    0.175,
-)  # a sector that x = 0.7 to 1.0 m and 10 degrees span
 _SMALL = 0.004  # m: gaps up to here are shown as they are, larger ones by their logarithm
-_MIDDLE, _HALF = np.array([0.85, 0.0]), np.array([0.15, 0.1])  # goals to [-1, 1], and what is seen of the bottle alike
-
-
-@dataclass(frozen=True)
-class PushingConfig:
-    """Options of the task.
-
-    observation: six points of each trajectory, or the `final` position alone (the paper's state-only variant).
-    show_goal: observe also the goal of each push, without which a miss cannot be told from a far goal.
-    show_gap: observe also how far the points lie from those of the same pushes simulated at the mean of E (`pretrain` only).
-    trajectories: pushes an iteration; tests: goals that the reward of a simulated target is averaged over.
-    goals: of an iteration's pushes: drawn anew; `spread`, drawn one in each equal part of the sector's angle and far out; or
-    `fixed`, always the same, so that what is seen differs by parameters alone, or `edges`, likewise but near the sector's edges.
-    targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
-    trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
-    pretrain: go on from one policy for all of Omega (`naf_shared`) instead of from nothing. It is made first, by `shared`
-    with `learning_rate`; `train` then moves it to the mean of E and, unless `tune` is false, tunes it by `tuning` with
-    `tuning_rate`.
-    refine: pushes simulated at the mean of E that each action is corrected by before it is made (`pushing_refine`), with
-    `pretrain` only; 0: actions are the network's own. correct: what is deployed is searched for in the simulator as
-    mended by the pushes made in the target so far, near E's mean and over the actions (`pushing_told`); a visit's own pushes are
-    not, nor is anything in Phase 1. rehearsal: tests and refine that Phase 1 makes do with, where not 0.
-    coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
-    friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
-    """
-
-    observation: Literal["points", "final"] = "points"
-    show_goal: bool = True
-    show_gap: bool = False
-    trajectories: int = 2
-    tests: int = 24
-    goals: Literal["drawn", "spread", "fixed", "edges"] = "drawn"
-    targets: Literal["omega", "wide"] = "wide"
-    trials: int = 10_000
-    training: GoalConfig = field(
-        default_factory=lambda: GoalConfig(updates=40, batch=32, candidates=16, temperature=0.03, width=(0.5, 0.05))
-    )
-    hidden: tuple[int, ...] = (64, 64)
-    learning_rate: float = 3e-3
-    pretrain: bool = False
-    shared: SharedConfig = field(default_factory=SharedConfig)
-    tuning: GoalConfig = field(
-        default_factory=lambda: GoalConfig(
-            updates=40, batch=32, temperature=0.015, width=(0.15, 0.03), near=1.0, uniform=0.25, noise=0.05
-        )
-    )
-    tuning_rate: float = 1e-3
-    tune: bool = True
-    refine: int = 0
-    correct: bool = False
-    rehearsal: tuple[int, int] = (0, 0)
-    coefficients: Literal["native", "drake"] = "native"
-    friction: Literal["clean", "coupled"] = "clean"
-    duration: float = 1.3
-    mu: tuple[float, float] = (model.LOW[0], model.HIGH[0])
-    e: tuple[float, float] = (model.LOW[1], model.HIGH[1])
-    mu_p: tuple[float, float] = (model.LOW[2], model.HIGH[2])
-    y_p: tuple[float, float] = (model.LOW[3], model.HIGH[3])
-
-
-class PushingPolicy(NamedTuple):
-    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where it came of one for all of Omega (else None):
-    tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit coordinates) that it stands for. told:
-    pushes of the target that its actions are corrected by, where there are any (else None)."""
-
-    weights: jax.Array
-    tilt: jax.Array | None = None
-    at: jax.Array | None = None
-    told: Told | None = None
-
-
-class PushingTrajectory(NamedTuple):
-    """goals: `[N, 2]` m; points: `[N, 6, 2]` m, the bottle at six even times, the last at the end; rewards: `[N]` of these
-    pushes; tested: `[]`, mean reward over the test goals (in simulation only; elsewhere the mean of `rewards`); expected:
-    `[N, 6, 2]` m, the points of the same pushes simulated at the mean of E, where they are observed (else None)."""
-
-    goals: jax.Array
-    points: jax.Array
-    rewards: jax.Array
-    tested: jax.Array
-    expected: jax.Array | None = None
-
-
-def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
-    """Omega: two frictions, the modulus on a logarithmic scale, and the place of the patch."""
-    bounds: list[dict[str, Any]] = [
-        {"physical_low": a, "physical_high": b} for a, b in zip(model.PHYSICAL_LOW, model.PHYSICAL_HIGH, strict=True)
-    ]
-    return Space(
-        (
-            Parameter("mu", *config.mu, **bounds[0], description="friction of the table"),
-            Parameter("e", *config.e, "Pa", "log", **bounds[1], description="modulus of the bottle's contact"),
-            Parameter("mu_p", *config.mu_p, **bounds[2], description="friction of the patch"),
-            Parameter("y_p", *config.y_p, "m", **bounds[3], description="lateral place of the patch"),
-        )
-    )
-
-
-def wide_space() -> Space:
-    """A box around Omega for Phase-1 targets that Omega cannot reproduce."""
-    return Space(
-        (
-            Parameter("mu", 0.03, 0.35, "", "log"),
-            Parameter("e", 5e3, 8e6, "Pa", "log"),
-            Parameter("mu_p", 0.05, 1.0),
-            Parameter("y_p", -0.17, 0.17, "m"),
-        )
-    )
-
-
-def draw_goal(key: jax.Array) -> jax.Array:
-    """A goal `[2]` m, uniform in radius and angle over the sector of goals."""
-    return _goal_at(jax.random.uniform(key, (2,)))
-
-
-def visit_goals(key: jax.Array, config: PushingConfig) -> jax.Array:
-    """`[trajectories, 2]` m: the goals that an iteration tries a policy on."""
-    n = config.trajectories
-    if config.goals == "drawn":
-        return jax.vmap(draw_goal)(jax.random.split(key, n))
-    if config.goals == "edges":
-        return _goal_at(jnp.stack([jnp.linspace(0.95, 0.6, n), jnp.linspace(0.12, 0.88, n)], -1))
-    u = jax.random.uniform(key, (n, 2)) if config.goals == "spread" else jnp.full((n, 2), 0.5)
-    u = u.at[:, 0].set(0.4 + 0.6 * u[:, 0]) if config.goals == "spread" else u.at[:, 0].set(jnp.linspace(0.9, 0.6, n))
-    return _goal_at(u.at[:, 1].set((jnp.arange(n) + u[:, 1]) / n))
-
-
-def _goal_at(u: jax.Array) -> jax.Array:
-    radius = GOAL_RADII[0] + (GOAL_RADII[1] - GOAL_RADII[0]) * u[..., 0]
-    angle = GOAL_ANGLE * (2.0 * u[..., 1] - 1.0)
-    return jnp.stack([GOAL_CENTRE[0] + radius * jnp.cos(angle), GOAL_CENTRE[1] + radius * jnp.sin(angle)], -1)
-
-
-def push_reward(final: jax.Array, goal: jax.Array) -> jax.Array:
-    """`1 - distance / 0.2 m`, at least 0, of a bottle at `final [..., 2]`; 0 where it is not finite."""
-    reward = jnp.maximum(0.0, 1.0 - jnp.linalg.norm(final - goal, axis=-1) / WORST)
-    return jnp.where(jnp.isfinite(reward), reward, 0.0)
-
-
-def physical_action(action: jax.Array) -> jax.Array:
-    """`[..., 2]` in [-1, 1] to speed m/s and angle rad."""
-    low, high = jnp.asarray(model.ACTION_LOW), jnp.asarray(model.ACTION_HIGH)
-    lead = (1,) * (action.ndim - 1)
-    return (low + high).reshape(*lead, 2) / 2 + action * (high - low).reshape(*lead, 2) / 2
-
-
-def seen_goal(goal: jax.Array) -> jax.Array:
-    """A place on the table `[..., 2]` m in the network's coordinates; goals span [-1, 1]."""
-    lead = (1,) * (goal.ndim - 1)
-    return (goal - jnp.asarray(_MIDDLE, goal.dtype).reshape(*lead, 2)) / jnp.asarray(_HALF, goal.dtype).reshape(
-        *lead, 2
-    )
-
-
-def unseen(place: jax.Array) -> jax.Array:
-    """`seen_goal` undone: `[..., 2]` m."""
-    lead = (1,) * (place.ndim - 1)
-    return place * jnp.asarray(_HALF, place.dtype).reshape(*lead, 2) + jnp.asarray(_MIDDLE, place.dtype).reshape(
-        *lead, 2
-    )
 
 
 def make_pushing_naf(config: PushingConfig) -> NAF:
@@ -210,7 +64,7 @@ def make_pushing_naf(config: PushingConfig) -> NAF:
     return make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=config.hidden))
 
 
-def make_policy(config: PushingConfig = PushingConfig()) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
+def make_policy(config: PushingConfig = PushingConfig()) -> Callable[[PushingPolicy, jax.Array], jax.Array]:  # noqa: B008
     """`act(policy, goal [..., 2] m) -> [..., 2]`: the push for a goal, speed m/s and angle rad. Pure."""
     choose = make_choice(config)
     return lambda policy, goal: physical_action(choose(policy, goal))
@@ -239,7 +93,7 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
     return choose
 
 
-def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
+def make_pushing(config: PushingConfig = PushingConfig()) -> Task:  # noqa: B008
     """The push as a `Task`, simulated with the planar model."""
     options, twin = _checked(config), TWINS[config.coefficients]
     space, naf = pushing_space(config), make_pushing_naf(config)
@@ -379,13 +233,6 @@ def _problem(space: Space, options: PushOptions, twin: planar.PlanarCoefficients
         return planar.rollout(params, physical_action(action), options, twin)[-1]
 
     return GoalProblem(draw_goal, seen_goal, trial, push_reward)
-
-
-def goal_lattice(count: int) -> jax.Array:
-    """`[count, 2]` m: goals spread over the sector, the same for every policy (a golden-ratio lattice)."""
-    row = np.arange(count) + 0.5
-    u = np.stack([row / count, row * 0.6180339887 % 1.0], -1)
-    return _goal_at(jnp.asarray(u, jnp.float32))
 
 
 def naf_rates(config: PushingConfig, tuning: bool = False) -> Any:

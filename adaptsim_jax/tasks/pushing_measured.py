@@ -90,20 +90,16 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
 
 def _told_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Actions and places `[K, 2]` of a policy file's table `told`."""
-    columns = [table.get(name) if isinstance(table, dict) else None for name in ("actions", "places")]
-    shapes = [np.shape(column) if _numbers(column) else None for column in columns]
-    if shapes[0] != shapes[1] or shapes[0] is None or len(shapes[0]) != 2 or shapes[0][1] != 2:
+    given = [table.get(name) if isinstance(table, dict) else None for name in ("actions", "places")]
+    try:
+        actions, places = (np.asarray(column, float).reshape(-1, 2) for column in given)
+    except (TypeError, ValueError):
+        actions, places = np.zeros((1, 2)), np.zeros((0, 2))
+    if actions.shape != places.shape or not np.isfinite([actions, places]).all():
         raise BadInput(
             f"{path}: told: actions and places must be pairs of numbers; write it again with 'adaptsim robot next'"
         )
-    return np.asarray(columns[0], float), np.asarray(columns[1], float)
-
-
-def _numbers(column: Any) -> bool:
-    try:
-        return bool(np.isfinite(np.asarray(column, float)).all())
-    except (TypeError, ValueError):
-        return False
+    return actions, places
 
 
 def policy_table(policy: PushingPolicy, config: PushingConfig) -> dict[str, Any]:
