@@ -190,4 +190,4 @@ def _dots(ax: Any, methods: Sequence[str], found: Mapping[str, np.ndarray], k: i
         ax.plot([middle, middle], [y - 0.32, y + 0.32], color=look.colour(method), linewidth=1.8, zorder=2)
     ax.tick_params(labelsize=7.5)
     if not axis.log:
-        ax.xaxis.set_major_locator(MaxNLocator(4))
+        ax.xaxis.set_major_locator(MaxNLocator(4, integer=axis.name == "g"))
