@@ -14,7 +14,7 @@ from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.tasks import scooping
 from adaptsim_jax.tasks.scooping import ScoopingConfig
 from adaptsim_jax.tasks.scooping_bank import load_bank
-from adaptsim_jax.tasks.scooping_one_shot import make_choice
+from adaptsim_jax.tasks.scooping_one_shot import make_choice, make_scooping_one_shot
 from adaptsim_jax.tasks.scooping_told import Doubt, Odds, Told, chances
 
 DOUBT = Doubt(others=1.0, reach=0.5, spread=1.5, most=3.0)
@@ -102,6 +102,18 @@ def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
     np.testing.assert_array_equal(found[0], found[2])
     without = scooping.make_scooping(replace(config, correct=False)).init_policy(jax.random.key(2))
     assert without.at is None and len(jax.tree.leaves(without)) == 1
+
+
+def test_what_the_comparison_remembers_is_actions_and_whether_they_won():
+    """A trial that failed counts as lost, as in the table."""
+    one = make_scooping_one_shot(ScoopingConfig(correct=True))
+    outcomes = jnp.zeros((3, 9, 2)).at[1, -1, 0].set(1.0).at[2].set(jnp.nan)
+    policy = one.remember(
+        one.task.init_policy(jax.random.key(0)), ACTIONS[:3], outcomes, jnp.array([True, True, False])
+    )
+    assert policy.told.won.tolist() == [0.0, 1.0, 0.0] and policy.told.used.tolist() == [True, True, False]
+    np.testing.assert_array_equal(policy.told.actions, ACTIONS[:3])
+    assert make_scooping_one_shot(ScoopingConfig()).remember is None
 
 
 def test_correcting_needs_pieces_that_the_bank_holds():
