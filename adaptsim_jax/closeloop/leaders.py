@@ -7,14 +7,17 @@ from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value
 NEW = 1e-3  # of a candidate's signature that the declared parameters cannot do themselves
 
 
-def first_leaders(ranked: list[Ranked], view: View, active: Active, alpha: float, count: int) -> list[Ranked]:
+def first_leaders(
+    ranked: list[Ranked], view: View, active: Active, alpha: float, count: int, drowned: bool = False
+) -> list[Ranked]:
     """The `count` candidates worth a whole refit: where anything is there, those that explain most by either score.
 
     The score of one candidate may be blunt (its effect is not small, or moves reversals), so what must be significant is
     the structure: some candidate, or some smooth force. And a slow effect hides in the covariance that it has inflated,
-    so the plain score has its say too.
+    so the plain score has its say too. drowned: unexplained forces beyond the torques themselves are no chance, and under their
+    covariance nothing is significant.
     """
-    seen = any(r.corrected(len(ranked)) < alpha for r in ranked)
+    seen = drowned or any(r.corrected(len(ranked)) < alpha for r in ranked)
     if not seen and generic_p_value(view) >= alpha:
         return []
     plain = [r for r in view.ranked(active, plain=True) if r.score.retained > NEW][: count // 2]

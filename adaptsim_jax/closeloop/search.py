@@ -113,7 +113,8 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
     done = unexplained(current, found.base) < settings.explained  # little is left: a shorter list will do
     count = settings.shortlist // 2 if done else settings.shortlist
-    leaders = first_leaders(ranked, seen, current.active, settings.alpha, count)
+    drowned = bool(np.any(current.parts.force_std() > problem.torque_scale))
+    leaders = first_leaders(ranked, seen, current.active, settings.alpha, count, drowned)
     trials = _refitted(problem, found, current, leaders, seen, settings, say)
     best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     if current is found.base and (best is None or not _earns(problem, best, current, found.base, settings)):
@@ -206,10 +207,12 @@ def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Sett
 
 
 def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings, strict: float = 1.0) -> bool:
-    """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained."""
+    """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained. A base model
+    that went astray leaves forces beyond the torques themselves, beside which nothing would matter: then beside what `old` leaves."""
     own = np.maximum(old.moving - new.moving, 0.0)
     share = float(np.max(np.sqrt(own) / problem.torque_scale))
-    beside = np.sqrt(own.sum() / max(base.moving.sum(), 1e-300))
+    astray = np.any(base.moving > np.square(problem.torque_scale))
+    beside = np.sqrt(own.sum() / max((old if astray else base).moving.sum(), 1e-300))
     return share > strict * settings.least_share and beside > strict * settings.least_beside
 
 
