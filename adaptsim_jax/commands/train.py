@@ -13,7 +13,8 @@ EXAMPLES = """
   adaptsim train pendulum --run runs/a --resume        go on after a kill, to the same bits
   adaptsim train pendulum --run runs/b --seed 3 --set phase1.trajectories=20000 --set hyper.delta=0.15
   adaptsim train pendulum --run runs/c --config runs/a/config.toml
-  adaptsim train pushing --run runs/p --set phase1.trajectories=200 --set task.trials=2000
+  adaptsim train pushing --run runs/p
+  adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
 """
 
@@ -23,7 +24,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
     parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
-    parser.add_argument("--config", metavar="FILE", help="a config.toml to start from")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
+    start.add_argument("--preset", metavar="NAME", help="a config by name: paper-pendulum or paper-pushing")
     parser.add_argument(
         "--set",
         action="append",
@@ -82,7 +85,7 @@ def _folder(args: argparse.Namespace) -> Any:
     from adaptsim_jax.store import RunFolder
 
     if args.resume:
-        table = _start_table(args) if args.config else RunFolder.open(args.folder, task=args.task).config
+        table = _start_table(args) if args.config or args.preset else RunFolder.open(args.folder, task=args.task).config
     else:
         table = _start_table(args)
     asked = config_of(table, args)
@@ -100,10 +103,12 @@ def _check(asked: Any, args: argparse.Namespace) -> None:
 
 
 def _start_table(args: argparse.Namespace) -> dict[str, Any]:
-    """The config of a file (a run's, or a bare table), or the defaults."""
+    """The config of a file (a run's, or a bare table) or of a preset, or the defaults."""
     from adaptsim_jax import config
     from adaptsim_jax.errors import BadInput
 
+    if args.preset:
+        return _preset_table(args)
     if not args.config:
         return {}
     table = config.read(args.config)
@@ -112,3 +117,15 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
             raise BadInput(f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file")
         return table["config"]
     return table
+
+
+def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
+    from adaptsim_jax import config
+    from adaptsim_jax.adapt.presets import PRESETS
+    from adaptsim_jax.errors import BadInput
+
+    names = [name for name in PRESETS if name.endswith(f"-{args.task}")]
+    if args.preset not in names:
+        known = " or ".join(names) if names else f"none of {args.task}'s"
+        raise BadInput(f"--preset: '{args.preset}' is unknown; there is {known}")
+    return config.to_table(PRESETS[args.preset]())

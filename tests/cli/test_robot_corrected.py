@@ -30,7 +30,20 @@ PUSHES = 8
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "push"
-    assert main(["train", "pushing", "--run", str(folder), *(word for size in SIZES for word in ("--set", size))]) == 0
+    assert (
+        main(
+            [
+                "train",
+                "pushing",
+                "--preset",
+                "paper-pushing",
+                "--run",
+                str(folder),
+                *(word for size in SIZES for word in ("--set", size)),
+            ]
+        )
+        == 0
+    )
     return folder
 
 

@@ -40,7 +40,7 @@ ROBOT = Path(__file__).with_name("drake_robot.py")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "push"
     sizes = [word for size in SIZES for word in ("--set", size)]
-    assert main(["train", "pushing", "--run", str(folder), *sizes]) == 0
+    assert main(["train", "pushing", "--run", str(folder), "--preset", "paper-pushing", *sizes]) == 0
     return folder
 
 
