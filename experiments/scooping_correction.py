@@ -4,7 +4,8 @@
 
 AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. Each doubt (others,
 reach, spread, most; see `tasks/scooping_told.py`) then says what would be deployed at the last visits, scored in the engine in
-12 test contexts. `network` is E's policy as it is, `search` the best action by the bank at E's mean, nothing seen of the target.
+12 test contexts. `network` is E's policy as it is, `search` the best action when nothing was seen of the target, `start` the default
+doubt by the bank at the mean that E had first, and not at its own.
 """
 
 from __future__ import annotations
@@ -67,16 +68,21 @@ def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> 
     return pickle.loads(path.read_bytes())
 
 
-def deployed(arena: Arena, batch: Lanes, visits: list[tuple], doubt: Doubt | None, blind: bool) -> np.ndarray:
-    """Actions `[LATE, B, G, d]` in the test contexts at the last visits; no `doubt`: of the networks. `blind`: nothing was seen."""
+def deployed(arena: Arena, batch: Lanes, visits: list[tuple], name: str) -> np.ndarray:
+    """Actions `[LATE, B, G, d]` in the test contexts at the last visits, by the doubt `name`."""
+    doubt = (
+        None if name == "network" else Doubt() if name in ("search", "start") else Doubt(*map(float, name.split(",")))
+    )
     memory, found = Memory(arena, batch, len(visits)), []
     act = make_choice(from_table(ScoopingConfig, OPTIONS, "correction"), doubt or Doubt())
     act = jax.jit(jax.vmap(act, (0, None)))
     for i, (policies, trials) in enumerate(visits):
         if i >= len(visits) - LATE:
             told = jax.tree.map(jnp.asarray, policies) if doubt is None else memory.deployed(policies)
-            if blind:
+            if name == "search":
                 told = told._replace(told=told.told._replace(used=jnp.zeros_like(told.told.used)))
+            if name == "start":
+                told = told._replace(at=jnp.asarray(visits[0][0].at))
             found.append(np.asarray(act(told, jnp.asarray(arena.one.tests))))
         memory.add(trials)
     return np.stack(found)
@@ -99,8 +105,7 @@ def main() -> None:
         batch = lanes(len(pieces), seeds, starts, label)
         for name in args.doubts:
             begin = time.process_time()
-            doubt = Doubt() if name == "search" else None if name == "network" else Doubt(*map(float, name.split(",")))
-            actions = deployed(arena, batch, visits, doubt, name == "search")
+            actions = deployed(arena, batch, visits, name)
             rewards = np.stack([arena.score_actions(batch.where, a) for a in actions], -1)
             told = by_group(batch.grid(rewards))
             write_json(out / f"{method}-{name}.json", told)
