@@ -13,6 +13,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.classes import class_of
+from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
@@ -28,28 +29,6 @@ from adaptsim_jax.closeloop.rivals import (
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Declared beforehand: what counts as an effect. alpha: family-wise level of a test over all candidates.
-
-    shortlist: leaders refitted whole. price: log-likelihood that each further parameter must earn. class_gap and
-    class_z: a rival stays in the class unless it loses by more than `class_gap` nats *and* `class_z` standard errors over
-    windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
-    this share of the unexplained force left over, the search ends at the first effect that earns nothing.
-    """
-
-    alpha: float = 0.01
-    shortlist: int = 8
-    price: float = 4.0
-    class_gap: float = 6.0
-    class_z: float = 2.5
-    least_fall: float = 0.1
-    least_share: float = 0.004
-    least_beside: float = 0.1
-    explained: float = 0.35
-    most_effects: int = 3
 
 
 @dataclass
@@ -86,15 +65,15 @@ def search(
     seen, current, ranked = first, base, found.last
     while len(current.active) - len(base.active) < settings.most_effects:
         best, trials = _next(problem, found, current, seen, ranked, settings, say)
-        if best is None or not _pays(best, current, settings):
+        if best is None or not pays(best, current, settings):
             break
         new = _new(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
         current = best
-        earns = _earns(problem, current, found.final, base, settings)
-        if earns or _completes(problem, current, found.final, base, settings):
+        enough = earns(problem, current, found.final, base, settings)
+        if enough or completes(problem, current, found.final, base, settings):
             current = _look_back(problem, found, current, new, seen, settings, say)
-            better = lambda new, old: _pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
+            better = lambda new, old: pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
             problem, current = elaborated(problem, current, base, seen.response, better)
             found.final = current
         elif unexplained(found.final, base) < settings.explained:
@@ -116,19 +95,40 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     drowned = bool(np.any(current.parts.force_std() > problem.torque_scale))
     leaders = first_leaders(ranked, seen, current.active, settings.alpha, count, drowned)
     trials = _refitted(problem, found, current, leaders, seen, settings, say)
-    best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
-    if current is found.base and (best is None or not _earns(problem, best, current, found.base, settings)):
+    trials = trials + _pruned(problem, found, current, trials, seen)
+    best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+    if current is found.base and (best is None or not earns(problem, best, current, found.base, settings)):
         more = further_leaders(problem, leaders, ranked, seen, current.active, settings.alpha, count)
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
-        best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
-    if best is not None and _pays(best, current, settings):
+        best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+    if best is not None and pays(best, current, settings):
         alike = look_alikes(problem, _new(best, current), ranked, leaders)
         more = abreast(lambda r: extend(problem, current, r, seen, say), alike)
         more = abreast(lambda t: settled(problem, t, seen.response), [t for t in more if t is not None])
         trials, found.tried = trials + more, found.tried + more
-        best = _choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+        best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     return best, trials
+
+
+def _pruned(problem: Problem, found: Found, current: Fitted, trials: list[Fitted], seen: View) -> list[Fitted]:
+    """Trials in which the new effect makes an earlier one idle or absurd, which had stood in for it: the same without that one,
+    where they are likelier than any trial that may be."""
+    bar = max((t.total for t in trials if plausible(t, found.base)), default=current.total)
+    out = []
+    for trial in trials:
+        new = _new(trial, current)
+        bounded = {n.rsplit("/", 1)[0] for n in trial.at_bound()}
+        odd = {a for a, _ in trial.amiss} | {a for a in trial.active if f"{a[0]}/{a[1]}" in bounded}
+        idle = [a for a in odd if a != new and a not in found.base.active]
+        if new in odd or not idle or trial.total <= bar:
+            continue
+        c = trial.candidate
+        rest = tuple(a for a in trial.active if a not in idle)
+        with suppress(Diverged):
+            out.append(fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, trial.parts, seen.response))
+    found.tried += out
+    return out
 
 
 def _refitted(
@@ -196,58 +196,6 @@ def _new(best: Fitted, current: Fitted) -> Instance:
     return next(a for a in best.active if a not in current.active)
 
 
-def _choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:
-    """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter."""
-    if not trials:
-        return None
-    best = max(trials, key=lambda t: t.merit(settings.price))
-    simpler = [t for t in trials if t.size < best.size]
-    enough = [t for t in simpler if not _matters(problem, best, t, base, settings, 0.2)]
-    return max(enough, key=lambda t: t.merit(settings.price), default=best)
-
-
-def _matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings, strict: float = 1.0) -> bool:
-    """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained. A base model
-    that went astray leaves forces beyond the torques themselves, beside which nothing would matter: then beside what `old` leaves."""
-    own = np.maximum(old.moving - new.moving, 0.0)
-    share = float(np.max(np.sqrt(own) / problem.torque_scale))
-    astray = np.any(base.moving > np.square(problem.torque_scale))
-    beside = np.sqrt(own.sum() / max((old if astray else base).moving.sum(), 1e-300))
-    return share > strict * settings.least_share and beside > strict * settings.least_beside
-
-
-def _pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
-    """More likely by more than the price of its parameters and the selection it was picked from."""
-    extra = new.size - old.size
-    return new.total - old.total > settings.price * extra + 6.0
-
-
-def _earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
-    """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
-    if not _pays(new, old, settings):
-        return False
-    return unexplained(new, old) < 1.0 - settings.least_fall and _matters(problem, new, old, base, settings)
-
-
-def _completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
-    """Whether what was added to a named effect, small as it may be, brings what is left down to what a name may leave (friction
-    that differs by direction is an effect and a small bias)."""
-    if old is base or not _pays(new, old, settings):
-        return False
-    falls = unexplained(new, old) < 1.0 - settings.least_fall
-    left = unexplained(new, base) < settings.explained < unexplained(old, base)
-    return falls and left and _matters(problem, new, base, base, settings)
-
-
-def _needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settings: Settings) -> bool:
-    """Whether an effect of a set earns its place. Where none of the set would by itself, half the usual gain will do."""
-    alone = len(new.active) - len(found.final.active) == 1
-    if alone:
-        return _earns(problem, new, without, found.base, settings)
-    falls = unexplained(new, without) < 1.0 - 0.5 * settings.least_fall
-    return falls and _pays(new, without, settings) and _matters(problem, new, without, found.base, settings)
-
-
 def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
     """With another effect in, an earlier one may have been a stand-in: try without it, and its rivals in its place."""
     for old in [a for a in current.active if a != new and a not in found.base.active]:
@@ -259,7 +207,7 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
         except Diverged:  # it cannot be left out
             continue
         found.tried.append(without)
-        if plausible(without, found.base) and not _needed(problem, current, without, found, settings):
+        if plausible(without, found.base) and not needed(problem, current, without, found, settings):
             found.rivals.pop(old, None)
             current = without
             continue

@@ -1,0 +1,86 @@
+"""What an effect must earn to be added: likelihood for its price, and a torque that matters."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.rivals import Fitted, unexplained
+
+if TYPE_CHECKING:
+    from adaptsim_jax.closeloop.search import Found
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Declared beforehand: what counts as an effect. alpha: family-wise level of a test over all candidates.
+
+    shortlist: leaders refitted whole. price: log-likelihood that each further parameter must earn. class_gap and
+    class_z: a rival stays in the class unless it loses by more than `class_gap` nats *and* `class_z` standard errors over
+    windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
+    this share of the unexplained force left over, the search ends at the first effect that earns nothing.
+    """
+
+    alpha: float = 0.01
+    shortlist: int = 8
+    price: float = 4.0
+    class_gap: float = 6.0
+    class_z: float = 2.5
+    least_fall: float = 0.1
+    least_share: float = 0.004
+    least_beside: float = 0.1
+    explained: float = 0.35
+    most_effects: int = 3
+
+
+def choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:
+    """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter."""
+    if not trials:
+        return None
+    best = max(trials, key=lambda t: t.merit(settings.price))
+    simpler = [t for t in trials if t.size < best.size]
+    enough = [t for t in simpler if not matters(problem, best, t, base, settings, 0.2)]
+    return max(enough, key=lambda t: t.merit(settings.price), default=best)
+
+
+def matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings, strict: float = 1.0) -> bool:
+    """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained. A base model
+    that went astray leaves forces beyond the torques themselves, beside which nothing would matter: then beside what `old` leaves."""
+    own = np.maximum(old.moving - new.moving, 0.0)
+    share = float(np.max(np.sqrt(own) / problem.torque_scale))
+    astray = np.any(base.moving > np.square(problem.torque_scale))
+    beside = np.sqrt(own.sum() / max((old if astray else base).moving.sum(), 1e-300))
+    return share > strict * settings.least_share and beside > strict * settings.least_beside
+
+
+def pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
+    """More likely by more than the price of its parameters and the selection it was picked from."""
+    extra = new.size - old.size
+    return new.total - old.total > settings.price * extra + 6.0
+
+
+def earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
+    """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
+    if not pays(new, old, settings):
+        return False
+    return unexplained(new, old) < 1.0 - settings.least_fall and matters(problem, new, old, base, settings)
+
+
+def completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
+    """Whether what was added to a named effect, small as it may be, brings what is left down to what a name may leave (friction
+    that differs by direction is an effect and a small bias)."""
+    if old is base or not pays(new, old, settings):
+        return False
+    falls = unexplained(new, old) < 1.0 - settings.least_fall
+    left = unexplained(new, base) < settings.explained < unexplained(old, base)
+    return falls and left and matters(problem, new, base, base, settings)
+
+
+def needed(problem: Problem, new: Fitted, without: Fitted, found: "Found", settings: Settings) -> bool:
+    """Whether an effect of a set earns its place. Where none of the set would by itself, half the usual gain will do."""
+    alone = len(new.active) - len(found.final.active) == 1
+    if alone:
+        return earns(problem, new, without, found.base, settings)
+    falls = unexplained(new, without) < 1.0 - 0.5 * settings.least_fall
+    return falls and pays(new, without, settings) and matters(problem, new, without, found.base, settings)
