@@ -8,7 +8,8 @@ from tests.generators.effects import EFFECTS
 
 
 def test_every_hidden_effect_has_words_in_the_catalogue():
-    assert set(MEMBERS) == set(EFFECTS) == {e.name for e in catalogue("pendulum")}
+    moving = {"heave", "sway"}  # a base that the generators hold still; test_moving_base.py moves it
+    assert set(MEMBERS) == set(EFFECTS) == {e.name for e in catalogue("pendulum")} - moving
 
 
 def test_the_true_model_leaves_the_noise(tmp_path):
