@@ -142,12 +142,16 @@ def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components,
     return _judged(problem, start, parts, response)
 
 
+def doubtful(model: Fitted, base: Fitted) -> set[Instance]:
+    """Effects that `base` lacks whose amplitude has the wrong sign or is beyond what the effect may be, or whose values make
+    them another effect."""
+    bounded = {(effect, where) for effect, where, _ in (n.split("/") for n in model.at_bound())}
+    return (bounded | {instance for instance, _ in model.amiss}) - set(base.active)
+
+
 def plausible(model: Fitted, base: Fitted) -> bool:
-    """No amplitude of the wrong sign or beyond what the effect may be, and no values that make it another effect; what the base
-    model has is not judged."""
-    given = {f"{e}/{w}" for e, w in base.active}
-    within = all(n.rsplit("/", 1)[0] in given for n in model.at_bound())
-    return within and all(instance in base.active for instance, _ in model.amiss)
+    """No effect is doubtful; what the base model has is not judged."""
+    return not doubtful(model, base)
 
 
 def unexplained(new: Fitted, old: Fitted) -> float:

@@ -20,6 +20,7 @@ from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
     Instance,
+    doubtful,
     fitted,
     fitted_plainly,
     plausible,
@@ -118,10 +119,8 @@ def _pruned(problem: Problem, found: Found, current: Fitted, trials: list[Fitted
     out = []
     for trial in trials:
         new = _new(trial, current)
-        bounded = {n.rsplit("/", 1)[0] for n in trial.at_bound()}
-        odd = {a for a, _ in trial.amiss} | {a for a in trial.active if f"{a[0]}/{a[1]}" in bounded}
-        idle = [a for a in odd if a != new and a not in found.base.active]
-        if new in odd or not idle or trial.total <= bar:
+        idle = doubtful(trial, found.base) - {new}
+        if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
             continue
         c = trial.candidate
         rest = tuple(a for a in trial.active if a not in idle)
