@@ -118,6 +118,28 @@ def pushing_sweep() -> TrainConfig:
     )
 
 
+def pushing_native() -> TrainConfig:
+    """`pushing_sweep` with the MuJoCo scene itself as the simulator, at the paper's 10,000 adaptation steps: 120,000 native pushes.
+
+    The policy for all of Omega is made of 32,000 of them, goals relabelled; Phase 1 scores a visit by four goals, and takes the
+    steps of a refined action in the scene's planar twin. Deployed actions are compared natively, three trials each.
+    """
+    base = pushing_sweep()
+    task = base.task | {
+        "simulator": "native",
+        "refine": 3,
+        "rehearsal": [4, 1],
+        "shared": {"contexts": 250, "trials": 128},
+    }
+    phase1 = replace(
+        base.phase1,
+        trajectories=1250,
+        parallel=125,
+        reuse=replace(base.phase1.reuse, capacity=125, together=125),
+    )
+    return replace(base, every=1, task=task, phase1=phase1)
+
+
 def comparison_config(task: str) -> TrainConfig:
     """What AdaptSim's row of `adaptsim compare TASK` is trained with for every seed. What is deployed in the push and in scooping is
     corrected by the target's own trials, of SysID and BayesOpt likewise."""
@@ -139,4 +161,4 @@ def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
     return base | {name: over(base[name], table[name]) if nested(name) else table[name] for name in table}
 
 
-PRESETS = {"paper-pendulum": paper_pendulum, "paper-pushing": paper_pushing}
+PRESETS = {"paper-pendulum": paper_pendulum, "paper-pushing": paper_pushing, "native-pushing": pushing_native}

@@ -1,7 +1,7 @@
 """The bottle push (paper, section 5.2 and appendix A4): a NAF network chooses an open-loop push for a goal on the table.
 
-The task policy is trained in the planar model at parameters drawn from E, with goals relabelled on stored pushes. At each
-adaptation iteration it is tried on two goals; these two trajectories are all that the adaptation policy sees. In a
+The task policy is trained in simulation (`pushing_simulator`) at parameters drawn from E, with goals relabelled on stored
+pushes. At each adaptation iteration it is tried on two goals; these two trajectories are all that the adaptation policy sees. In a
 simulated target the reward is the mean over a fixed set of goals, `1 - distance / 0.2 m` and at least 0.
 """
 
@@ -44,6 +44,7 @@ from adaptsim_jax.tasks.pushing_goals import (
     visit_goals,
 )
 from adaptsim_jax.tasks.pushing_refine import refine, search
+from adaptsim_jax.tasks.pushing_simulator import POINTS, TWINS, make_guide, make_simulator
 from adaptsim_jax.tasks.pushing_told import nearer, with_gaps
 
 # what of the task lies in other files, so that users have it all from here
@@ -54,8 +55,6 @@ __all__ = [
     "moved", "naf_rates", "observed", "observed_rows", "of_points", "physical_action", "push_reward", "pushing_space", "seen_goal",
     "unseen", "visit_goals", "wide_space",
 ]  # fmt: skip
-TWINS = {"native": planar.DEFAULT, "drake": planar.DRAKE}
-POINTS = 6
 _SMALL = 0.004  # m: gaps up to here are shown as they are, larger ones by their logarithm
 
 
@@ -72,33 +71,34 @@ def make_policy(config: PushingConfig = PushingConfig()) -> Callable[[PushingPol
 
 def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
     """The same with actions in [-1, 1]. A policy for no E in particular (UDR's) is not refined: there is no mean to try it at."""
-    naf, space, twin = make_pushing_naf(config), pushing_space(config), TWINS[config.coefficients]
-    options = PushOptions(friction=config.friction, duration=config.duration)
+    naf, space, guide = make_pushing_naf(config), pushing_space(config), make_guide(config)
+    end_of = lambda push: lambda at, a: push(space.physical(at), physical_action(a))[-1]
+    end, hint = end_of(make_simulator(config)), guide and end_of(guide)
+    at_mean = lambda at: (lambda a: end(at, a), hint and (lambda a: hint(at, a)))
 
     def choose(policy, goal):
         action = naf.greedy(policy.weights, seen_goal(goal))
         if config.refine == 0 or policy.at is None:
             return action
         goals, first = goal.reshape(-1, 2), action.reshape(-1, 2)
-        end = lambda at, a: planar.rollout(space.physical(at), physical_action(a), options, twin)[-1]
         if policy.told is None:
-            push = lambda a: end(policy.at, a)
-            better = jax.vmap(lambda g, a: refine(push, g, a, config.refine))(goals, first)
+            push, steps = at_mean(policy.at)
+            better = jax.vmap(lambda g, a: refine(push, g, a, config.refine, steps))(goals, first)
         else:
-            at = nearer(end, policy.at, policy.told)
-            push = with_gaps(lambda a: end(at, a), policy.told)
-            better = search(push, goals, first, config.refine, policy.told.used.any())
+            mended = lambda push: push and with_gaps(push, policy.told)
+            push, steps = map(mended, at_mean(nearer(end, policy.at, policy.told, hint)))
+            better = search(push, goals, first, config.refine, policy.told.used.any(), steps)
         return better.reshape(action.shape)
 
     return choose
 
 
 def make_pushing(config: PushingConfig = PushingConfig()) -> Task:  # noqa: B008
-    """The push as a `Task`, simulated with the planar model."""
-    options, twin = _checked(config), TWINS[config.coefficients]
-    space, naf = pushing_space(config), make_pushing_naf(config)
+    """The push as a `Task`, simulated in the engine of `config`."""
+    _checked(config)
+    simulate, space, naf = make_simulator(config), pushing_space(config), make_pushing_naf(config)
     how = config.tuning if config.pretrain else config.training
-    learner = make_goal_learner(naf, _problem(space, options, twin), how, naf_rates(config, config.pretrain))
+    learner = make_goal_learner(naf, _problem(space, simulate), how, naf_rates(config, config.pretrain))
     block = how.block
 
     def train_many(keys, dists, policies, trials):
@@ -123,24 +123,25 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:  # noqa: B008
         settings=SETTINGS,
         init_policy=lambda key: _blank(naf.init(key).online, config, space),
         train=train,
-        rollout=_make_rollout(config, options, twin),
+        rollout=_make_rollout(config),
         observe=lambda trajectory: observed(trajectory, config),
         score=lambda trajectory: trajectory.rewards.mean(),
         reference=lambda params: jnp.zeros(()),
         reward=lambda trajectory, reference: trajectory.tested,
         train_many=train_many,
-        rehearse=None if rehearsed == config else _make_rollout(rehearsed, options, twin),
-        pretrain=_pretrain(config, space, options, twin) if config.pretrain else None,
+        rehearse=None if rehearsed == config else _make_rollout(rehearsed),
+        pretrain=_pretrain(config, space, simulate) if config.pretrain else None,
     )
 
 
-def _make_rollout(config: PushingConfig, options: PushOptions, twin: planar.PlanarCoefficients) -> Callable:
+def _make_rollout(config: PushingConfig) -> Callable:
     """`(key, policy, params [D]) -> PushingTrajectory`: the visit's pushes, and the tests that its reward is the mean of."""
     grid, act, expect = goal_lattice(config.tests), make_policy(config), make_expectation(config)
+    simulate = make_simulator(config)
 
     def rollout(key, policy, params):
         goals = visit_goals(key, config)
-        push = jax.vmap(lambda a: planar.rollout(params, a, options, twin))
+        push = jax.vmap(lambda a: simulate(params, a))
         # apart, so that the compiler leaves the test goals out where only the observation is asked for
         tested = push_reward(push(act(policy, grid))[:, -1], grid).mean()
         return expect(measured(goals, push(act(policy, goals)), tested), policy)
@@ -152,11 +153,12 @@ def make_expectation(config: PushingConfig) -> Callable[[PushingTrajectory, Push
     """`expect(trajectory, policy)`: the trajectory of the policy's pushes, from any engine, with what they do at the mean of E."""
     if not config.show_gap:
         return lambda trajectory, policy: trajectory
-    options, space, act = _checked(config), pushing_space(config), make_policy(config)
+    _checked(config)
+    simulate, space, act = make_simulator(config), pushing_space(config), make_policy(config)
 
     def expect(trajectory, policy):
         params = space.physical(policy.at)
-        push = jax.vmap(lambda a: planar.rollout(params, a, options, TWINS[config.coefficients]))
+        push = jax.vmap(lambda a: simulate(params, a))
         return trajectory._replace(expected=_points(push(act(policy, trajectory.goals))))
 
     return expect
@@ -175,10 +177,10 @@ def _blank(weights: jax.Array, config: PushingConfig, space: Space) -> PushingPo
     return PushingPolicy(weights, jnp.zeros((space.dim, config.hidden[0])), jnp.full(space.dim, 0.5))
 
 
-def _pretrain(config: PushingConfig, space: Space, options: PushOptions, twin) -> Callable[[jax.Array], PushingPolicy]:
+def _pretrain(config: PushingConfig, space: Space, simulate: Callable) -> Callable[[jax.Array], PushingPolicy]:
     """`(key) -> policy` for all of Omega, at its centre; it was shown means in [-1, 1]."""
     wide = make_naf(NAFConfig(obs_dim=2 + space.dim, action_dim=2, hidden=config.hidden))
-    trial = lambda key, u, action: planar.rollout(space.physical(u), physical_action(action), options, twin)[-1]
+    trial = lambda key, u, action: simulate(space.physical(u), physical_action(action))[-1]
     problem = GoalProblem(draw_goal, seen_goal, trial, push_reward)
     learn = make_shared_learner(wide, problem, space.sample, lambda u: 2.0 * u - 1.0, config.shared, naf_rates(config))
 
@@ -227,10 +229,10 @@ def _obs_dim(config: PushingConfig) -> int:
     return config.trajectories * 2 * (points * (1 + config.show_gap) + config.show_goal)
 
 
-def _problem(space: Space, options: PushOptions, twin: planar.PlanarCoefficients) -> GoalProblem:
+def _problem(space: Space, simulate: Callable) -> GoalProblem:
     def trial(key, dist, action):
         params = space.physical(spaces.sample(key, dist))
-        return planar.rollout(params, physical_action(action), options, twin)[-1]
+        return simulate(params, physical_action(action))[-1]
 
     return GoalProblem(draw_goal, seen_goal, trial, push_reward)
 

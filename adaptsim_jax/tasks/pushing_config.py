@@ -40,7 +40,9 @@ class PushingConfig:
     `pretrain` only; 0: actions are the network's own. correct: what is deployed is searched for in the simulator as
     mended by the pushes made in the target so far, near E's mean and over the actions (`pushing_told`); a visit's own pushes are
     not, nor is anything in Phase 1. rehearsal: tests and refine that Phase 1 makes do with, where not 0.
-    coefficients: the planar model as a twin of the MuJoCo scene or of Drake's.
+    simulator: where policies are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes of
+    its own (`models.backends.pushing_served`; a hundredth of the speed). coefficients: the planar model as a twin of that
+    scene or of Drake's.
     friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
 
@@ -69,6 +71,7 @@ class PushingConfig:
     refine: int = 0
     correct: bool = False
     rehearsal: tuple[int, int] = (0, 0)
+    simulator: Literal["planar", "native"] = "planar"
     coefficients: Literal["native", "drake"] = "native"
     friction: Literal["clean", "coupled"] = "clean"
     duration: float = 1.3

@@ -6,10 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.adapt.episode import Episode
-from adaptsim_jax.models import pushing_planar as planar
-from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy
+from adaptsim_jax.tasks.pushing_simulator import make_simulator
 from adaptsim_jax.tasks.pushing_told import Told
 
 
@@ -44,5 +43,5 @@ def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) ->
 
 
 def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.Array]:
-    options, twin = PushOptions(friction=config.friction, duration=config.duration), pushing.TWINS[config.coefficients]
-    return lambda action: planar.rollout(target, action, options, twin)[-1]
+    simulate = make_simulator(config)
+    return lambda action: simulate(target, action)[-1]

@@ -9,7 +9,6 @@ import numpy as np
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
 from adaptsim_jax.models import pushing as model
-from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.models.backends.pushing import make_backend
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing as task
@@ -26,7 +25,9 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     made, naf = task.make_pushing(config), task.make_pushing_naf(config)
     options = PushOptions(friction=config.friction, duration=config.duration)
     space, twin = made.space, task.TWINS[config.coefficients]
-    learner = make_goal_learner(naf, _everywhere(space, options, twin), config.training, task.naf_rates(config))
+    learner = make_goal_learner(
+        naf, _everywhere(space, task.make_simulator(config)), config.training, task.naf_rates(config)
+    )
     trials = lambda goals, actions, points: Trials(goals, actions, points[:, -1])
     policies = naf_policies(naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials)
 
@@ -53,8 +54,8 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(task.unseen(seen) - goal) / task.WORST),
         world=world,
         oracle=oracle,
-        engine="planar",
-        simulator="planar model of the push (JAX)",
+        engine=config.simulator,
+        simulator="planar model of the push (JAX)" if config.simulator == "planar" else "MuJoCo scene (native)",
         reward_unit=f"1 - distance / {task.WORST} m, at least 0, mean over {config.tests} goals",
         oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",
@@ -96,11 +97,11 @@ def _remember(policy: PushingPolicy, actions: jax.Array, points: jax.Array, used
     return policy._replace(told=Told(actions, points[:, -1], used))
 
 
-def _everywhere(space: Any, options: PushOptions, twin: planar.PlanarCoefficients) -> GoalProblem:
+def _everywhere(space: Any, simulate: Any) -> GoalProblem:
     """Pushes at parameters spread uniformly over Omega, a new draw for each."""
 
     def trial(key, context, action):
         params = space.physical(space.sample(key))
-        return planar.rollout(params, task.physical_action(action), options, twin)[-1]
+        return simulate(params, task.physical_action(action))[-1]
 
     return GoalProblem(task.draw_goal, task.seen_goal, trial, task.push_reward)

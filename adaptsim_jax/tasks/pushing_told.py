@@ -29,25 +29,33 @@ class Told(NamedTuple):
     used: jax.Array
 
 
-def nearer(end: Callable[[jax.Array, jax.Array], jax.Array], mean: jax.Array, told: Told) -> jax.Array:
+def nearer(
+    end: Callable[[jax.Array, jax.Array], jax.Array],
+    mean: jax.Array,
+    told: Told,
+    guide: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
+) -> jax.Array:
     """E's `mean [D]` (unit coordinates) moved within Omega to where `end(u [D], action [2]) -> [2]` m puts the target's pushes best.
 
     A few damped steps of Gauss and Newton (Levenberg, Marquardt) under a Gaussian prior of width `_NEAR` around `mean`, with
-    slopes by central differences, for a push that touches the patch's edge has none. Without pushes it is `mean` itself.
+    slopes by central differences, for a push that touches the patch's edge has none. Without pushes it is `mean` itself. `guide`:
+    a cheaper simulator, alike, that slopes are taken from.
     """
     used = told.used & jnp.isfinite(told.places).all(-1)
     places = jnp.where(used[:, None], told.places, 0.0)
     step = _AHEAD * jnp.eye(mean.shape[0], dtype=mean.dtype)
 
-    def miss(u):
+    def miss(u, end=end):
         gap = jnp.where(used[:, None], jax.vmap(lambda a: end(u, a))(told.actions) - places, 0.0) / _BLUR
         return (gap / (1.0 + jnp.sum(gap**2, -1, keepdims=True) / _LARGE**2) ** 0.25).reshape(-1)
+
+    about = miss if guide is None else lambda u: miss(u, guide)
 
     cost = lambda u, missed: missed @ missed + jnp.sum(((u - mean) / _NEAR) ** 2)
 
     def one(carry, _):
         u, missed, damping = carry
-        slope = jax.vmap(lambda s: (miss(u + s) - miss(u - s)) / (2 * _AHEAD))(step).T
+        slope = jax.vmap(lambda s: (about(u + s) - about(u - s)) / (2 * _AHEAD))(step).T
         curve = slope.T @ slope + jnp.eye(len(mean)) / _NEAR**2
         down = slope.T @ missed + (u - mean) / _NEAR**2
         away = jnp.linalg.solve(curve + damping * jnp.diag(jnp.diag(curve)), down)
