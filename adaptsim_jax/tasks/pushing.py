@@ -73,8 +73,8 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
     """The same with actions in [-1, 1]. A policy for no E in particular (UDR's) is not refined: there is no mean to try it at."""
     naf, space, guide = make_pushing_naf(config), pushing_space(config), make_guide(config)
     end_of = lambda push: lambda at, a: push(space.physical(at), physical_action(a))[-1]
-    end, hint = end_of(make_simulator(config)), guide and end_of(guide)
-    at_mean = lambda at: (lambda a: end(at, a), hint and (lambda a: hint(at, a)))
+    end, hint = end_of(make_simulator(config)), None if guide is None else end_of(guide)
+    at_mean = lambda at: (lambda a: end(at, a), None if hint is None else lambda a: hint(at, a))
 
     def choose(policy, goal):
         action = naf.greedy(policy.weights, seen_goal(goal))

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import jax
 import jax.numpy as jnp
@@ -106,7 +106,7 @@ def _pool(options: PushOptions, points: int, count: int) -> _Pool:
     return _POOLS[-1]
 
 
-def _whole(stream: BinaryIO, size: int) -> bytes:
+def _whole(stream: IO[bytes], size: int) -> bytes:
     data = stream.read(size)
     if len(data) < size:
         raise RuntimeError("a process that simulates native pushes ended; its last words are above")
@@ -120,7 +120,8 @@ def _serve(words: list[str]) -> None:
     from adaptsim_jax.models.backends.pushing import make_backend
 
     numbers = [float(w) for w in words[1:]]
-    options = PushOptions(words[0], *numbers[:2], tuple(numbers[2:5]), tuple(numbers[5:8]), numbers[8])
+    duration, mass = numbers[:2]
+    options = PushOptions(words[0], duration, mass, tuple(numbers[2:5]), tuple(numbers[5:8]), numbers[8])
     points = int(numbers[9])
     simulate = make_backend("native", options, threads=1).simulate
     kept = np.round(pushing.rows(options) * np.arange(1, points + 1) / points).astype(int) - 1
