@@ -23,6 +23,8 @@ Array = Any
 ROUNDS = 2  # of the line search, after its bounds are known
 SOLVED = {4: 2e-5, 8: 1e-10}
 """By the size of a float in bytes: the unbalanced share of the momentum at which Newton's method stops."""
+PATIENCE, SLOW = 9, 1e-4
+"""Newton's steps before points that slide by less than so many m/s count as sticking in the Hessian."""
 
 
 class Springs(NamedTuple):
@@ -101,12 +103,17 @@ def _unbalanced(mass: Array, free: Array, gradient: Array, impulse: Array) -> Ar
 
 
 def _newton(s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, guess: Array, iterations: int) -> Array:
-    """Iterates until the momentum balances; under vmap, until it does for all samples."""
+    """Iterates until the momentum balances; under vmap, until it does for all samples.
+
+    Where the minimum lies on the kink between sliding one way and the other, steps from either side end just across it, and may go
+    to and fro with hardly any gain. After `PATIENCE` steps what hardly slides is therefore held, as far as curvature goes: steps
+    then run along the kink. Any positive Hessian descends, so the minimum is the same.
+    """
     enough = SOLVED[guess.dtype.itemsize]
 
     def one(carry):
         v, count, _ = carry
-        gradient, impulse, bend = _slope(s, mass, free, v)
+        gradient, impulse, bend = _slope(s, mass, free, v, jnp.where((count < PATIENCE) | (count % 2 == 0), 0.0, SLOW))
         left = _unbalanced(mass, free, gradient, impulse)
         move = -_solve3(bend, gradient)
         return v + _best_share(s, firsts, mass, free, v, move) * move, count + 1, left > enough
@@ -201,12 +208,17 @@ def cost(s: Springs, piece: Body, free: Array, v: Array) -> Array:
     return 0.5 * (jnp.sum(mass * (v - free) ** 2) + _sum(law.normal**2 / s.stiff + law.tangent**2 / s.grip))
 
 
-def _slope(s: Springs, mass: Array, free: Array, v: Array) -> tuple[Array, Array, list[list[Array]]]:
-    """Gradient `[3]` of the cost, impulse `[3]` of the contacts, and the Hessian's lower triangle."""
-    law = _law(s, *_relative(s, v))
+def _slope(
+    s: Springs, mass: Array, free: Array, v: Array, held: Array | float = 0.0
+) -> tuple[Array, Array, list[list[Array]]]:
+    """Gradient `[3]` of the cost, impulse `[3]` of the contacts, and the Hessian's lower triangle; in that, points that slide by
+    less than `held` m/s stick."""
+    vn, vt = _relative(s, v)
+    law = _law(s, vn, vt)
     a, b = s.normal, s.tangent
     impulse = jnp.stack([_sum(law.normal * a[i] - law.tangent * b[i]) for i in range(3)])
-    nn, nt, tt = _stiffness(s, law)
+    slow = law.slides & (jnp.abs(vt) < held)
+    nn, nt, tt = _stiffness(s, law._replace(sticks=law.sticks | slow, slides=law.slides & ~slow))
     entry = lambda i, j: _sum(nn * a[i] * a[j] + nt * (a[i] * b[j] + b[i] * a[j]) + tt * b[i] * b[j])
     bend = [[entry(i, j) + (mass[i] if i == j else 0.0) for j in range(i + 1)] for i in range(3)]
     return mass * (v - free) - impulse, impulse, bend
