@@ -9,10 +9,9 @@ import argparse
 import json
 from pathlib import Path
 
-from adaptsim_jax.commands.adapt_pushing import axes
 from adaptsim_jax.files import output_folder
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.figures_pushing import parameters_found
+from adaptsim_jax.report.figures_pushing import axes_of, parameters_found
 from adaptsim_jax.tasks.registry import make_task
 
 
@@ -29,7 +28,7 @@ def main() -> None:
     if not any(row.get("best_params") for row in results["rows"]):
         raise SystemExit(f"{args.results}: no method in it adapts parameters; compare adaptsim or sysid-bayes")
     space = make_task(results["task"], {}).space
-    figure = parameters_found(results, axes(space))
+    figure = parameters_found(results, axes_of(space, results["task"]))
     print(f"written: {look.save(figure, output_folder(args.out) / 'parameters_found.png')}")
 
 

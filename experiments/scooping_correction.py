@@ -1,8 +1,10 @@
 """How what is deployed in scooping may be corrected by the target's own scoops, tried on random targets and seeds that no table uses.
 
-    python experiments/scooping_correction.py --out OUT --doubts 1,0.5,1,3 0,0.5,2,3
+    python experiments/scooping_correction.py --out OUT --visits own 0 1 --doubts 1,0.5,1,3 0,0.5,2,3
 
-AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. Each doubt (others,
+AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. They are taken as they
+were (`own`), or the last scoop of each is replaced by a probe with as much optimism (`tasks/scooping_corrected.py`), E going where
+it went. Each doubt (others,
 reach, spread, most; see `tasks/scooping_told.py`) then says what would be deployed at the last visits, scored in the engine in
 12 test contexts. `network` is E's policy as it is, `search` the best action when nothing was seen of the target, `start` the default
 doubt by the bank at the mean that E had first, and not at its own.
@@ -11,6 +13,7 @@ doubt by the bank at the mean that E had first, and not at its own.
 from __future__ import annotations
 
 import argparse
+import itertools
 import pickle
 import time
 from dataclasses import replace
@@ -21,15 +24,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import compile_cache
-from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, lanes
+from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, Trials, lanes
 from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
 from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.config import from_table
 from adaptsim_jax.files import output_folder, write_json
 from adaptsim_jax.tasks.registry import make_one_shot
-from adaptsim_jax.tasks.scooping import ScoopingConfig
-from adaptsim_jax.tasks.scooping_one_shot import make_choice
+from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
+from adaptsim_jax.tasks.scooping_corrected import make_choice, make_probe
 from adaptsim_jax.tasks.scooping_told import Doubt
 from experiments.scooping_choices import targets
 
@@ -49,7 +52,7 @@ class Recorder(Arena):
 
     def visit(self, keys, where, policies) -> Seen:
         seen = super().visit(keys, where, policies)
-        self.kept.append((jax.tree.map(np.asarray, policies._replace(told=None)), seen.trials))
+        self.kept.append((jax.tree.map(np.asarray, policies._replace(told=None, probe=None)), seen.trials))
         return seen
 
     def score(self, where, policies) -> np.ndarray:
@@ -57,15 +60,35 @@ class Recorder(Arena):
 
 
 def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> list[tuple]:
-    """The visits of `method`, from the file where it made them before."""
+    """The visits of `method` with scoops of its own alone, from the file where it made them before."""
     path = out / f"visits-{method}.pkl"
     if not path.exists():
-        one = make_one_shot("scooping", OPTIONS)
+        one = replace(make_one_shot("scooping", OPTIONS), probe=None)
         arena, begin = Recorder(one, one.world(one.engine), pieces), time.process_time()
         METHODS[method][0](Bout(replace(CONFIG, iterations=8), arena, seeds))
         path.write_bytes(pickle.dumps(arena.kept))
         print(f"{method}: {len(arena.kept)} visits, {time.process_time() - begin:.0f} s of CPU time", flush=True)
-    return pickle.loads(path.read_bytes())
+    # without what policies did not hold yet when the file was made
+    return [(ScoopingPolicy(p.weights, p.at), Trials(*t)) for p, t in pickle.loads(path.read_bytes())]
+
+
+def probed(arena: Arena, batch: Lanes, visits: list[tuple], optimism: float) -> list[tuple]:
+    """The same visits with their last scoops replaced by probes; E goes where it went."""
+    probe = make_probe(from_table(ScoopingConfig, OPTIONS, "correction"), Doubt(), optimism)
+    memory, found, act = Memory(replace_one(arena, probe), batch, len(visits)), [], jax.jit(jax.vmap(arena.one.act))
+    for policies, trials in visits:
+        tried = memory.visiting(jax.tree.map(jnp.asarray, policies))
+        actions = np.asarray(act(tried, jnp.asarray(trials.contexts)))
+        last = arena.run(batch.where, trials.contexts[:, -1:], actions[:, -1:])
+        both = lambda old, new: np.concatenate([old[:, :-1], new], 1)
+        now = Trials(trials.contexts, both(trials.actions, actions[:, -1:]), jax.tree.map(both, trials.outcomes, last))
+        memory.add(now)
+        found.append((policies, now))
+    return found
+
+
+def replace_one(arena: Arena, probe) -> Arena:
+    return Arena(replace(arena.one, probe=probe), arena.world, arena.targets)
 
 
 def deployed(arena: Arena, batch: Lanes, visits: list[tuple], name: str) -> np.ndarray:
@@ -93,6 +116,7 @@ def main() -> None:
     parser.add_argument("--out", required=True)
     parser.add_argument("--seeds", type=int, default=3, help="from 100 on")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    parser.add_argument("--visits", nargs="+", default=["own", "1"])
     parser.add_argument("--doubts", nargs="+", default=["network", "search", "1,0.5,1,3"])
     args = parser.parse_args()
     compile_cache.enable()
@@ -100,17 +124,18 @@ def main() -> None:
     pieces = targets()[[i for rows in PIECES.values() for i in rows]]
     one = make_one_shot("scooping", OPTIONS)
     arena = Arena(one, one.world(one.engine), pieces)
-    for method in args.methods:
+    for method, way in itertools.product(args.methods, args.visits):
         visits, (_, starts, label) = visits_of(method, out, seeds, pieces), METHODS[method]
         batch = lanes(len(pieces), seeds, starts, label)
+        visits = visits if way == "own" else probed(arena, batch, visits, float(way))
         for name in args.doubts:
             begin = time.process_time()
             actions = deployed(arena, batch, visits, name)
             rewards = np.stack([arena.score_actions(batch.where, a) for a in actions], -1)
             told = by_group(batch.grid(rewards))
-            write_json(out / f"{method}-{name}.json", told)
+            write_json(out / f"{method}-{way}-{name}.json", told)
             row = "  ".join(f"{n} {v['late']:.3f} {v['best']:.3f}" for n, v in told.items())
-            print(f"{method:12} {name:12} late, best: {row}  {time.process_time() - begin:.0f} s", flush=True)
+            print(f"{method:12} {way:4} {name:12} late, best: {row}  {time.process_time() - begin:.0f} s", flush=True)
 
 
 def by_group(rewards: np.ndarray) -> dict[str, dict[str, float]]:

@@ -59,14 +59,15 @@ def scooping() -> TrainConfig:
     """Scooping at the paper's size (tables A1 and A2): 10,000 adaptation steps in trajectories of 8, steps of 0.15.
 
     Policies are reused within 0.16. They are trained once, with 1.2e3 draws of the bank (the paper: up to 4e3 trials in several
-    trainings): its rewards are chances and no coins, and a training keeps its best policy. The reward is a share of pieces
-    already; the paper's sparse threshold of 0.5 would hide which half is left.
+    trainings): its rewards are chances and no coins, and a training keeps its best policy. What is deployed is corrected by the
+    target's own scoops. The reward is a share of pieces already; the paper's sparse threshold of 0.5 would hide which half is left.
     """
     base = paper_pushing()
     reuse = ReuseConfig(threshold=0.16, first=1200, most=1200, least=600, together=2)
     return replace(
         base,
         every=5,
+        task={"correct": True},
         phase1=replace(base.phase1, hidden=(64, 64), reuse=reuse),
         hyper=replace(base.hyper, gain=1.0),
     )
@@ -143,8 +144,6 @@ def pushing_native() -> TrainConfig:
 def comparison_config(task: str) -> TrainConfig:
     """What AdaptSim's row of `adaptsim compare TASK` is trained with for every seed. What is deployed in the push and in scooping is
     corrected by the target's own trials, of SysID and BayesOpt likewise."""
-    if task == "scooping":
-        return replace(scooping(), task={"correct": True})
     return default_config(task)
 
 

@@ -51,7 +51,7 @@ def bayesopt(bout: Bout) -> Trip:
         train_keys, visit_keys = two_keys(batch.at(i))
         dists = jax.vmap(lambda m: gaussian(space, m))(jnp.asarray(points[:, i], jnp.float32))
         policies = arena.train(train_keys, dists, first_policies(bout, batch, arena.untrained(train_keys)))
-        seen = arena.visit(visit_keys, batch.where, policies)
+        seen = arena.visit(visit_keys, batch.where, memory.visiting(policies))
         rewards[:, i] = arena.score(batch.where, memory.deployed(policies))
         memory.add(seen.trials)
         told[:, i] = seen.score

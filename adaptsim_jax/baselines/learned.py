@@ -19,8 +19,8 @@ from adaptsim_jax.baselines.arena import Arena, Lanes, Progress, lanes
 from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.baselines.sysid_bayes import mixture_estimator
 from adaptsim_jax.baselines.sysid_point import point_estimator
+from adaptsim_jax.baselines.tour import tour
 from adaptsim_jax.progress import silent
-from adaptsim_jax.space import gaussian, step
 
 
 class Trip(NamedTuple):
@@ -53,35 +53,17 @@ def adaptsim(bout: Bout) -> Trip:
 
 def phase2(bout: Bout, phase1: Any, trained: TrainedMany, starts: int, iterations: int) -> Trip:
     """Greedy steps from `starts` members of each run's own S_E (paper, Algorithm 2), in the arena's targets."""
-    arena, space = bout.arena, phase1.task.space
+    arena = bout.arena
     batch = lanes(len(arena.targets), bout.seeds, starts, label=1)
     first = starts_of(phase1, trained, bout.seeds, starts)
     # lanes run over targets, seeds, starts; the same starts serve all targets
     pick = lambda x: jnp.tile(x.reshape(-1, *x.shape[2:]), (len(arena.targets), *(1,) * (x.ndim - 2)))
-    mean, policies = np.asarray(pick(first.mean)), jax.tree.map(pick, first.policy)
-    weights = trained.weights[batch.seed]
-    delta, shrink = (jnp.asarray(x)[batch.seed] for x in (trained.hyper.delta, trained.hyper.shrink))
-
-    @jax.jit
-    def advance(mean, obs, number):
-        seen = jnp.concatenate([2.0 * mean - 1.0, obs], -1)
-        action = jax.vmap(phase1.bdq.greedy)(weights, seen)
-        size = delta * shrink**number
-        return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, size)
-
-    at = lambda m: gaussian(space, m)
-    means, rewards, memory = [], [], Memory(arena, batch, iterations + 1)
-    for i in range(iterations + 1):
-        train_keys, visit_keys = two_keys(batch.at(i))
-        policies = arena.train(train_keys, jax.vmap(at)(mean), policies)
-        seen = arena.visit(visit_keys, batch.where, policies)
-        means.append(mean)
-        rewards.append(arena.score(batch.where, memory.deployed(policies)))
-        memory.add(seen.trials)
-        mean = np.asarray(advance(jnp.asarray(mean), jnp.asarray(seen.obs), i))
-        bout.report(i + 1, iterations + 1, "Phase 2")
+    hyper = jax.tree.map(lambda x: jnp.asarray(x)[batch.seed], trained.hyper)
+    found = tour(
+        arena, batch, phase1, trained.weights[batch.seed], hyper, jax.tree.map(pick, first), iterations, bout.report
+    )
     spent = starts * arena.one.trials * np.arange(1, iterations + 2)
-    return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
+    return Trip(batch.grid(found.rewards), batch.grid(found.means), spent)
 
 
 def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
@@ -106,9 +88,11 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
         rewards.append(arena.score(batch.where, memory.deployed(state.policy)))
         bout.report(i + 1, config.iterations + 1)
         if i < config.iterations:
-            seen = arena.visit(visit_keys, batch.where, state.policy)
+            tried = memory.visiting(state.policy)
+            seen = arena.visit(visit_keys, batch.where, tried)
             memory.add(seen.trials)
-            state = infer(infer_keys, state, jnp.asarray(seen.obs))
+            own = state.policy
+            state = infer(infer_keys, state._replace(policy=tried), jnp.asarray(seen.obs))._replace(policy=own)
             infer = infers(config.next_fit) if i == 0 and config.next_fit != config.first_fit else infer
     spent = arena.one.trials * np.arange(1, config.iterations + 2)
     return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)

@@ -16,19 +16,27 @@ class Memory:
         self._one, self._batch, self._visits = arena.one, batch, visits
         self._actions, self._outcomes = [], []
         self._mend = jax.jit(jax.vmap(arena.one.remember, (0, 0, 0, None))) if arena.one.remember else None
+        self._probe = jax.jit(jax.vmap(arena.one.probe)) if arena.one.probe else None
 
     def add(self, trials: Trials) -> None:
         """A visit's trials `[B, N]`."""
         self._actions.append(trials.actions)
         self._outcomes.append(trials.outcomes)
 
-    def deployed(self, policies: Any) -> Any:
-        """`policies [B, ...]` as they would be deployed now: mended by the visits so far, where the task does that."""
+    def deployed(self, policies: Any, visits: int | None = None) -> Any:
+        """`policies [B, ...]` as they would be deployed after the first `visits` of those so far (all): mended by them, where the task
+        does that."""
         if self._mend is None or not self._actions:
             return policies
         actions, used = self._pooled(self._actions)
+        if visits is not None:
+            used = used & (np.arange(len(used)) < visits * len(used) // self._visits)
         outcomes = jax.tree.map(lambda *x: self._pooled(x)[0], *self._outcomes)
         return self._mend(policies, jnp.asarray(actions), jax.tree.map(jnp.asarray, outcomes), jnp.asarray(used))
+
+    def visiting(self, policies: Any) -> Any:
+        """`policies [B, ...]` as they make their next visit: with a probe, where the task makes any."""
+        return policies if self._probe is None else self._probe(self.deployed(policies))
 
     def _pooled(self, visits) -> tuple[np.ndarray, np.ndarray]:
         """Visits `[B, n, ...]` as `[B, K, ...]`, K all that the whole of the method will make, and which are there `[K]`."""

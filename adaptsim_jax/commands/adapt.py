@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,6 @@ EXAMPLES = """
   adaptsim adapt runs/p --target ood-2 --video     a run of the push: figures, and a film of its first and best policy
   adaptsim adapt runs/s --target ood-1 --video     the same of scooping
 """
-# modules with `show(trained, options, found, result, out, video) -> lines`, for tasks whose trials can be looked at; and with
-# `deployed(options, result, params) -> result`, where the trials made mend what is deployed
-SHOWS = {"pushing": "adapt_pushing", "scooping": "adapt_scooping"}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,15 +31,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 2 of a trained run: result.json, and a few lines for a person."""
+    from adaptsim_jax.commands.task_parts import adapt_part
     from adaptsim_jax.errors import BadInput
     from adaptsim_jax.store import RunFolder
 
     folder = RunFolder.open(args.folder)
-    if args.video and folder.task not in SHOWS:
+    part, options = adapt_part(folder.task), folder.config.get("task", {})
+    if args.video and part.show is None:
         raise BadInput(f"{args.folder}: there is no film of task '{folder.task}'; leave --video out")
     import jax
 
-    from adaptsim_jax.adapt.training import adapt_run, load_run
+    from adaptsim_jax.adapt.training import load_run
     from adaptsim_jax.commands.common import output, read_target
     from adaptsim_jax.files import write_json
 
@@ -54,22 +52,15 @@ def run(args: argparse.Namespace) -> int:
         task = world
         trained = trained._replace(phase1=trained.phase1._replace(task=task))
     with output(args.out or Path(args.folder) / f"adapt-{name}") as out:
-        result = adapt_run(trained, jax.random.key(args.seed), params, starts=args.starts, iterations=args.iterations)
-        if hasattr(show := shown(task.name), "deployed"):
-            result = show.deployed(folder.config.get("task", {}), result, params)
+        result = part.adapt(trained, options, jax.random.key(args.seed), params, args.starts, args.iterations)
         found = describe(result, task, name, params, args)
         write_json(out / "result.json", found)
     _show(found)
     print(f"written: {out / 'result.json'}")
-    if show is not None:
-        for line in show.show(trained, folder.config.get("task", {}), found, result, out, args.video):
+    if part.show is not None:
+        for line in part.show(trained, options, found, result, out, args.video):
             print(line)
     return 0
-
-
-def shown(task: str) -> Any:
-    """The module that speaks for a task whose trials can be looked at, else None."""
-    return importlib.import_module(f"adaptsim_jax.commands.{SHOWS[task]}") if task in SHOWS else None
 
 
 def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> dict[str, Any]:

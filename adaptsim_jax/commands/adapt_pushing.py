@@ -7,8 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.commands.task_parts import AdaptPart
+
 COLUMNS = 6
 GOALS = ((0.78, 0.05), (0.93, -0.06))  # m: a near one on the left and a far one on the right
+
+
+def adapt(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
+    """Phase 2 in `target [D]`, as it is deployed."""
+    from adaptsim_jax.adapt.training import adapt_run
+
+    return deployed(options, adapt_run(trained, key, target, starts=starts, iterations=iterations), target)
 
 
 def deployed(options: dict[str, Any], result: Any, target: Any) -> Any:
@@ -54,7 +63,7 @@ def show(
         panels,
         [[f"iteration {i}" + (" (best)" if i == best else "") for i in shown]],
         params,
-        axes(task.space),
+        draw.axes_of(task.space, task.name),
         patch=float(target[3]),
         target=target.tolist(),
     )
@@ -67,13 +76,6 @@ def show(
         takes = [(f"iteration {i} ({word})", actions[i, g], goals[g]) for g in range(len(goals)) for i, word in visits]
         lines.append(_film(made, target, takes, out))
     return lines
-
-
-def axes(space: Any) -> list[Any]:
-    """Omega as the figures need it."""
-    from adaptsim_jax.report.figures_pushing import Axis
-
-    return [Axis(p.name, p.low, p.high, p.scale == "log") for p in space.parameters]
 
 
 def picked(count: int, best: int) -> list[int]:
@@ -123,3 +125,6 @@ def _film(made: Any, target: np.ndarray, takes: list[tuple[str, np.ndarray, np.n
         clips.append(Clip(state, action, goal, float(target[3]), f"{who}: {apart:.0f} cm from the goal"))
     path, how = write_push_video(clips, out)
     return f"written: {path}, {how}"
+
+
+PART = AdaptPart(show, adapt)

@@ -64,12 +64,11 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
         return []
     from pathlib import Path
 
-    from adaptsim_jax.commands.adapt_pushing import axes
     from adaptsim_jax.report import figures as look
-    from adaptsim_jax.report.figures_pushing import parameters_found
+    from adaptsim_jax.report.figures_pushing import axes_of, parameters_found
     from adaptsim_jax.tasks.registry import make_task
 
-    figure = parameters_found(results, axes(make_task(results["task"], options).space))
+    figure = parameters_found(results, axes_of(make_task(results["task"], options).space, results["task"]))
     return [look.save(figure, Path(out) / "parameters_found.png")]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,21 +20,18 @@ the piece [m, x along the spatula's way], and on, 1 where it lies on the spatula
 """
 STEPS = ("new", "next", "record")
 SESSION = "robot.toml"
-# what is said and read for each task: modules with TURN, opened, policy_file, show, read, remember and told; and with deployed,
-# where the trials told so far mend the policy that is written and shown
-HANDS = {"pendulum": "robot_pendulum", "pushing": "robot_pushing", "scooping": "robot_scooping"}
 
 
 class Session(NamedTuple):
     """A session on disk: where it is, how it was started, the learned adaptation policy at work, the task's options, and
-    the module that speaks for the task."""
+    what speaks for the task (`task_parts.RobotPart`)."""
 
     folder: Path
     table: dict[str, Any]
     trained: Any
     loop: Any
     options: dict[str, Any]
-    hand: Any
+    part: Any
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,7 +81,7 @@ def new(args: argparse.Namespace) -> None:
     _save(session, session.loop.init(key, starts), [])
     # written last: a folder with this file holds a whole session
     config.write(folder / SESSION, table)
-    print(f"{session.hand.opened(session, args.starts * (args.iterations + 1))} in {folder}")
+    print(f"{session.part.opened(session, args.starts * (args.iterations + 1))} in {folder}")
     ask(args)
 
 
@@ -98,16 +94,16 @@ def ask(args: argparse.Namespace) -> None:
     task, total = session.trained.phase1.task, session.loop.trials(state)
     done = len(history) >= total
     mean, policy = (state.best_mean, state.best_policy) if done else (state.mean, state.policy)
-    policy = session.hand.deployed(session, policy, history) if hasattr(session.hand, "deployed") else policy
+    policy = session.part.deployed(session, policy, history)
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
-    what = "best policy" if done else f"{session.hand.TURN} {len(history) + 1} of {total}"
+    what = "best policy" if done else f"{session.part.turn} {len(history) + 1} of {total}"
     print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")
     path = session.folder / ("best.toml" if done else "policy.toml")
-    config.write(path, {"what": what, "params": params} | session.hand.policy_file(session, policy))
-    session.hand.show(session, state, policy, history, done)
+    config.write(path, {"what": what, "params": params} | session.part.policy_file(session, policy))
+    session.part.show(session, _tried(session, state, history), policy, history, done)
     print(f"written: {path}")
     if done:
-        print(f"all {total} {session.hand.TURN}s are told; best return {float(state.best_score):.6g}")
+        print(f"all {total} {session.part.turn}s are told; best return {float(state.best_score):.6g}")
     else:
         print(f"then: adaptsim robot record FILE --dir {args.dir}")
 
@@ -119,7 +115,7 @@ def record(args: argparse.Namespace) -> None:
 
     session = _open(Path(args.dir))
     before, history = _load(session)
-    total, turn = session.loop.trials(before), session.hand.TURN
+    total, turn = session.loop.trials(before), session.part.turn
     if len(history) >= total:
         raise BadInput(f"{session.folder}: all {total} {turn}s are told; 'robot new' starts another session")
     path = Path(args.what)
@@ -127,15 +123,21 @@ def record(args: argparse.Namespace) -> None:
     for earlier, trial in enumerate(history, 1):
         if trial["sha256"] == digest:
             raise BadInput(f"{path}: was told already, as {turn} {earlier}; name the file of {turn} {len(history) + 1}")
-    trajectory = session.hand.read(session, before, path)
+    tried = _tried(session, before, history)
+    trajectory = session.part.read(session, tried, path)
     state, info = session.loop.tell(before, trajectory)
     entry = {"file": str(path), "sha256": digest, "score": number(info.score)}
-    history.append(entry | session.hand.remember(session, before, trajectory))
+    history.append(entry | session.part.remember(session, tried, trajectory))
     _save(session, state, history)
     best = ", the best so far" if bool(info.best) else ""
     print(f"{turn} {len(history)} of {total}: return {float(info.score):.6g}{best}")
-    session.hand.told(session, before, state, trajectory, len(history) >= total)
+    session.part.told(session, tried, state, trajectory, len(history) >= total)
     print(f"next: adaptsim robot next --dir {args.dir}")
+
+
+def _tried(session: Session, state: Any, history: list[dict[str, Any]]) -> Any:
+    """The state with its policy as the coming turn makes its trials."""
+    return state._replace(policy=session.part.tried(session, state.policy, history))
 
 
 def _digest(path: Path) -> str | None:
@@ -162,21 +164,21 @@ def _open(folder: Path) -> Session:
 def _session(folder: Path, table: dict[str, Any]) -> Session:
     from adaptsim_jax.adapt.asktell import make_ask_tell
     from adaptsim_jax.adapt.training import load_run
+    from adaptsim_jax.commands.task_parts import ROBOT, robot_part
     from adaptsim_jax.errors import BadInput
     from adaptsim_jax.store import RunFolder
 
     run = RunFolder.open(table["run"])
-    if run.task not in HANDS:
+    if run.task not in ROBOT:
         raise BadInput(
-            f"{table['run']}: a run of task '{run.task}'; robot takes runs of {', '.join(HANDS)} in this version. For "
+            f"{table['run']}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this version. For "
             f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adapt.asktell with recorded trajectories"
         )
     trained = load_run(run)
     phase1 = trained.phase1
     weights, sizes = trained.state.learner.target, {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")}
     loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
-    hand = importlib.import_module(f"adaptsim_jax.commands.{HANDS[run.task]}")
-    return Session(folder, table, trained, loop, run.config.get("task", {}), hand)
+    return Session(folder, table, trained, loop, run.config.get("task", {}), robot_part(run.task))
 
 
 def _save(session: Session, state: Any, history: list[dict[str, Any]]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adaptsim_jax.commands.task_parts import RobotPart
+
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
 
@@ -72,3 +74,6 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
 def _digits(value: Any) -> str:
     """Six digits for the eye; policy.toml has them all."""
     return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
+
+
+PART = RobotPart(TURN, opened, policy_file, show, read, remember, told)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.commands.robot_trials import config_of, physical, say_parameters, write_actions
+from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
@@ -118,7 +119,7 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
     """The pushes as they were measured, a row a start, and the parameters of the start that holds the best."""
     import numpy as np
 
-    from adaptsim_jax.commands.adapt_pushing import axes, picked
+    from adaptsim_jax.commands.adapt_pushing import picked
     from adaptsim_jax.report import figures as look
     from adaptsim_jax.report import figures_pushing as draw
 
@@ -132,8 +133,10 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
         panels.append([[draw.Push(p["goal"], p["points"], p["reward"]) for p in start[i]["pushes"]] for i in shown])
         heads.append([f"iteration {first + i}" for i in shown])
     params = np.array([list(visit["params"].values()) for visit in starts[best]])
-    space = session.trained.phase1.task.space
-    figure = draw.pushes_over_iterations(panels, heads, params, axes(space), first=1 + best * turns)
+    task = session.trained.phase1.task
+    figure = draw.pushes_over_iterations(
+        panels, heads, params, draw.axes_of(task.space, task.name), first=1 + best * turns
+    )
     return look.save(figure, session.folder / "pushes.png")
 
 
@@ -147,3 +150,6 @@ def _config(session: Session) -> Any:
     from adaptsim_jax.tasks.pushing import PushingConfig
 
     return config_of(session, PushingConfig)
+
+
+PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, deployed=deployed)

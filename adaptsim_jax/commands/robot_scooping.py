@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.commands.robot_trials import config_of, physical, say_parameters, write_actions
+from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
@@ -25,7 +26,27 @@ def opened(session: Session, total: int) -> str:
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters; `tasks.scooping_measured.read_policy` reads it."""
-    return {"hidden": list(_config(session).hidden), "policy": {"weights": policy.weights.tolist()}}
+    from adaptsim_jax.tasks.scooping_measured import policy_table
+
+    return policy_table(policy, _config(session))
+
+
+def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+    """The policy as it would be deployed now, corrected by the scoops told so far where the task does that."""
+    from adaptsim_jax.tasks.scooping_measured import corrected
+
+    scoops = [scoop for visit in history for scoop in visit["scoops"]]
+    return corrected(policy, _config(session), [s["action"] for s in scoops], [s["success"] for s in scoops])
+
+
+def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+    """The policy as the coming iteration makes its scoops: where it is corrected, the last of them is a probe."""
+    import jax
+
+    from adaptsim_jax.tasks.scooping_corrected import make_probe
+
+    config = _config(session)
+    return jax.jit(make_probe(config))(deployed(session, policy, history)) if config.correct else policy
 
 
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
@@ -33,11 +54,11 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
     from adaptsim_jax.models.scooping import SECONDS
 
     if done:
-        import jax.numpy as jnp
+        from adaptsim_jax.tasks.scooping_measured import scoop_in_the_middle
 
-        from adaptsim_jax.tasks.scooping import make_policy
-
-        action = make_policy(_config(session))(policy, jnp.zeros(2))
+        action = scoop_in_the_middle(policy, _config(session))
+        if policy.told is not None:
+            print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
         print(f"its scoop for a piece in the middle: {_said(action)}; for any other place (m):")
         print("  from adaptsim_jax.tasks.scooping_measured import read_policy")
         print(f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, 0.02])")
@@ -45,7 +66,8 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
     scoops = _scoops(session, state)
     path = session.folder / "actions.csv"
     for number, place, action in zip(*scoops, strict=True):
-        print(f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m)")
+        probe = ", a probe" if state.policy.probe is not None and number == scoops.numbers[-1] else ""
+        print(f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m{probe})")
     write_actions(path, COLUMNS, zip(*scoops, strict=True))
     print(f"written: {path}")
     print(HOW.format(seconds=SECONDS))
@@ -102,3 +124,6 @@ def _config(session: Session) -> Any:
     from adaptsim_jax.tasks.scooping import ScoopingConfig
 
     return config_of(session, ScoopingConfig)
+
+
+PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, deployed, tried)

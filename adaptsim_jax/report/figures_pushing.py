@@ -14,7 +14,11 @@ from adaptsim_jax.report import figures as look
 BOTTLE, GOAL, PATCH, TARGET = "#0072B2", "#D49A00", "#c3cad3", "#8b0000"
 START, RADIUS, PATCH_X, PATCH_SIDE, FAR = (0.56, 0.0), 0.03, 0.75, 0.10, 0.2
 ACROSS, NEAR, REACH = (-0.22, 0.22), 0.5, (1.12, 1.5)  # m: what of the table is shown, and how far at least and at most
-SYMBOLS = {"mu": "μ table", "e": "e (Pa)", "mu_p": "μ patch", "y_p": "patch y (m)", "g": "shape", "h": "h (m)"}
+SYMBOLS = {
+    "pushing": {"mu": "μ table", "e": "e (Pa)", "mu_p": "μ patch", "y_p": "patch y (m)"},
+    "scooping": {"mu": "μ piece", "e": "e (Pa)", "g": "shape", "h": "h (m)"},
+}
+"""What a task's parameters are called in figures, where that is not their name."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +32,20 @@ class Push:
 
 @dataclass(frozen=True)
 class Axis:
-    """A parameter's range, for axes: name, Omega's bounds, whether it is spread logarithmically."""
+    """A parameter's range, for axes: name, Omega's bounds, whether it is spread logarithmically, and what it is called there (its
+    name where that is empty)."""
 
     name: str
     low: float
     high: float
     log: bool = False
+    symbol: str = ""
+
+
+def axes_of(space: Any, task: str) -> list[Axis]:
+    """Omega as the figures of `task` need it."""
+    called = SYMBOLS.get(task, {})
+    return [Axis(p.name, p.low, p.high, p.scale == "log", called.get(p.name, "")) for p in space.parameters]
 
 
 def pushes_over_iterations(
@@ -130,7 +142,7 @@ def parameters_over_iterations(
         if target is not None:
             ax.axhline(target[k], color=TARGET, linewidth=1.0, linestyle="--", label="target")
         ax.set_ylim(*_limits(axis, params[:, k], target[k] if target is not None else None))
-        ax.set_ylabel(SYMBOLS.get(axis.name, axis.name), fontsize=7.5)
+        ax.set_ylabel(axis.symbol or axis.name, fontsize=7.5)
         ax.tick_params(labelsize=7)
         ax.grid(False, axis="x")
     plots[-1].set_xlabel("iteration", fontsize=8)
@@ -168,7 +180,7 @@ def parameters_found(results: Mapping[str, Any], axes: Sequence[Axis]) -> Figure
         grid[i, 0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
         grid[i, 0].set_ylim(-0.7, len(methods) - 0.3)
     for k, axis in enumerate(axes):
-        grid[0, k].set_title(SYMBOLS.get(axis.name, axis.name), fontsize=9, color=look.INK)
+        grid[0, k].set_title(axis.symbol or axis.name, fontsize=9, color=look.INK)
     figure.supxlabel("Ω shaded; target dashed; bars are means over seeds", fontsize=8, color=look.MUTED)
     return figure
 

@@ -64,6 +64,9 @@ class OneShot:
     # (policy, actions [K, d] and outcomes [K, ...] of the target's trials, which of them count [K]) -> policy to deploy, mended by
     # them; None: it is not
     remember: Callable[[Any, Array, Outcome, Array], Any] | None = None
+    # (policy, mended by `remember` once there are trials) -> policy as `act` makes a visit with it, part of its trials to learn
+    # more for what is deployed; None: a visit's trials are the policy's own, not mended
+    probe: Callable[[Any], Any] | None = None
 
 
 def action_grid(points: tuple[int, ...]) -> np.ndarray:

@@ -13,12 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import config as configs
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.tasks import scooping
 from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
 from adaptsim_jax.tasks.saved_policy import read_saved
 from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
+from adaptsim_jax.tasks.scooping_told import Told
 
 COLUMNS = ("trial", "time", "x", "y", "on")
 GAP = 0.1  # s without a row that can be filled
@@ -46,14 +48,43 @@ def scoops_to_make(key: jax.Array, told: Any, policy: ScoopingPolicy, config: Sc
     return Scoops(numbers, np.asarray(places), np.asarray(actions))
 
 
+def corrected(policy: ScoopingPolicy, config: ScoopingConfig, actions: Any, won: Any) -> ScoopingPolicy:
+    """The policy as it is deployed after scoops `actions [K, 3]` (rad, rad/s, m) of which `won [K]` (1 or 0) succeeded: corrected
+    by them where the task does that (`correct`), else as it is."""
+    if not config.correct or not len(actions):
+        return policy
+    low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
+    own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
+    told = Told(jnp.asarray(own, jnp.float32), jnp.asarray(won, jnp.float32), jnp.ones(len(own), bool))
+    return policy._replace(told=told)
+
+
+def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> dict[str, Any]:
+    """What a file holds of a policy for `read_policy`: its network and, where it is corrected, the scoop that it makes wherever the
+    piece lies (rad, rad/s, m)."""
+    table: dict[str, Any] = {"hidden": list(config.hidden), "policy": {"weights": policy.weights.tolist()}}
+    if policy.told is not None:
+        table["policy"]["corrected"] = scoop_in_the_middle(policy, config).astype(float).tolist()
+    return table
+
+
+def scoop_in_the_middle(policy: ScoopingPolicy, config: ScoopingConfig) -> np.ndarray:
+    """`[3]` rad, rad/s, m: what the policy does for a piece in the middle of the box of places."""
+    return np.asarray(jax.jit(scooping.make_policy(config))(policy, jnp.zeros(2)))
+
+
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
     """`act(place [2] or [N, 2] m) -> (pitch rad, rate rad/s, distance m)` from a `best.toml` or `policy.toml` of `adaptsim robot`.
 
     Raises BadInput where the file holds no policy of this task.
     """
-    return read_saved(
-        path, ScoopingConfig, ScoopingPolicy, scooping.make_scooping_naf, scooping.make_policy, "scooping"
-    )
+    act = read_saved(path, ScoopingConfig, ScoopingPolicy, scooping.make_scooping_naf, scooping.make_policy, "scooping")
+    action = configs.read(path)["policy"].get("corrected")
+    if action is None:
+        return act
+    if not isinstance(action, list) or np.shape(action) != (3,) or not np.all(np.isfinite(action)):
+        raise BadInput(f"{path}: policy.corrected must be three numbers; write it again with 'adaptsim robot next'")
+    return lambda place: np.broadcast_to(np.asarray(action, np.float32), (*np.shape(place)[:-1], 3)).copy()
 
 
 def measured_trajectory(

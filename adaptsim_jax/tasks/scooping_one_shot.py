@@ -1,6 +1,5 @@
 """Scooping as the baselines see it: one scoop of one piece, tried in either engine."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,14 +15,13 @@ from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.tasks import scooping as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
-from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
-from adaptsim_jax.tasks.scooping_bank import load_bank, points
-from adaptsim_jax.tasks.scooping_told import Doubt, Odds, Told, chances, lattice
+from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
+from adaptsim_jax.tasks.scooping_corrected import make_choice, make_probe
+from adaptsim_jax.tasks.scooping_told import Told
 
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts
 HEIGHT_UNIT = 0.02  # m
-TRIED, OTHERS = 1024, 64  # actions, and other pieces, that a correction looks at
 UDR_CHECKS = 256  # pieces of Omega that the best of UDR's policies is chosen by
 
 
@@ -38,10 +36,10 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     learner = make_goal_learner(naf, problem, config.training, task.naf_rates(config))
     trials = lambda contexts, actions, outcomes: Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
     policies = naf_policies(naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials)
-    tests = task.test_contexts(config.tests)
+    tests, probes = task.test_contexts(config.tests), config.correct and config.trajectories > 1
 
     return OneShot(
-        task=replace(made, rollout=made.rehearse or made.rollout),
+        task=replace(made, rollout=made.rehearse or made.rollout, score=_own_score if probes else made.score),
         tests=tests,
         trials=config.trajectories,
         action_dim=3,
@@ -60,37 +58,8 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the target: all are tried in one test "
         f"context, the {FINALISTS} that are best there and around in all",
         remember=_remember if config.correct else None,
+        probe=make_probe(config) if probes else None,
     )
-
-
-def make_choice(config: ScoopingConfig, doubt: Doubt = Doubt()) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:  # noqa: B008
-    """`act(policy, contexts [N, 5]) -> [N, 3]` in [-1, 1]. A policy that was told of the target's scoops does what is likeliest to
-    succeed by them and by the bank, the same in all contexts; any other does what its network says.
-
-    Tried are `TRIED` even actions, what the network says, and what was done before.
-    """
-    naf, space, options = task.make_scooping_naf(config), task.scooping_space(config), task.checked(config)
-    greedy = lambda policy, contexts: naf.greedy(policy.weights, task.seen_place(contexts))
-    if not config.correct:
-        return greedy
-    bank, even = load_bank(options, config.numerics), jnp.asarray(lattice(TRIED), jnp.float32)
-    pieces = jnp.asarray(points(OTHERS, 0, "wide")[0], jnp.float32)
-    odds = jax.vmap(lambda params, action: task.expected_odds(bank, params, action, options), (None, 0))
-    others = jax.vmap(odds, (0, None), 1)
-    known = jax.jit(others)(pieces, even)
-
-    def choose(policy, contexts):
-        action = greedy(policy, contexts)
-        if policy.told is None:
-            return action
-        own = jnp.concatenate([policy.told.actions, action])
-        every, params = jnp.concatenate([own, even]), space.physical(policy.at)
-        both = Odds(odds(params, every), jnp.concatenate([others(pieces, own), known]))
-        at_told = jax.tree.map(lambda x: x[: len(policy.told.actions)], both)
-        best = every[jnp.argmax(chances(policy.told, at_told, every, both, doubt))]
-        return jnp.broadcast_to(best, action.shape)
-
-    return choose
 
 
 def scooping_world(
@@ -131,6 +100,11 @@ def best_shared_action(world: World, params: np.ndarray, tests: np.ndarray) -> n
     pairs = np.repeat(chosen, len(tests), 0)
     rewards = _rewards(world, params, np.tile(tests, (len(chosen), 1)), pairs).reshape(len(chosen), -1)
     return rewards[rewards.mean(1).argmax()]
+
+
+def _own_score(trajectory: ScoopingTrajectory) -> jax.Array:
+    """The return of the policy's own scoops: the last was a probe's."""
+    return trajectory.success[:-1].mean()
 
 
 def _remember(policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array) -> ScoopingPolicy:

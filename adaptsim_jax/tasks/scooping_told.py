@@ -44,10 +44,21 @@ class Odds(NamedTuple):
 
 
 def chances(told: Told, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()) -> jax.Array:  # noqa: B008
-    """`[A]`, chance of success of the actions `tried [A, 3]` by the bank and by what was seen in the target, `told`; `at_told`,
-    `at_tried`: the bank's odds of both. Rows that are not used count for nothing. Unsure odds are drawn towards even, as their
-    expected chance is.
-    """
+    """`[A]`, chance of success of the actions `tried [A, 3]` as `outlook` has it. Unsure odds are drawn towards even, as their
+    expected chance is."""
+    odds, variance = outlook(told, at_told, tried, at_tried, doubt)
+    return jax.nn.sigmoid(odds / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
+
+
+def outlook(
+    told: Told,
+    at_told: Odds,
+    tried: jax.Array,
+    at_tried: Odds,
+    doubt: Doubt = Doubt(),  # noqa: B008
+) -> tuple[jax.Array, jax.Array]:
+    """Log odds of success `[A]` of the actions `tried [A, 3]` by the bank and by what was seen in the target, `told`, and their
+    variance `[A]`; `at_told`, `at_tried`: the bank's odds of both. Rows that are not used count for nothing."""
     used = told.used.astype(tried.dtype)
     prior, ways = _departures(at_told, doubt)
     alike = _covariance(ways, told.actions, ways, told.actions, doubt) * used[:, None] * used[None]
@@ -58,8 +69,7 @@ def chances(told: Told, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: 
     across = _covariance(tried_ways, tried, ways, told.actions, doubt) * used[None]
     known = jax.scipy.linalg.solve_triangular(_factor(root, alike), root[:, None] * across.T, lower=True)
     alone = doubt.spread**2 + jnp.sum(tried_ways**2, 1)
-    variance = jnp.maximum(alone - jnp.sum(known**2, 0), 0.0)
-    return jax.nn.sigmoid((there + across @ pull) / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
+    return there + across @ pull, jnp.maximum(alone - jnp.sum(known**2, 0), 0.0)
 
 
 def lattice(count: int) -> np.ndarray:

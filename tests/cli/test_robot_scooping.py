@@ -1,11 +1,15 @@
 """`adaptsim robot` and `adaptsim adapt` on a run of scooping, from Phase 1 to the best policy."""
 
 import csv
+import json
+import tomllib
 
 import numpy as np
 import pytest
 
+from adaptsim_jax import config
 from adaptsim_jax.cli import main
+from adaptsim_jax.errors import BadInput
 from adaptsim_jax.report import push_video, scoop_video
 from adaptsim_jax.tasks.scooping_measured import read_policy
 
@@ -44,6 +48,7 @@ def test_a_session_from_start_to_best_policy(run, tmp_path, capsys):
     assert main(["robot", "new", str(run), "--dir", str(folder), "--starts", "1", "--iterations", "1"]) == 0
     first = (folder / "actions.csv").read_text()
     assert first.startswith("trial,place_x,place_y,pitch,rate,distance\n1,") and len(first.splitlines()) == 3
+    assert "a probe)" in capsys.readouterr().out
     assert main(["robot", "record", str(scooped(folder, tmp_path / "a.csv", False)), "--dir", str(folder)]) == 0
     assert main(["robot", "record", str(tmp_path / "a.csv"), "--dir", str(folder)]) == 2
     assert "was told already" in capsys.readouterr().err
@@ -52,9 +57,20 @@ def test_a_session_from_start_to_best_policy(run, tmp_path, capsys):
     assert main(["robot", "record", str(scooped(folder, tmp_path / "b.csv", True)), "--dir", str(folder)]) == 0
     assert "return 0.5, the best so far" in capsys.readouterr().out
     assert main(["robot", "next", "--dir", str(folder)]) == 0
-    assert "all 2 iterations are told; best return 0.5" in capsys.readouterr().out
-    pitch, rate, distance = read_policy(folder / "best.toml")([0.01, 0.0])
+    said = capsys.readouterr().out
+    assert "all 2 iterations are told; best return 0.5" in said and "corrected by the 4 scoops told" in said
+    act = read_policy(folder / "best.toml")
+    pitch, rate, distance = act([0.01, 0.0])
     assert 0.034 < pitch < 0.18 and abs(rate) <= 0.2 and 0.005 <= distance <= 0.0201
+    # the scoop that won is the likeliest to win again, or near to it, wherever the piece lies
+    probed = np.loadtxt(folder / "actions.csv", delimiter=",", skiprows=1)[1, 3:]
+    np.testing.assert_allclose(act(np.zeros((3, 2))), np.tile([pitch, rate, distance], (3, 1)))
+    half = np.array([0.07, 0.2, 0.0075])
+    assert np.linalg.norm((act([0.0, 0.0]) - probed) / half) < 1.0
+    kept = tomllib.loads((folder / "best.toml").read_text())
+    config.write(tmp_path / "torn.toml", kept | {"policy": kept["policy"] | {"corrected": [0.1, 0.2]}})
+    with pytest.raises(BadInput, match="corrected must be three numbers"):
+        read_policy(tmp_path / "torn.toml")
 
 
 def test_adapt_draws_and_films(run, tmp_path, capsys, monkeypatch):
@@ -69,4 +85,7 @@ def test_adapt_draws_and_films(run, tmp_path, capsys, monkeypatch):
     )
     said = capsys.readouterr().out
     assert "scoops.png" in said and "drawn from the side" in said
+    assert "scoops are corrected by those made before, the best policy's by all 4" in said
+    found = json.loads((out / "result.json").read_text())
+    assert np.shape(found["best"]["policy"]["told.actions"]) == (4, 3) and np.shape(found["history"]) == (1, 2)
     assert (out / "scoops.png").stat().st_size > 10_000 and any(out.glob("scoop.*"))

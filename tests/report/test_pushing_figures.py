@@ -13,6 +13,7 @@ from adaptsim_jax.models.pushing import EDGE_RADIUS, RADIUS, START
 from adaptsim_jax.report import figures_pushing as draw
 from adaptsim_jax.report import push_video
 from adaptsim_jax.report.push_video import Clip, drawn_frames, write_push_video
+from adaptsim_jax.space import Parameter, Space
 
 AXES = [
     draw.Axis("mu", 0.05, 0.2),
@@ -30,6 +31,12 @@ def clip():
     state, code = make_backend("planar").simulate(PARAMS, ACTION, np.array([START]))
     assert not code.any()
     return Clip(state[0], ACTION[0], GOAL, 0.05, "a push")
+
+
+@pytest.mark.parametrize("task, called", [("pushing", "μ table"), ("scooping", "μ piece"), ("other", "")])
+def test_parameters_are_called_what_their_task_calls_them(task, called):
+    axis = draw.axes_of(Space((Parameter("mu", 0.1, 0.2),)), task)[0]
+    assert axis == draw.Axis("mu", 0.1, 0.2, False, called)
 
 
 def test_a_table_top_shows_each_push_where_it_was():

@@ -14,7 +14,8 @@ from adaptsim_jax.models.scooping_hydro import Numerics
 from adaptsim_jax.tasks import scooping
 from adaptsim_jax.tasks.scooping import ScoopingConfig
 from adaptsim_jax.tasks.scooping_bank import load_bank
-from adaptsim_jax.tasks.scooping_one_shot import make_choice, make_scooping_one_shot
+from adaptsim_jax.tasks.scooping_corrected import make_choice, make_probe
+from adaptsim_jax.tasks.scooping_one_shot import make_scooping_one_shot
 from adaptsim_jax.tasks.scooping_told import Doubt, Odds, Told, chances
 
 DOUBT = Doubt(others=1.0, reach=0.5, spread=1.5, most=3.0)
@@ -102,6 +103,36 @@ def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
     np.testing.assert_array_equal(found[0], found[2])
     without = scooping.make_scooping(replace(config, correct=False)).init_policy(jax.random.key(2))
     assert without.at is None and len(jax.tree.leaves(without)) == 1
+
+
+def test_the_last_scoop_of_a_visit_is_a_probe():
+    config = ScoopingConfig(correct=True, hidden=(16,), tests=2)
+    task, contexts = scooping.make_scooping(config), jnp.asarray(scooping.test_contexts(2))
+    policy, tried = task.init_policy(jax.random.key(2)), jnp.array([0.5, -0.5, 0.25])
+    probing = policy._replace(probe=tried)
+    act = jax.jit(make_choice(config))
+    own, made = act(policy, contexts), act(probing, contexts)
+    np.testing.assert_array_equal(made[0], own[0])
+    np.testing.assert_array_equal(made[1], tried)
+    params = jnp.asarray(task.space.values(task.settings["wd"]), jnp.float32)
+    rehearse = jax.jit(task.rehearse)
+    with_probe, without = (rehearse(jax.random.key(1), p, params) for p in (probing, policy))
+    np.testing.assert_array_equal(with_probe.points[0], without.points[0])
+    assert np.abs(with_probe.points[1] - without.points[1]).max() > 1e-3
+    assert with_probe.tested == without.tested
+
+
+def test_probes_leave_what_was_lost():
+    """Eight times a scoop is probed and lost. One loss may be luck, so that it may be tried again, but hardly more."""
+    config = ScoopingConfig(correct=True)
+    policy = scooping.make_scooping(config).init_policy(jax.random.key(2))
+    probe, told = jax.jit(make_probe(config)), Told(jnp.zeros((8, 3)), jnp.zeros(8), jnp.zeros(8, bool))
+    for i in range(8):
+        tried = probe(policy._replace(told=told))
+        assert tried.told is None
+        told = told._replace(actions=told.actions.at[i].set(tried.probe), used=told.used.at[i].set(True))
+    apart = np.linalg.norm(told.actions[:, None] - told.actions[None], axis=-1)
+    assert np.sum(apart < 0.1, 1).max() <= 2 and apart.max() > 1.0
 
 
 def test_what_the_comparison_remembers_is_actions_and_whether_they_won():
