@@ -56,6 +56,11 @@ class Space:
         if len(set(names)) != len(names):
             raise BadInput(f"parameter names repeat: {names}; each must be unique")
 
+    def within(self, low: Sequence[float], high: Sequence[float]) -> "Space":
+        """The same box with the range, `low[i]` to `high[i]`, in which each parameter means anything at all."""
+        ends = zip(self.parameters, low, high, strict=True)
+        return Space(tuple(replace(p, physical_low=a, physical_high=b) for p, a, b in ends))
+
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters)

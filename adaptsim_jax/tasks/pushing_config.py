@@ -1,7 +1,7 @@
 """The push: its options, the parameters that are adapted, its settings, and what policies and trajectories are made of."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 
@@ -106,17 +106,14 @@ class PushingTrajectory(NamedTuple):
 
 def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
     """Omega: two frictions, the modulus on a logarithmic scale, and the place of the patch."""
-    bounds: list[dict[str, Any]] = [
-        {"physical_low": a, "physical_high": b} for a, b in zip(model.PHYSICAL_LOW, model.PHYSICAL_HIGH, strict=True)
-    ]
     return Space(
         (
-            Parameter("mu", *config.mu, **bounds[0], description="friction of the table"),
-            Parameter("e", *config.e, "Pa", "log", **bounds[1], description="modulus of the bottle's contact"),
-            Parameter("mu_p", *config.mu_p, **bounds[2], description="friction of the patch"),
-            Parameter("y_p", *config.y_p, "m", **bounds[3], description="lateral place of the patch"),
+            Parameter("mu", *config.mu, description="friction of the table"),
+            Parameter("e", *config.e, "Pa", "log", description="modulus of the bottle's contact"),
+            Parameter("mu_p", *config.mu_p, description="friction of the patch"),
+            Parameter("y_p", *config.y_p, "m", description="lateral place of the patch"),
         )
-    )
+    ).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
 
 
 def wide_space() -> Space:

@@ -1,7 +1,7 @@
 """Scooping: its options, the parameters that are adapted, its settings, and what policies and trajectories are made of."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 
@@ -89,17 +89,14 @@ class ScoopingTrajectory(NamedTuple):
 
 def scooping_space(config: ScoopingConfig = ScoopingConfig()) -> Space:
     """Omega: friction, modulus on a logarithmic scale, shape as a category, height."""
-    bounds: list[dict[str, Any]] = [
-        {"physical_low": a, "physical_high": b} for a, b in zip(model.PHYSICAL_LOW, model.PHYSICAL_HIGH, strict=True)
-    ]
     return Space(
         (
-            Parameter("mu", *config.mu, **bounds[0], description="friction of the piece with table and blade"),
-            Parameter("e", *config.e, "Pa", "log", **bounds[1], description="modulus of the piece's surface"),
-            Parameter("g", 0, 1, "", "categorical", **bounds[2], description="shape: 0 ellipsoid, 1 cylinder (2 box)"),
-            Parameter("h", *config.h, "m", **bounds[3], description="height of the piece"),
+            Parameter("mu", *config.mu, description="friction of the piece with table and blade"),
+            Parameter("e", *config.e, "Pa", "log", description="modulus of the piece's surface"),
+            Parameter("g", 0, 1, "", "categorical", description="shape: 0 ellipsoid, 1 cylinder (2 box)"),
+            Parameter("h", *config.h, "m", description="height of the piece"),
         )
-    )
+    ).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
 
 
 def wide_space() -> Space:
