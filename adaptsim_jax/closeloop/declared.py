@@ -11,6 +11,8 @@ from adaptsim_jax.closeloop.clocks import clocks
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit
 from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond, unmoved
+from adaptsim_jax.closeloop.score import Atom
+from adaptsim_jax.closeloop.tones import tone_of
 from adaptsim_jax.closeloop.view import View, view
 
 SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
@@ -66,10 +68,19 @@ def _declared_from(problem: Problem, theta, eff, x0) -> Fitted:
 
 def timed(problem: Problem, base: Fitted, first: View, alpha: float) -> tuple[Problem, View]:
     """The problem with the trials' clocks set to a periodic force that runs through them, where there is one, and all
-    candidates scored again."""
-    atoms = [a for a in first.atoms if a.effect in {e.name for e in problem.model.layout.effects if e.clocked}]
+    candidates scored again; in long trials after a search between the frequencies of the grid."""
+    tone = tone_of(problem.windows, first.scorer, _clocked(problem, first), alpha)
+    if tone is not None:
+        problem = replace(problem, reach=replace(problem.reach, tone=tone))
+        first = view(problem, base)
+    atoms = _clocked(problem, first)
     found = None if np.any(problem.windows.clock) else clocks(problem.windows, first.scorer, atoms, alpha)
     if found is None:
         return problem, first
     problem = replace(problem, windows=replace(problem.windows, clock=found))
     return problem, view(problem, base)
+
+
+def _clocked(problem: Problem, seen: View) -> list[Atom]:
+    names = {e.name for e in problem.model.layout.effects if e.clocked}
+    return [a for a in seen.atoms if a.effect in names]

@@ -95,6 +95,7 @@ class Reach:
     duration: float  # s, of a trial
     dt: float  # s, median row
     inertia: np.ndarray  # kg m^2
+    tone: float = 0.0  # Hz, a frequency that the data of long trials suggest; 0: none
 
 
 @dataclass(frozen=True)

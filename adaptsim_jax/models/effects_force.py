@@ -7,6 +7,7 @@ from adaptsim_jax.models.effects import Dry, Effect, Motion, Parameter, Relaxati
 
 LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must
 HERTZ_DEPTH = 0.1  # rad
+FINEST = 1.0 / 12.0  # Hz between frequencies of the grid
 MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
 
 
@@ -98,10 +99,14 @@ def _orders(reach, joint):
 
 
 def frequencies(reach, joint):
-    """Half a cycle a trial apart, so that no frequency between two grid points goes unseen; at most half of Nyquist."""
+    """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most half of Nyquist. In long
+    trials no finer than `FINEST`: one between is found by `closeloop/tones.py`, and its neighbour gives way to it."""
     top = min(15.0, 0.25 / reach.dt)
-    step = 0.5 / reach.duration
-    return [{"frequency": float(f)} for f in np.arange(step, top, step)][:160]
+    step = max(0.5 / reach.duration, FINEST)
+    grid = np.arange(step, top, step)[:160]
+    if reach.tone:
+        grid[np.argmin(np.abs(grid - reach.tone))] = reach.tone
+    return [{"frequency": float(f)} for f in grid]
 
 
 def _stops(reach, joint):
