@@ -59,5 +59,5 @@ def tour(
         rows.append((mean, obs, action, seen.score, reward, policies))
         mean = after
         report(i + 1, iterations + 1, "Phase 2")
-    *columns, trained = zip(*rows, strict=True)
-    return Tour(*(np.stack(column, 1) for column in columns), list(trained), memory)
+    means, seen_by, taken, scores, rewards = (np.stack(column, 1) for column in list(zip(*rows, strict=True))[:-1])
+    return Tour(means, seen_by, taken, scores, rewards, [row[-1] for row in rows], memory)

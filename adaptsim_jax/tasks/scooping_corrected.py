@@ -29,7 +29,7 @@ def make_choice(config: ScoopingConfig, doubt: Doubt = Doubt()) -> Callable[[Sco
     likeliest to succeed by them and by the bank, the same in all contexts; any other does what its network says, and probes last
     if it probes."""
     naf = make_scooping_naf(config)
-    best = make_search(config, lambda *seen: chances(*seen, doubt)) if config.correct else None
+    best = make_search(config, lambda *seen: chances(*seen, doubt=doubt)) if config.correct else None
 
     def choose(policy, contexts):
         action = naf.greedy(policy.weights, seen_place(contexts))
@@ -50,7 +50,7 @@ def make_probe(
     naf, nothing = make_scooping_naf(config), Told(jnp.zeros((1, 3)), jnp.zeros(1), jnp.zeros(1, bool))
 
     def hoped(*seen):
-        odds, variance = outlook(*seen, doubt)
+        odds, variance = outlook(*seen, doubt=doubt)
         return odds + optimism * jnp.sqrt(variance)
 
     best = make_search(config, hoped)
