@@ -97,6 +97,9 @@ def main() -> None:
     parser.add_argument(
         "--simulator", default="planar", choices=("planar", "native"), help="of the push: what E is tried in"
     )
+    parser.add_argument(
+        "--visits", choices=("own", "deployed"), help="of the push: which actions are tried in the target"
+    )
     parser.add_argument("--tests", type=int, help="test contexts that rewards are averaged over (the task's)")
     parser.add_argument("--bottle", default="paper")
     parser.add_argument("--no-oracle", action="store_true", help="leave out the best actions, which are dear in Drake")
@@ -110,6 +113,8 @@ def main() -> None:
     if args.simulator == "native":
         config = replace(config, train=pushing_native())
     options = dict(config.train.task)
+    if args.visits:
+        options["visits"] = args.visits
     if args.tests:
         options["tests"] = args.tests
     if args.target == "drake" and args.task == "pushing":

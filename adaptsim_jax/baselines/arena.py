@@ -43,8 +43,8 @@ class Arena:
         self._draw = jax.jit(
             jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)), static_argnums=1
         )
-        each = lambda key: jax.vmap(one.draw)(jax.random.split(key, one.trials))
-        self._of_visit = jax.jit(jax.vmap(one.visit or each))
+        each = lambda key, policy: jax.vmap(one.draw)(jax.random.split(key, one.trials))
+        self._aim = jax.jit(jax.vmap(one.aim or each))
         self._act = jax.jit(jax.vmap(one.act))
         self._act_tests = jax.jit(jax.vmap(one.act, (0, None)))
         self._explore = jax.jit(jax.vmap(one.explore))
@@ -76,7 +76,7 @@ class Arena:
 
     def visit(self, keys, where: np.ndarray, policies) -> Seen:
         """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
-        contexts = np.asarray(self._of_visit(keys))
+        contexts = np.asarray(self._aim(keys, policies))
         actions = np.asarray(self._act(policies, jnp.asarray(contexts)))
         outcomes = self.run(where, contexts, actions)
         obs, score = self._seen(policies, jnp.asarray(contexts), outcomes)

@@ -40,6 +40,11 @@ def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> An
     return corrected(policy, _config(session), actions, places)
 
 
+def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+    """The policy as the coming iteration makes its pushes: E's own, or what is deployed now (`task.visits`)."""
+    return deployed(session, policy, history) if _config(session).visits == "deployed" else policy
+
+
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
     """Print the pushes to make and write them to actions.csv; when all is told, the best policy's over the sector of goals."""
     if done:
@@ -152,4 +157,4 @@ def _config(session: Session) -> Any:
     return config_of(session, PushingConfig)
 
 
-PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, deployed=deployed)
+PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, deployed, tried)

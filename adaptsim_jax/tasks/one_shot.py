@@ -58,7 +58,9 @@ class OneShot:
     simulator: str  # in words, as results.json says it
     reward_unit: str
     oracle_means: str
-    visit: Callable[[Array], Array] | None = None  # (key) -> contexts [trials, g] of a visit; None: each drawn
+    aim: Callable[[Array, Any], Array] | None = (
+        None  # (key, policy) -> contexts [trials, g] of a visit; None: each drawn
+    )
     # (trajectory, policy) -> trajectory with what else is observed that the policy tells, such as what E expects; None: nothing
     expect: Callable[[Any, Any], Any] | None = None
     # (policy, actions [K, d] and outcomes [K, ...] of the target's trials, which of them count [K]) -> policy to deploy, mended by

@@ -159,7 +159,11 @@ def make_expectation(config: PushingConfig) -> Callable[[PushingTrajectory, Push
     def expect(trajectory, policy):
         params = space.physical(policy.at)
         push = jax.vmap(lambda a: simulate(params, a))
-        return trajectory._replace(expected=_points(push(act(policy, trajectory.goals))))
+        expected = _points(push(act(policy, trajectory.goals)))
+        if policy.told is None:
+            return trajectory._replace(expected=expected)
+        # pushes of other actions than E's own: what E would have made them for (hindsight, as goals are relabelled in training)
+        return trajectory._replace(goals=expected[:, -1], expected=expected)
 
     return expect
 
@@ -254,6 +258,11 @@ def _checked(config: PushingConfig) -> PushOptions:
         )
     if config.correct and not config.refine:
         raise BadInput("pushing, correct: it is by refining that actions are corrected; give refine, such as 8")
+    if config.visits == "deployed" and not (config.correct and config.show_gap):
+        raise BadInput(
+            "pushing, visits = deployed: only corrected actions differ from E's own, and f tells them by the gap; set correct "
+            "and show_gap"
+        )
     if config.refine and not config.pretrain:
         raise BadInput(
             "pushing, refine: only a policy made with pretrain = true knows the mean of E to try a push at; set it"

@@ -33,6 +33,12 @@ def visit_goals(key: jax.Array, config: PushingConfig) -> jax.Array:
     return _goal_at(u.at[:, 1].set((jnp.arange(n) + u[:, 1]) / n))
 
 
+def sector_goals(key: jax.Array, parts: int, each: int) -> jax.Array:
+    """`[parts, each, 2]` m: goals drawn in each equal part of the sector's angle, near ones as likely as far ones."""
+    u = jax.random.uniform(key, (parts, each, 2))
+    return _goal_at(u.at[..., 1].set((jnp.arange(parts)[:, None] + u[..., 1]) / parts))
+
+
 def _goal_at(u: jax.Array) -> jax.Array:
     radius = GOAL_RADII[0] + (GOAL_RADII[1] - GOAL_RADII[0]) * u[..., 0]
     angle = GOAL_ANGLE * (2.0 * u[..., 1] - 1.0)

@@ -21,6 +21,7 @@ from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy, PushingTrajectory
 from adaptsim_jax.tasks.pushing_told import Told
+from adaptsim_jax.tasks.pushing_visits import make_aims
 from adaptsim_jax.tasks.saved_policy import read_saved
 
 COLUMNS = ("trial", "time", "x", "y")
@@ -46,7 +47,7 @@ class Pushes(NamedTuple):
 
 def pushes_to_make(key: jax.Array, told: Any, policy: PushingPolicy, config: PushingConfig) -> Pushes:
     """The pushes of adaptation iteration `told` (from 0) of a session with `key`: always the same for the same session."""
-    goals = pushing.visit_goals(jax.random.fold_in(jax.random.fold_in(key, _GOALS), told), config)
+    goals = make_aims(config)(jax.random.fold_in(jax.random.fold_in(key, _GOALS), told), policy)
     actions = pushing.make_policy(config)(policy, goals)
     numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
     return Pushes(numbers, np.asarray(goals), np.asarray(actions))

@@ -16,6 +16,7 @@ from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy
 from adaptsim_jax.tasks.pushing_told import Told
+from adaptsim_jax.tasks.pushing_visits import make_aims
 
 BOTTLES = {"paper": model.PAPER, "heavy": model.HEAVY, "light": model.LIGHT}
 
@@ -59,9 +60,10 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         reward_unit=f"1 - distance / {task.WORST} m, at least 0, mean over {config.tests} goals",
         oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",
-        visit=lambda key: task.visit_goals(key, config),
+        aim=make_aims(config),
         expect=task.make_expectation(config),
         remember=_remember if config.correct else None,
+        probe=(lambda policy: policy) if config.visits == "deployed" else None,
     )
 
 

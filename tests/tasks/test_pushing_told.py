@@ -13,6 +13,7 @@ from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.pushing import PushingConfig
+from adaptsim_jax.tasks.pushing_goals import sector_goals
 from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing_refine import refine, search
 from adaptsim_jax.tasks.pushing_told import Told, nearer, with_gaps
@@ -116,3 +117,34 @@ def test_a_corrected_policy_earns_more_in_a_target_that_its_mean_of_e_does_not_e
 def test_correction_without_refining_is_refused():
     with pytest.raises(BadInput, match="give refine"):
         pushing.make_pushing(replace(PushingConfig(pretrain=True), correct=True))
+
+
+def test_deployed_pushes_are_visited_and_shown_for_the_goals_that_e_expects_of_them():
+    options = {"pretrain": True, "refine": 2, "correct": True, "tests": 2, "show_gap": True, "hidden": (8,)}
+    config = PushingConfig(visits="deployed", **options)
+    goals = np.asarray(jax.vmap(lambda k: sector_goals(k, 2, 4))(jax.random.split(jax.random.key(0), 100)))
+    centre = np.array(pushing.GOAL_CENTRE)
+    angle, radius = goals[..., 1] / (goals[..., 0] - centre[0]), np.linalg.norm(goals - centre, axis=-1)
+    assert np.all(angle[:, 0] < 0) and np.all(angle[:, 1] > 0) and radius.min() < 0.28 and radius.max() > 0.52
+    one, target = make_pushing_one_shot(config), np.array([[0.12, 3e5, 0.3, 0.0]])
+    arena, batch = Arena(one, one.world("planar"), target), lanes(1, np.array([0]), 1, label=1)
+    policies, memory = arena.untrained(batch.keys), Memory(arena, batch, 2)
+    first = arena.visit(batch.at(0), batch.where, memory.visiting(policies))
+    memory.add(first.trials)
+    second = arena.visit(batch.at(1), batch.where, memory.visiting(policies))
+    act = jax.jit(one.act)
+    made, now = first.trials.actions[0], second.trials.actions[0]
+    assert np.linalg.norm(now[:, None] - made[None], axis=-1).min() > 0.2
+    mended = jax.tree.map(lambda x: x[0], memory.deployed(policies))
+    np.testing.assert_allclose(second.trials.actions[0], act(mended, second.trials.contexts[0]), atol=1e-5)
+    seen = second.obs[0].reshape(2, 13, 2)  # six points, the goal, six gaps
+    at_e = jax.jit(one.act)(jax.tree.map(lambda x: x[0], policies), second.trials.contexts[0])
+    assert np.abs(second.trials.actions[0] - at_e).max() > 0.01
+    shown = np.asarray(pushing.unseen(jnp.asarray(seen[:, 6])))
+    params = pushing.pushing_space().physical(policies.at[0])
+    ends = jax.vmap(lambda a: planar.rollout(params, pushing.physical_action(a))[-1])(
+        jnp.asarray(second.trials.actions[0])
+    )
+    np.testing.assert_allclose(shown, ends, atol=1e-4)
+    with pytest.raises(BadInput, match="set correct"):
+        pushing.make_pushing(replace(config, show_gap=False))
