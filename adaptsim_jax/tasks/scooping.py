@@ -64,6 +64,10 @@ def make_policy(config: ScoopingConfig = ScoopingConfig()) -> Callable[[Scooping
 def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:  # noqa: B008
     """Scooping as a `Task`, simulated with the hydroelastic engine."""
     space, naf = scooping_space(config), make_scooping_naf(config)
+    if config.correct:
+        load_bank(
+            checked(config), config.numerics
+        )  # one of other options is refused now, and not when it comes to deploying
     draw = lambda key, dist: space.physical(spaces.sample(key, dist))
     learner = make_goal_learner(naf, training_problem(config, draw), config.training, naf_rates(config))
     block = config.training.block

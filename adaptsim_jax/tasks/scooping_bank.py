@@ -166,7 +166,8 @@ def load_bank(options: ScoopOptions, numerics: Numerics, path: Path = PATH) -> B
     if about["identity"] != identity(options, numerics):
         raise BadInput(
             f"scooping: the bank was made with clearance = {about['clearance']} m and the numerics of its day, not with these "
-            "options; use source = rehearsal = 'simulator', or make another bank with `python experiments/scooping_bank.py`"
+            "options; use source = rehearsal = 'simulator', correct = false, or make another bank with "
+            "`python experiments/scooping_bank.py`"
         )
 
     def layers(name):

@@ -141,7 +141,10 @@ def test_a_bank_of_other_options_is_refused():
         make_scooping(replace(SHORT, numerics=Numerics(relaxation=0.1)))
     with pytest.raises(BadInput, match="another bank"):
         make_scooping(replace(SHORT, clearance=1e-3, source="simulator"))
-    direct = make_scooping(replace(SHORT, clearance=1e-3, source="simulator", rehearsal="simulator"))
+    simulated = replace(SHORT, clearance=1e-3, source="simulator", rehearsal="simulator")
+    with pytest.raises(BadInput, match="correct = false"):
+        make_scooping(replace(simulated, correct=True))
+    direct = make_scooping(simulated)
     assert direct.name == "scooping" and direct.rehearse is None
 
 
