@@ -92,7 +92,7 @@ def bic_forward(d: Declared, python: str) -> Active:
     """Least squares and BIC, every sample counted as independent."""
     from adaptsim_jax.closeloop.fit import ROOM
     from adaptsim_jax.closeloop.problem import fit_plain
-    from adaptsim_jax.closeloop.search import started
+    from adaptsim_jax.closeloop.start import started
     from adaptsim_jax.closeloop.view import view
 
     problem, current, seen = d.problem, d.base, d.view
@@ -138,7 +138,7 @@ def refitted(d: Declared, active: Active, theta=None, eff=None, x0=None):
 
 def from_scores(d: Declared, active: Active) -> np.ndarray:
     """Effect parameters `[E]` to start from: each effect at its best shape and linear amplitude, small where none is."""
-    from adaptsim_jax.closeloop.search import started
+    from adaptsim_jax.closeloop.start import started
 
     eff = d.base.candidate.eff.copy()
     ranked = {r.instance: r for r in d.view.ranked()}

@@ -19,7 +19,8 @@ class Settings:
     shortlist: leaders refitted whole. price: log-likelihood that each further parameter must earn. class_gap and
     class_z: a rival stays in the class unless it loses by more than `class_gap` nats *and* `class_z` standard errors over
     windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
-    this share of the unexplained force left over, the search ends at the first effect that earns nothing.
+    this share of the unexplained force left over, the search ends at the first effect that earns nothing. pairs: of two effects
+    that are refitted until they settle, where no single one earns a name.
     """
 
     alpha: float = 0.01
@@ -32,6 +33,7 @@ class Settings:
     least_beside: float = 0.1
     explained: float = 0.35
     most_effects: int = 3
+    pairs: int = 3
 
 
 def choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:

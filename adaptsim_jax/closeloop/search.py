@@ -16,6 +16,7 @@ from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
+from adaptsim_jax.closeloop.pairs import leading_pairs, refit_pair, settled_plainly
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
@@ -27,6 +28,7 @@ from adaptsim_jax.closeloop.rivals import (
     settled,
     unexplained,
 )
+from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 Progress = Callable[[str], None]
@@ -83,6 +85,8 @@ def search(
         ranked = seen.ranked(exclude=current.active)
         if found.final is current:
             found.view, found.last = seen, ranked
+    if found.final is base:
+        problem, current = _paired(problem, found, current, first, settings, say)
     found.leading = None if current is found.final else current
     found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
     found.classes = {e: class_of(e, found, settings, problem.model.layout) for e in found.added}
@@ -110,6 +114,46 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         trials, found.tried = trials + more, found.tried + more
         best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     return best, trials
+
+
+def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):
+    """Where no single effect earned a name though something is there: the best pair, if it leaves no more than a name may."""
+    base = found.base
+    if not first_leaders(found.ranked, seen, base.active, settings.alpha, 1):
+        return problem, current
+    say("refitting with two effects at once")
+    trials = abreast(lambda p: refit_pair(problem, base, p, seen), leading_pairs(problem, seen, base.active))
+    order = sorted((t for t in trials if t is not None), key=lambda t: -t.merit(settings.price))
+    front = [t for t in order if plausible(t, base)][: settings.pairs]
+    trials = abreast(lambda t: settled_plainly(problem, t, seen), front)
+    found.tried += trials
+    best = choose(problem, [t for t in trials if plausible(t, base)], base, settings)
+    if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
+        return problem, current
+    for new in [a for a in best.active if a not in base.active]:
+        best = _beside(problem, found, best, new, seen, settings, say)
+    better = lambda new, old: pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
+    problem, best = elaborated(problem, best, base, seen.response, better)
+    found.final, found.view = best, view(problem, best)
+    found.last = found.view.ranked(exclude=best.active)
+    return problem, best
+
+
+def _beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
+    """One member of a pair against none and against its look-alikes in its place; the others stay."""
+    c, rest = best.candidate, tuple(a for a in best.active if a != new)
+    try:
+        without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, best.parts, seen.response)
+    except Diverged:  # it cannot be left out
+        return best
+    found.tried.append(without)
+    if plausible(without, found.base) and not needed(problem, best, without, found, settings):
+        return without
+    alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]
+    trials = abreast(lambda r: extend(problem, without, r, seen, say), alike)
+    trials = abreast(lambda t: settled(problem, t, seen.response), [t for t in trials if t is not None])
+    found.tried, found.rivals[new] = found.tried + trials, trials
+    return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best
 
 
 def _pruned(problem: Problem, found: Found, current: Fitted, trials: list[Fitted], seen: View) -> list[Fitted]:
@@ -170,27 +214,6 @@ def extend(
     return max(made, key=lambda t: t.total, default=None)
 
 
-def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) -> np.ndarray:
-    """Effect parameters `[E]` to start a refit from: the grid's shape, `share` of the score's amplitude, kept
-    within bounds."""
-    layout = problem.model.layout
-    low, high = problem.bounds
-    eff = base.candidate.eff.copy()
-    instance = layout.instances[layout.index(*ranked.instance)]
-    amplitudes = iter(ranked.score.amplitude)
-    for k, p in enumerate(instance.effect.parameters):
-        at = instance.at.start + k
-        if p.name in ranked.atom.shape:
-            eff[at] = ranked.atom.shape[p.name]
-        elif p.off is not None:
-            value = next(amplitudes, p.off)
-            # Declared parameters that bent to the effect may turn its sign; at zero its shape would have no slope.
-            value = abs(value) if p.sign > 0 else value
-            eff[at] = p.off + share * (value - p.off)
-        eff[at] = np.clip(eff[at], low[at], high[at])
-    return eff
-
-
 def _new(best: Fitted, current: Fitted) -> Instance:
     return next(a for a in best.active if a not in current.active)
 
@@ -221,7 +244,7 @@ def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, 
         if instance in current.active:
             continue
         active = tuple(instance if a == old else a for a in current.active)
-        eff = _merged(problem, current.candidate.eff, rival.candidate.eff, instance)
+        eff = merged(problem, current.candidate.eff, rival.candidate.eff, instance)
         say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
         c = current.candidate
         try:
@@ -233,11 +256,3 @@ def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, 
             found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
             current, old = swapped, instance
     return current
-
-
-def _merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Instance) -> np.ndarray:
-    layout = problem.model.layout
-    at = layout.instances[layout.index(*instance)].at
-    out = eff.copy()
-    out[at] = other[at]
-    return out

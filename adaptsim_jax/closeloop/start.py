@@ -1,0 +1,37 @@
+"""Where a refit starts: the grid's shape and the linear score's amplitude."""
+
+import numpy as np
+
+from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.rivals import Fitted, Instance
+from adaptsim_jax.closeloop.view import Ranked
+
+
+def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) -> np.ndarray:
+    """Effect parameters `[E]` to start a refit from: the grid's shape, `share` of the score's amplitude, kept
+    within bounds."""
+    layout = problem.model.layout
+    low, high = problem.bounds
+    eff = base.candidate.eff.copy()
+    instance = layout.instances[layout.index(*ranked.instance)]
+    amplitudes = iter(ranked.score.amplitude)
+    for k, p in enumerate(instance.effect.parameters):
+        at = instance.at.start + k
+        if p.name in ranked.atom.shape:
+            eff[at] = ranked.atom.shape[p.name]
+        elif p.off is not None:
+            value = next(amplitudes, p.off)
+            # Declared parameters that bent to the effect may turn its sign; at zero its shape would have no slope.
+            value = abs(value) if p.sign > 0 else value
+            eff[at] = p.off + share * (value - p.off)
+        eff[at] = np.clip(eff[at], low[at], high[at])
+    return eff
+
+
+def merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Instance) -> np.ndarray:
+    """Effect parameters with those of one instance from `other`."""
+    layout = problem.model.layout
+    at = layout.instances[layout.index(*instance)].at
+    out = eff.copy()
+    out[at] = other[at]
+    return out
