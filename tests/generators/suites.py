@@ -118,7 +118,7 @@ def metamorphic_cases(n: int, seed: int) -> list[Case]:
     """`n` data sets, half of them null, each as it is and in five disguises (so 6 n diagnoses)."""
     out = []
     for i in range(n):
-        spec = single_spec(seed + i) if i % 2 else null_cases(1, seed + i)[0].spec
+        spec = single_spec(seed + i) if i % 2 else null_cases(n, seed)[i].spec
         out += [Case(f"meta_{seed + i}_{v or 'plain'}", spec, variant=v) for v in VARIANTS]
     return out
 
