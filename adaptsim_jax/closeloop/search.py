@@ -76,8 +76,7 @@ def search(
         enough = earns(problem, current, found.final, base, settings)
         if enough or completes(problem, current, found.final, base, settings):
             current = _look_back(problem, found, current, new, seen, settings, say)
-            better = lambda new, old: pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
-            problem, current = elaborated(problem, current, base, seen.response, better)
+            problem, current = _finer(problem, current, base, seen, settings)
             found.final = current
         elif unexplained(found.final, base) < settings.explained:
             break
@@ -132,11 +131,16 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
         return problem, current
     for new in [a for a in best.active if a not in base.active]:
         best = _beside(problem, found, best, new, seen, settings, say)
-    better = lambda new, old: pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
-    problem, best = elaborated(problem, best, base, seen.response, better)
+    problem, best = _finer(problem, best, base, seen, settings)
     found.final, found.view = best, view(problem, best)
     found.last = found.view.ranked(exclude=best.active)
     return problem, best
+
+
+def _finer(problem: Problem, model: Fitted, base: Fitted, seen: View, settings: Settings) -> tuple[Problem, Fitted]:
+    """The model with the late parameters of its effects, where they pay and leave less unexplained."""
+    better = lambda new, old: pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
+    return elaborated(problem, model, base, seen.response, better)
 
 
 def _beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
