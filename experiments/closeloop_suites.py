@@ -7,6 +7,7 @@ Seeds 0-9999 are for tuning, from 10000 on for scoring. Every data set goes thro
 """
 
 import argparse
+import itertools
 import json
 import shutil
 import time
@@ -15,6 +16,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
+import jax
+
 from adaptsim_jax import memory
 from experiments.closeloop_scores import score_case, summarise, table
 from experiments.closeloop_truth import true_error
@@ -22,6 +25,8 @@ from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case, disguise
 
 BATCH = 24
+FRESH = 8  # diagnoses of one process after which its compiled programs go: each holds memory maps, of which a process has 65530
+_diagnosed = itertools.count()
 
 
 def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tuple[dict, float]:
@@ -31,6 +36,8 @@ def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tupl
     options: dict = {"follow_up": False} | ({"exclude": exclude} if exclude else {})
     if variant == "irrelevant":
         options["irrelevant"] = 1
+    if next(_diagnosed) % FRESH == FRESH - 1:
+        jax.clear_caches()
     start = time.perf_counter()
     try:
         report = diagnose(folder, **options)

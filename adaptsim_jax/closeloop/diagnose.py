@@ -29,6 +29,7 @@ from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.sharpen import sharpened
+from adaptsim_jax.closeloop.smoothing import WORTH, further, smoothing_of, unsmoothed
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.trim import trimmed
@@ -105,11 +106,7 @@ def examine(
 ) -> Diagnosis:
     """Everything between reading and writing."""
     say(2, STAGES, "declared model")
-    problem, start = prepare_within_reach(recording, checked, noise, effects)
-    try:
-        base, first = declared(problem, start)
-    except Diverged as error:
-        raise BadInput(f"{recording.path}: {error}") from None
+    problem, base, first = unfiltered_model(recording, checked, noise, effects)
     problem, first = timed(problem, base, first, settings.alpha)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
@@ -142,8 +139,37 @@ def examine(
         tried = held_out(problem, leading, view(problem, leading))
         add_leading(report, problem, leading, found, tried)
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
-    evidence["audit"] = findings(checked)
+    evidence["audit"] = findings(checked) + [
+        {"severity": "info", "where": "", "message": note} for note in problem.recording.notes[len(recording.notes) :]
+    ]
     return Diagnosis(*parts, report, evidence, leading)
+
+
+def unfiltered_model(
+    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
+) -> tuple[Problem, Fitted, View]:
+    """`declared_model`, of a recording whose angles a filter has smoothed without what it did to them."""
+    found = declared_model(recording, checked, noise, effects)
+    s = smoothing_of(*found) or 0.0
+    for _ in range(2 if s else 0):
+        sharp = unsmoothed(recording, s)
+        found = declared_model(sharp, checked, noise_floor(sharp, checked), effects)
+        more, gain = further(*found)
+        if gain < WORTH or not 0.0 < s + more < 2.0 * s:
+            break
+        s += more
+    return found
+
+
+def declared_model(
+    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
+) -> tuple[Problem, Fitted, View]:
+    """The recording made ready and its declared model fitted. Raises BadInput where that runs away from every start."""
+    problem, start = prepare_within_reach(recording, checked, noise, effects)
+    try:
+        return problem, *declared(problem, start)
+    except Diverged as error:
+        raise BadInput(f"{recording.path}: {error}") from None
 
 
 def add_follow_up(result: Diagnosis, seed: int, say: Progress) -> None:

@@ -11,6 +11,7 @@ time tau. The components are estimated by restricted maximum likelihood (Patters
 projected out; whitening with the result makes residuals nearly independent, with unit variance.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -168,9 +169,19 @@ def estimate(
 
 def whitener(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
     """Inverse Cholesky factor `[W, M, M]` of each window's residual covariance."""
-    lower = np.linalg.cholesky((kernels or force_kernels(lin)).covariance(lin, parts))
+    lower = _factored((kernels or force_kernels(lin)).covariance(lin, parts))
     eye = np.broadcast_to(np.eye(lower.shape[1]), lower.shape)
     return solve_triangular(lower, eye, lower=True)
+
+
+def _factored(cov: np.ndarray) -> np.ndarray:
+    """Cholesky factors `[W, M, M]`. Forces a million times the sensors leave a covariance that rounding has made indefinite: a
+    trace of white noise mends it."""
+    for share in (0.0, 1e-12, 1e-10):
+        with suppress(np.linalg.LinAlgError):
+            trace = np.trace(cov, axis1=1, axis2=2)[:, None, None]
+            return np.linalg.cholesky(cov + share * trace * np.eye(cov.shape[1]) if share else cov)
+    raise np.linalg.LinAlgError("a residual covariance has no factor; the model's response to forces is not finite")
 
 
 def whiten(lin: Linearised, factor: np.ndarray) -> Whitened:
@@ -209,7 +220,7 @@ def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, n
 
 def log_likelihood(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
     """Restricted log-likelihood of each window `[W]`, initial states integrated out; constants left out."""
-    lower = np.linalg.cholesky((kernels or force_kernels(lin)).covariance(lin, parts))
+    lower = _factored((kernels or force_kernels(lin)).covariance(lin, parts))
     both = solve_triangular(lower, np.concatenate([lin.jac_state, lin.residual[..., None]], -1), lower=True)
     q, r = np.linalg.qr(both[..., :-1])
     white = both[..., -1:] - q @ (np.swapaxes(q, 1, 2) @ both[..., -1:])

@@ -82,8 +82,11 @@ def fitted(
 
 def _judged(problem: Problem, candidate: Candidate, parts: Components, response: Response) -> Fitted:
     lin = candidate.refit.linearised
-    parts = disturbance.estimate(lin, response.kernels, start=parts)
-    likelihood = disturbance.log_likelihood(lin, parts, response.kernels)
+    try:
+        parts = disturbance.estimate(lin, response.kernels, start=parts)
+        likelihood = disturbance.log_likelihood(lin, parts, response.kernels)
+    except np.linalg.LinAlgError:  # forces so far beyond the sensors that their covariance has no factor
+        raise Diverged(f"the model with {candidate.active} leaves residuals that no covariance describes") from None
     return Fitted(candidate, parts, likelihood, response.kernels.weight, tuple(_amiss(problem, candidate)))
 
 
@@ -115,7 +118,10 @@ def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int 
     """The model refitted under its own residual covariance, again and again until its likelihood settles."""
     for _ in range(rounds):
         factor = disturbance.whitener(response.lin, model.parts, response.kernels)
-        new = _judged(problem, refit_more(problem, model.candidate, factor), model.parts, response)
+        try:
+            new = _judged(problem, refit_more(problem, model.candidate, factor), model.parts, response)
+        except Diverged:
+            break
         gain = new.total - model.total
         model = new if gain > 0 else model
         if gain < 1.0:

@@ -1,0 +1,96 @@
+"""Angles that a symmetric filter has smoothed before they were written: the recording's doing, not the mechanism's.
+
+A filter without lag (a moving average, a binomial, anything run there and back) returns `q + s q''` of a slow angle: `s` is half the
+variance of its weights in time. With precise encoders that curvature is many times the noise, and no effect of a mechanism
+makes it. So it is a nuisance: looked for about the declared model, and taken off the angles where it explains more than
+any effect does.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.candidate import compressed
+from adaptsim_jax.closeloop.disturbance import Whitened
+from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.rivals import Fitted
+from adaptsim_jax.closeloop.score import Scorer
+from adaptsim_jax.closeloop.trial import Recording, Trial
+from adaptsim_jax.closeloop.view import View
+
+SURE = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
+WORTH = 9.0  # gain of a correction to a smoothing that is worth another fit
+ROUNDS = 4  # of putting back what a filter took; more would only raise noise
+WIDEST = 20.0  # steps squared: more than a moving average of 21 samples is no filter against noise
+
+
+def smoothing_of(problem: Problem, base: Fitted, first: View) -> float | None:
+    """How far the angles are smoothed, `s` [s^2]; None where that may be chance or an effect explains as much."""
+    step = float(np.median([t.dt for t in problem.recording.trials]))
+    gain, _ = Scorer(_whitened(problem, base, first), first.scorer.fold).gain([0])
+    s, _ = further(problem, base, first)
+    if not 0.0 < s < WIDEST * step**2 or float(chi2.sf(gain, 1)) > SURE:
+        return None
+    return s if gain > max((r.score.gain for r in first.ranked(base.active)), default=0.0) else None
+
+
+def further(problem: Problem, base: Fitted, first: View) -> tuple[float, float]:
+    """How much smoother the angles are than the model's, `s` [s^2] of either sign, and its likelihood-ratio gain, both without
+    the windows that begin with a trial: what filters do there is their own affair."""
+    white = _whitened(problem, base, first)
+    later = first.path.time[:, 0] > 0
+    if np.any(later[first.lin.used.any(1)]):
+        keep = lambda z: z * later.reshape(-1, *[1] * (z.ndim - 1))
+        white = replace(white, **{k: keep(getattr(white, k)) for k in ("residual", "jac_theta", "atoms")})
+    gain, amplitude = Scorer(white, first.scorer.fold).gain([0])
+    return float(amplitude[0]), gain
+
+
+def _whitened(problem: Problem, base: Fitted, first: View) -> Whitened:
+    lin = replace(first.lin, atoms=_curvature(problem, first))
+    return disturbance.whiten(lin, disturbance.whitener(first.lin, base.parts, first.response.kernels))
+
+
+def _curvature(problem: Problem, first: View) -> np.ndarray:
+    """Acceleration of the fitted motion in the rows of the residual, `[W, M, 1]` weighted as they are."""
+    windows, path = problem.windows, first.path
+    n = problem.plant.joint_dim
+    time, v = path.time, path.x[:, :, n:]
+    before, after = np.r_[0, np.arange(time.shape[1] - 1)], np.r_[np.arange(1, time.shape[1]), time.shape[1] - 1]
+    span = (time[:, after] - time[:, before])[..., None]
+    accel = np.where(span > 0, (v[:, after] - v[:, before]) / np.where(span > 0, span, 1.0), 0.0)
+    accel = np.where((time > 0)[..., None], accel, 0.0)  # a filter leaves the first row alone
+    rows = (accel[:, :, : windows.measured.shape[2]] * np.asarray(windows.weight)).reshape(len(time), -1)
+    none = np.zeros((*rows.shape, 0))
+    raw = replace(
+        first.lin, residual=rows, jac_state=none, jac_theta=none, atoms=rows[..., None], impulse=none[:, :, None, :],
+        used=np.asarray(windows.weight).reshape(rows.shape) > 0,
+    )  # fmt: skip
+    return compressed(problem, raw).atoms
+
+
+def unsmoothed(recording: Recording, s: float) -> Recording:
+    """The recording with the curvature of a smoothing `s` [s^2] taken off its angles, but for the ends of its trials."""
+    width = 1e3 * np.sqrt(2.0 * s)
+    note = (
+        f"the angles look smoothed by a filter without lag, {width:.2g} ms wide (rms): its curvature was taken off them"
+    )
+    return recording.replace(trials=tuple(_unsmoothed(t, s) for t in recording.trials), notes=(*recording.notes, note))
+
+
+def _unsmoothed(trial: Trial, s: float) -> Trial:
+    """Van Cittert's iteration: what the filter would take off the angles found so far is put back onto those written."""
+    q = trial.q
+    for _ in range(ROUNDS):
+        q = trial.q - s * _bend(trial.time, q, max(1, int(np.ceil(2.5 * np.sqrt(s) / trial.dt - 0.5))))
+    return replace(trial, q=q)
+
+
+def _bend(time: np.ndarray, q: np.ndarray, k: int) -> np.ndarray:
+    """Second derivative of the angles `[T, n]` rad/s^2 by differences over `k` rows, which hardly adds noise; zero at the ends."""
+    bend = np.zeros_like(q)
+    slope = (q[k:] - q[:-k]) / (time[k:] - time[:-k])[:, None]
+    bend[k:-k] = 2.0 * (slope[k:] - slope[:-k]) / (time[2 * k :] - time[: -2 * k])[:, None]
+    return bend
