@@ -29,7 +29,7 @@ from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.sharpen import sharpened
-from adaptsim_jax.closeloop.smoothing import WORTH, further, smoothing_of, unsmoothed
+from adaptsim_jax.closeloop.smoothing import WORTH, further, smoothing_of, told, unsmoothed
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.trim import trimmed
@@ -104,13 +104,17 @@ def examine(
     seed: int,
     say: Progress,
 ) -> Diagnosis:
-    """Everything between reading and writing."""
+    """Everything between reading and writing. A filter that only shows once an effect is named has the angles without it
+    examined anew."""
     say(2, STAGES, "declared model")
     problem, base, first = unfiltered_model(recording, checked, noise, effects)
     problem, first = timed(problem, base, first, settings.alpha)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
     problem, found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
+    if found.added and not told(recording) and (s := smoothing_of(problem, found.final, found.view or first)):
+        sharp = unsmoothed(recording, s)
+        return examine(sharp, checked, noise_floor(sharp, checked), effects, settings, seed, say)
     say(5, STAGES, "what is left")
     problem, found = sharpened(problem, found, first)
     found, tested = trimmed(problem, found, first, settings)
@@ -139,9 +143,8 @@ def examine(
         tried = held_out(problem, leading, view(problem, leading))
         add_leading(report, problem, leading, found, tried)
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
-    evidence["audit"] = findings(checked) + [
-        {"severity": "info", "where": "", "message": note} for note in problem.recording.notes[len(recording.notes) :]
-    ]
+    notes = [{"severity": "info", "where": "", "message": note} for note in told(problem.recording)]
+    evidence["audit"] = findings(checked) + notes
     return Diagnosis(*parts, report, evidence, leading)
 
 

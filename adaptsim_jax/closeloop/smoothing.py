@@ -23,6 +23,7 @@ from adaptsim_jax.closeloop.view import View
 SURE = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
 WORTH = 9.0  # gain of a correction to a smoothing that is worth another fit
 ROUNDS = 4  # of putting back what a filter took; more would only raise noise
+SMOOTHED = "the angles look smoothed by a filter without lag"
 WIDEST = 20.0  # steps squared: more than a moving average of 21 samples is no filter against noise
 
 
@@ -78,6 +79,11 @@ def unsmoothed(recording: Recording, s: float) -> Recording:
         f"the angles look smoothed by a filter without lag, {width:.2g} ms wide (rms): its curvature was taken off them"
     )
     return recording.replace(trials=tuple(_unsmoothed(t, s) for t in recording.trials), notes=(*recording.notes, note))
+
+
+def told(recording: Recording) -> list[str]:
+    """What was taken off the recording's angles, in words."""
+    return [note for note in recording.notes if note.startswith(SMOOTHED)]
 
 
 def _unsmoothed(trial: Trial, s: float) -> Trial:
