@@ -75,9 +75,7 @@ def _curvature(problem: Problem, first: View) -> np.ndarray:
 def unsmoothed(recording: Recording, s: float) -> Recording:
     """The recording with the curvature of a smoothing `s` [s^2] taken off its angles, but for the ends of its trials."""
     width = 1e3 * np.sqrt(2.0 * s)
-    note = (
-        f"the angles look smoothed by a filter without lag, {width:.2g} ms wide (rms): its curvature was taken off them"
-    )
+    note = f"{SMOOTHED}, {width:.2g} ms wide (rms): its curvature was taken off them"
     return recording.replace(trials=tuple(_unsmoothed(t, s) for t in recording.trials), notes=(*recording.notes, note))
 
 
