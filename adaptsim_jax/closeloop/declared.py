@@ -1,21 +1,41 @@
 """The declared model fitted: where its fit starts, which of two fits counts, and the clocks of its trials."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.candidate import survey
 from adaptsim_jax.closeloop.clocks import clocks
 from adaptsim_jax.closeloop.fit_result import FitResult
-from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, at_point, declared_fit
+from adaptsim_jax.closeloop.noise import NoiseFloor
+from adaptsim_jax.closeloop.problem import (
+    DIVERGED,
+    Diverged,
+    Problem,
+    at_point,
+    declared_fit,
+    prepare_within_reach,
+)
 from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond, unmoved
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.tones import tone_of
+from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.view import View, view
+from adaptsim_jax.models.effects import Effect
 
 SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
+
+
+def fit_declared(
+    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
+) -> tuple[Problem, Fitted, View]:
+    """A recording made ready and its declared model fitted. Raises Diverged where that runs away from every start."""
+    problem, start = prepare_within_reach(recording, checked, noise, effects)
+    return problem, *declared(problem, start)
 
 
 def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:

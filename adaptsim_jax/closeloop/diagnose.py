@@ -12,7 +12,7 @@ import adaptsim_jax
 from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.ceiling import ceiling
-from adaptsim_jax.closeloop.declared import declared, timed
+from adaptsim_jax.closeloop.declared import timed
 from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
 from adaptsim_jax.closeloop.freed import confounded, freed
@@ -22,14 +22,14 @@ from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.model_file import fitted_model, write_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.power import Power, power, powered
-from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
+from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.sharpen import sharpened
-from adaptsim_jax.closeloop.smoothing import WORTH, further, smoothing_of, told, unsmoothed
+from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, told, unsmoothed
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.trim import trimmed
@@ -107,12 +107,19 @@ def examine(
     """Everything between reading and writing. A filter that only shows once an effect is named has the angles without it
     examined anew."""
     say(2, STAGES, "declared model")
-    problem, base, first = unfiltered_model(recording, checked, noise, effects)
+    try:
+        problem, base, first = fit_unfiltered(recording, checked, noise, effects)
+    except Diverged as error:
+        raise BadInput(f"{recording.path}: {error}") from None
     problem, first = timed(problem, base, first, settings.alpha)
     before = leftover(problem, first)
     say(3, STAGES, "candidates")
     problem, found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
-    if found.added and not told(recording) and (s := smoothing_of(problem, found.final, found.view or first)):
+    if (
+        found.added
+        and not problem.recording.smoothing
+        and (s := smoothing_of(problem, found.final, found.view or first))
+    ):
         sharp = unsmoothed(recording, s)
         return examine(sharp, checked, noise_floor(sharp, checked), effects, settings, seed, say)
     say(5, STAGES, "what is left")
@@ -143,36 +150,10 @@ def examine(
         tried = held_out(problem, leading, view(problem, leading))
         add_leading(report, problem, leading, found, tried)
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
-    notes = [{"severity": "info", "where": "", "message": note} for note in told(problem.recording)]
-    evidence["audit"] = findings(checked) + notes
+    evidence["audit"] = findings(checked)
+    if problem.recording.smoothing:
+        evidence["audit"].append({"severity": "info", "where": "", "message": told(problem.recording)})
     return Diagnosis(*parts, report, evidence, leading)
-
-
-def unfiltered_model(
-    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
-) -> tuple[Problem, Fitted, View]:
-    """`declared_model`, of a recording whose angles a filter has smoothed without what it did to them."""
-    found = declared_model(recording, checked, noise, effects)
-    s = smoothing_of(*found) or 0.0
-    for _ in range(2 if s else 0):
-        sharp = unsmoothed(recording, s)
-        found = declared_model(sharp, checked, noise_floor(sharp, checked), effects)
-        more, gain = further(*found)
-        if gain < WORTH or not 0.0 < s + more < 2.0 * s:
-            break
-        s += more
-    return found
-
-
-def declared_model(
-    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
-) -> tuple[Problem, Fitted, View]:
-    """The recording made ready and its declared model fitted. Raises BadInput where that runs away from every start."""
-    problem, start = prepare_within_reach(recording, checked, noise, effects)
-    try:
-        return problem, *declared(problem, start)
-    except Diverged as error:
-        raise BadInput(f"{recording.path}: {error}") from None
 
 
 def add_follow_up(result: Diagnosis, seed: int, say: Progress) -> None:

@@ -8,9 +8,9 @@ does, neither can be held responsible.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from adaptsim_jax.closeloop.declared import declared
+from adaptsim_jax.closeloop.declared import fit_declared
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
-from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
+from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.verdict import LEAST_CONFIRMED, Verdict
 from adaptsim_jax.models.effects import Effect
 
@@ -30,8 +30,7 @@ def freed(problem: Problem, effects: Sequence[Effect]) -> Freed | None:
     if not known:
         return None
     try:
-        free, start = prepare_within_reach(problem.recording.replace(known={}), problem.audit, problem.noise, effects)
-        base, first = declared(free, start)
+        free, base, first = fit_declared(problem.recording.replace(known={}), problem.audit, problem.noise, effects)
     except Diverged:
         return None
     fitted = {n: p.value for n, p in free.plant.physical(base.candidate.theta).items() if p.value is not None}

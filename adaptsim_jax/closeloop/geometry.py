@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptsim_jax.closeloop.declared import declared
-from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
+from adaptsim_jax.closeloop.declared import fit_declared
+from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.models.effects import Effect
@@ -51,7 +51,7 @@ def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Rem
 
 def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitted:
     changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
-    return declared(*prepare_within_reach(changed, problem.audit, problem.noise, effects))[0]
+    return fit_declared(changed, problem.audit, problem.noise, effects)[1]
 
 
 def _likeliest(total) -> float:

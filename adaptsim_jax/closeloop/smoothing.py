@@ -6,41 +6,62 @@ makes it. So it is a nuisance: looked for about the declared model, and taken of
 any effect does.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.candidate import compressed
+from adaptsim_jax.closeloop.declared import fit_declared
 from adaptsim_jax.closeloop.disturbance import Whitened
+from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.score import Scorer
 from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.closeloop.view import View
+from adaptsim_jax.models.effects import Effect
 
 SURE = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
 WORTH = 9.0  # gain of a correction to a smoothing that is worth another fit
 ROUNDS = 4  # of putting back what a filter took; more would only raise noise
-SMOOTHED = "the angles look smoothed by a filter without lag"
 WIDEST = 20.0  # steps squared: more than a moving average of 21 samples is no filter against noise
+
+
+def fit_unfiltered(
+    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
+) -> tuple[Problem, Fitted, View]:
+    """`fit_declared`, of a recording whose angles a filter has smoothed without what it did to them."""
+    found = fit_declared(recording, checked, noise, effects)
+    s = smoothing_of(*found)
+    if s is None:
+        return found
+    sharp = unsmoothed(recording, s)
+    found = fit_declared(sharp, checked, noise_floor(sharp, checked), effects)
+    more, gain = _extent(found[2], _whitened(*found))
+    if gain < WORTH or not 0.0 < s + more < 2.0 * s:
+        return found
+    sharp = unsmoothed(recording, s + more)
+    return fit_declared(sharp, checked, noise_floor(sharp, checked), effects)
 
 
 def smoothing_of(problem: Problem, base: Fitted, first: View) -> float | None:
     """How far the angles are smoothed, `s` [s^2]; None where that may be chance or an effect explains as much."""
     step = float(np.median([t.dt for t in problem.recording.trials]))
-    gain, _ = Scorer(_whitened(problem, base, first), first.scorer.fold).gain([0])
-    s, _ = further(problem, base, first)
+    white = _whitened(problem, base, first)
+    gain, _ = Scorer(white, first.scorer.fold).gain([0])
+    s, _ = _extent(first, white)
     if not 0.0 < s < WIDEST * step**2 or float(chi2.sf(gain, 1)) > SURE:
         return None
     return s if gain > max((r.score.gain for r in first.ranked(base.active)), default=0.0) else None
 
 
-def further(problem: Problem, base: Fitted, first: View) -> tuple[float, float]:
+def _extent(first: View, white: Whitened) -> tuple[float, float]:
     """How much smoother the angles are than the model's, `s` [s^2] of either sign, and its likelihood-ratio gain, both without
     the windows that begin with a trial: what filters do there is their own affair."""
-    white = _whitened(problem, base, first)
     later = first.path.time[:, 0] > 0
     if np.any(later[first.lin.used.any(1)]):
         keep = lambda z: z * later.reshape(-1, *[1] * (z.ndim - 1))
@@ -50,6 +71,7 @@ def further(problem: Problem, base: Fitted, first: View) -> tuple[float, float]:
 
 
 def _whitened(problem: Problem, base: Fitted, first: View) -> Whitened:
+    """The residual about a model and the curvature of its motion, the only atom, whitened alike."""
     lin = replace(first.lin, atoms=_curvature(problem, first))
     return disturbance.whiten(lin, disturbance.whitener(first.lin, base.parts, first.response.kernels))
 
@@ -74,14 +96,15 @@ def _curvature(problem: Problem, first: View) -> np.ndarray:
 
 def unsmoothed(recording: Recording, s: float) -> Recording:
     """The recording with the curvature of a smoothing `s` [s^2] taken off its angles, but for the ends of its trials."""
-    width = 1e3 * np.sqrt(2.0 * s)
-    note = f"{SMOOTHED}, {width:.2g} ms wide (rms): its curvature was taken off them"
-    return recording.replace(trials=tuple(_unsmoothed(t, s) for t in recording.trials), notes=(*recording.notes, note))
+    return recording.replace(trials=tuple(_unsmoothed(t, s) for t in recording.trials), smoothing=s)
 
 
-def told(recording: Recording) -> list[str]:
+def told(recording: Recording) -> str:
     """What was taken off the recording's angles, in words."""
-    return [note for note in recording.notes if note.startswith(SMOOTHED)]
+    width = 1e3 * np.sqrt(2.0 * recording.smoothing)
+    return (
+        f"the angles look smoothed by a filter without lag, {width:.2g} ms wide (rms): its curvature was taken off them"
+    )
 
 
 def _unsmoothed(trial: Trial, s: float) -> Trial:
