@@ -50,6 +50,26 @@ def at_budgets(spent: np.ndarray, rewards: np.ndarray) -> np.ndarray:
     return found
 
 
+def differences(rows: dict[str, np.ndarray], budget: int = 16) -> list[str]:
+    """AdaptSim's first row after `budget` pushes less LearnInTarget after each budget: mean and 95 % bootstrap interval over seeds."""
+    ours, theirs = (
+        next((v for n, v in rows.items() if n.startswith(name)), None) for name in ("AdaptSim", "LearnInTarget")
+    )
+    if ours is None or theirs is None:
+        return []
+    lines, seeds = [], min(len(ours), len(theirs))
+    draws = np.random.default_rng(0).integers(0, seeds, (4000, seeds))
+    for k, after in enumerate(BUDGETS):
+        gap = ours[:seeds, BUDGETS.index(budget)] - theirs[:seeds, k]
+        if np.isfinite(gap).all():
+            low, high = np.quantile(gap[draws].mean(1), [0.025, 0.975])
+            above = f"above in {np.sum(gap > 0)} of {seeds}"
+            lines.append(
+                f"AdaptSim after {budget} less LearnInTarget after {after}: {gap.mean():.3f} ({low:.3f}..{high:.3f}), {above}"
+            )
+    return lines
+
+
 def table(rows: dict[str, np.ndarray]) -> str:
     """Mean over seeds and, behind it, the least and the most."""
     lines = ["| pushes | " + " | ".join(map(str, BUDGETS)) + " |", "| --- " * (len(BUDGETS) + 1) + "|"]
@@ -84,7 +104,7 @@ def main() -> None:
     rows = {name: values for folder in args.out for name, values in rows_of(folder).items()}
     if not rows:
         raise SystemExit(f"{args.out[0]}: no results there; run experiments/table1_pushing.py first")
-    print(table(rows))
+    print("\n".join([table(rows), *differences(rows)]))
     draw(rows, args.out[0] / "data_budget.png")
 
 
