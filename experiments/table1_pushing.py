@@ -104,6 +104,9 @@ def main() -> None:
     parser.add_argument("--bottle", default="paper")
     parser.add_argument("--no-oracle", action="store_true", help="leave out the best actions, which are dear in Drake")
     parser.add_argument("--iterations", type=int, default=8)
+    parser.add_argument(
+        "--sysid-visits", type=int, help="different visits that SysID's simulations share (natively 50, else one each)"
+    )
     parser.add_argument("--starts", type=int, default=2, help="distributions that AdaptSim adapts side by side")
     args = parser.parse_args()
     compile_cache.enable()
@@ -111,7 +114,9 @@ def main() -> None:
     sizes = {"iterations": args.iterations, "starts": args.starts, "seeds": args.seeds, "seed": args.first}
     config = replace(default_comparison(args.task), **sizes)
     if args.simulator == "native":
-        config = replace(config, train=pushing_native())
+        config = replace(config, train=pushing_native(), sysid=replace(config.sysid, visits=50))
+    if args.sysid_visits is not None:
+        config = replace(config, sysid=replace(config.sysid, visits=args.sysid_visits))
     options = dict(config.train.task)
     if args.visits:
         options["visits"] = args.visits

@@ -23,7 +23,9 @@ class SysIdConfig:
     """Budgets of a SysID baseline. Target rollouts: `iterations + 1` (the last one scores the last policy).
 
     `simulations`: simulated trajectories drawn at each iteration. `noise`: standard deviation added to standardised
-    simulated observations. `pool`: average what all iterations inferred instead of the newest alone.
+    simulated observations. `pool`: average what all iterations inferred instead of the newest alone. `visits`: how many different
+    visits (what a rollout draws for itself, such as goals) an iteration's simulations share, 0 for one each: an open-loop action
+    that is searched for in a dear simulator is then searched for once, and tried at many parameters.
     """
 
     iterations: int = 10
@@ -32,6 +34,7 @@ class SysIdConfig:
     components: int = 5
     noise: float = 0.0
     pool: bool = False
+    visits: int = 0
     draws: int = 1000
     least_std: float = 1e-4
     first_fit: mdn.FitConfig = field(default_factory=lambda: mdn.FitConfig(updates=2000))
@@ -41,6 +44,8 @@ class SysIdConfig:
         for name in ("iterations", "simulations", "components", "draws"):
             if getattr(self, name) < 1:
                 raise BadInput(f"SysID {name} = {getattr(self, name)}: give at least 1")
+        if not 0 <= self.visits <= self.simulations:
+            raise BadInput(f"SysID visits = {self.visits}: give 0 to the number of simulations, {self.simulations}")
         if self.simulations < 20:
             raise BadInput(f"SysID simulations = {self.simulations}: too few to fit a network; give at least 20")
 
@@ -151,7 +156,8 @@ def simulate(key: jax.Array, task: Task, policy, config: SysIdConfig) -> tuple[j
     def observe(k, one):
         return task.observe(task.rollout(k, policy, task.space.physical(one)))
 
-    return jax.vmap(observe)(jax.random.split(rollout_key, config.simulations), u), u
+    keys = jax.random.split(rollout_key, config.visits or config.simulations)
+    return jax.vmap(observe)(jnp.resize(keys, config.simulations), u), u
 
 
 def within_omega(draws: jax.Array, told: jax.Array, least_std: float) -> tuple[Gaussian, jax.Array]:

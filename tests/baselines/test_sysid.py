@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.baselines.mdn import FitConfig
-from adaptsim_jax.baselines.sysid import SysIdConfig, within_omega
+from adaptsim_jax.baselines.sysid import SysIdConfig, simulate, within_omega
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
 from adaptsim_jax.errors import BadInput
@@ -86,3 +86,12 @@ def test_pooled_draws_count_told_iterations_only():
 def test_bad_budgets_are_refused(bad):
     with pytest.raises(BadInput, match=next(iter(bad))):
         SysIdConfig(**bad)
+
+
+def test_simulations_can_share_visits():
+    task = probe_task()
+    noisy = task._replace(rollout=lambda key, policy, params: jax.random.uniform(key, (2,)), observe=lambda drawn: drawn)
+    drawn, at = simulate(jax.random.key(0), noisy, None, SysIdConfig(simulations=90, visits=4))
+    assert len(np.unique(drawn, axis=0)) == 4 and len(np.unique(at, axis=0)) == 90
+    with pytest.raises(BadInput, match="visits = 91"):
+        SysIdConfig(simulations=90, visits=91)
