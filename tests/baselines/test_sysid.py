@@ -1,5 +1,7 @@
 """SysID-Bayes and SysID-Point on a task whose answer is known, and what both promise: E never leaves Omega."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,7 +92,8 @@ def test_bad_budgets_are_refused(bad):
 
 def test_simulations_can_share_visits():
     task = probe_task()
-    noisy = task._replace(rollout=lambda key, policy, params: jax.random.uniform(key, (2,)), observe=lambda drawn: drawn)
+    draw = lambda key, policy, params: jax.random.uniform(key, (2,))
+    noisy = replace(task, rollout=draw, observe=lambda drawn: drawn)
     drawn, at = simulate(jax.random.key(0), noisy, None, SysIdConfig(simulations=90, visits=4))
     assert len(np.unique(drawn, axis=0)) == 4 and len(np.unique(at, axis=0)) == 90
     with pytest.raises(BadInput, match="visits = 91"):
