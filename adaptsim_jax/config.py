@@ -132,7 +132,8 @@ def _fields(kind: Any) -> dict[str, bool]:
 
 
 def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "") -> T:
-    """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key."""
+    """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key. What a nested table leaves out is
+    as it is in that field's default."""
     hints = typing.get_type_hints(kind)
     fields = _fields(kind)
     for name in table:
@@ -141,10 +142,28 @@ def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "
     values = {}
     for name, needed in fields.items():
         if name in table:
-            values[name] = _typed(hints[name], table[name], where, f"{prefix}{name}")
+            given = table[name]
+            if _is_record(hints[name]) and isinstance(given, dict) and not needed:
+                given = over(_default(kind, name), given)
+            values[name] = _typed(hints[name], given, where, f"{prefix}{name}")
         elif needed:
             raise BadInput(f"{where}: key '{prefix}{name}' is missing; add it")
     return kind(**values)
+
+
+def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """`table` over `base`, key by key in nested tables."""
+    nested = lambda name: isinstance(base.get(name), dict) and isinstance(table[name], dict)
+    return base | {name: over(base[name], table[name]) if nested(name) else table[name] for name in table}
+
+
+def _default(kind: Any, name: str) -> dict[str, Any]:
+    """The default of a field that is a record, as a table."""
+    if not dataclasses.is_dataclass(kind):
+        return to_table(kind._field_defaults[name])
+    field = next(f for f in dataclasses.fields(kind) if f.name == name)
+    made = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    return to_table(made)
 
 
 def _typed(hint: Any, value: Any, where: str, key: str) -> Any:

@@ -10,6 +10,11 @@ os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, see `cli._limit_blas_threads`
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # a test process for each core is enough
+
+from adaptsim_jax import memory  # noqa: E402
+
+memory.keep_freed()  # as the command line does
 
 import jax  # noqa: E402  (JAX reads the settings above when it is imported)
 import pytest  # noqa: E402

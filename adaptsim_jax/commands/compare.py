@@ -76,13 +76,14 @@ def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
     from adaptsim_jax import config
     from adaptsim_jax.adapt.phase1 import make_phase1
-    from adaptsim_jax.adapt.presets import over
     from adaptsim_jax.baselines.methods import CompareConfig, default_comparison
     from adaptsim_jax.tasks.registry import make_task
 
     where = args.config or "--set"
     defaults = config.to_table(default_comparison(args.task))
-    start = config.from_table(CompareConfig, over(defaults, config.read(args.config) if args.config else {}), where)
+    start = config.from_table(
+        CompareConfig, config.over(defaults, config.read(args.config) if args.config else {}), where
+    )
     given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None, "target": args.target}
     settings = [f"{name}={value}" for name, value in given.items() if value is not None]
     for name in ("methods", "settings"):

@@ -21,7 +21,7 @@ def test_the_push_starts_from_what_compare_trains_with():
 
 def test_a_preset_keeps_nothing_of_the_defaults():
     made = asked("--preset", "paper-pushing", "--set", "phase1.updates=7")
-    assert made.task == {} and made.phase1.updates == 7 and made.hyper == paper_pushing().hyper
+    assert made.task == paper_pushing().task and made.phase1.updates == 7 and made.hyper == paper_pushing().hyper
 
 
 def test_a_run_is_gone_on_with_as_it_was_even_if_the_defaults_differ():

@@ -35,6 +35,17 @@ class Settings:
     hyper: Hyper = field(default_factory=Hyper)
 
 
+@dataclass(frozen=True)
+class Plan:
+    sizes: Sizes = field(default_factory=lambda: Sizes((8,), "relu"))
+    whole: Settings = field(default_factory=lambda: Settings("push", hyper=Hyper(tau=0.5)))
+
+
+def test_a_nested_table_keeps_the_rest_of_that_fields_default():
+    plan = config.from_table(Plan, {"sizes": {"hidden": [9]}, "whole": {"hyper": {"rate": 2.0}}}, "test")
+    assert plan == Plan(Sizes((9,), "relu"), Settings("push", hyper=Hyper(2.0, 0.5)))
+
+
 def test_round_trip():
     given_config = Settings("pendulum", path="a/b", sizes=Sizes((3,), "relu"), hyper=Hyper(0.5, 0.25))
     text = config.dumps(config.to_table(given_config))
