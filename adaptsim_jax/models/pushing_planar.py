@@ -73,21 +73,18 @@ def trajectory(
     params, action, start = jnp.asarray(params), jnp.asarray(action), jnp.asarray(start)
     heading = jnp.stack([jnp.cos(action[1]), jnp.sin(action[1])])
     step = _make_step(params, action, heading, start, options, coefficients)
-    edge = jax.tree.map(jnp.asarray, _edge(options))
-    position, speed, acceleration = (_scaled(edge, k, action[0]) for k in range(3))
     # the pusher starts behind `START`, wherever the bottle stands; all along the line of the push
-    ahead = (jnp.asarray(pushing.START) - start) @ heading
-    gap = position + ahead - (pushing.LINK_BACK - pushing.EDGE_RADIUS - pushing.RADIUS)
-    substeps = round(options.row / STEP)
-    inputs = jnp.stack([gap, speed, acceleration], -1).reshape(-1, substeps, 3)
+    ahead = (jnp.asarray(pushing.START) - start) @ heading - (pushing.LINK_BACK - pushing.EDGE_RADIUS - pushing.RADIUS)
 
-    def row(state, pushes):
-        for push in pushes:  # two: unrolled
-            state = step(state, push)
+    def row(state, edges):
+        for edge in edges:  # two: unrolled. Scaled here, so that no push holds 780 numbers of its own
+            position, speed, acceleration = (_scaled(edge, k, action[0]) for k in range(3))
+            state = step(state, (position + ahead, speed, acceleration))
         return state, state
 
     still = 0.0 * action[0] + 0.0 * params[0]  # a zero of the inputs' type, so that the scan carries one type
-    _, (s, v) = jax.lax.scan(row, (still, still), inputs, unroll=2)
+    edges = jnp.asarray(_edge(options)).T.reshape(-1, round(options.row / STEP), 6)
+    _, (s, v) = jax.lax.scan(row, (still, still), edges, unroll=2)
     return jnp.stack([start[0] + s * heading[0], start[1] + s * heading[1], v * heading[0], v * heading[1]], -1)
 
 
