@@ -114,9 +114,11 @@ def main() -> None:
     sizes = {"iterations": args.iterations, "starts": args.starts, "seeds": args.seeds, "seed": args.first}
     config = replace(default_comparison(args.task), **sizes)
     if args.simulator == "native":
-        config = replace(config, train=pushing_native(), sysid=replace(config.sysid, visits=50))
-    if args.sysid_visits is not None:
-        config = replace(config, sysid=replace(config.sysid, visits=args.sysid_visits))
+        config = replace(config, train=pushing_native())
+    visits = args.sysid_visits
+    if visits is None:
+        visits = 50 if args.simulator == "native" else 0
+    config = replace(config, sysid=replace(config.sysid, visits=visits))
     options = dict(config.train.task)
     if args.visits:
         options["visits"] = args.visits

@@ -83,13 +83,13 @@ def trajectory(
         return state, state
 
     still = 0.0 * action[0] + 0.0 * params[0]  # a zero of the inputs' type, so that the scan carries one type
-    edges = jnp.asarray(_edge(options)).T.reshape(-1, round(options.row / STEP), 6)
+    edges = jnp.asarray(_edge(options)).reshape(-1, round(options.row / STEP), 6)
     _, (s, v) = jax.lax.scan(row, (still, still), edges, unroll=2)
     return jnp.stack([start[0] + s * heading[0], start[1] + s * heading[1], v * heading[0], v * heading[1]], -1)
 
 
 def _edge(options: PushOptions) -> np.ndarray:
-    """`[6, steps]`: position, speed, acceleration of the edge at step starts, each as (per unit speed, by pitching)."""
+    """`[steps, 6]`: position, speed, acceleration of the edge at step starts, each as (per unit speed, by pitching)."""
     steps = round(options.duration / STEP)
     slope = pushing.slopes(STEP, steps)
     rate = pushing.ramp(np.arange(steps) * STEP)
@@ -98,7 +98,7 @@ def _edge(options: PushOptions) -> np.ndarray:
     swing = pushing.EDGE_DROP * np.sin(pitch)
     swing_v = pushing.EDGE_DROP * np.cos(pitch) * rate_p
     swing_a = pushing.EDGE_DROP * (np.cos(pitch) * slope_p - np.sin(pitch) * rate_p**2)
-    return np.stack([travel, swing, rate, swing_v, slope, swing_a]).astype(np.float32)
+    return np.stack([travel, swing, rate, swing_v, slope, swing_a], -1).astype(np.float32)
 
 
 def _scaled(edge: Array, k: int, speed: Array) -> Array:
