@@ -32,6 +32,9 @@ def recording(tmp_path, weights):
 def test_a_symmetric_filter_is_found_and_taken_off(tmp_path):
     plain, filtered, checked = recording(tmp_path, np.ones(5) / 5)
     noise = noise_floor(filtered, checked)
+    assert (
+        generic_p_value(fit_declared(filtered, checked, noise, catalogue("pendulum"))[2]) < 1e-6
+    )  # what it would pass for
     problem, _, first = fit_unfiltered(filtered, checked, noise, catalogue("pendulum"))
     assert generic_p_value(first) > 0.01
     s = plain.trials[0].dt ** 2  # half the variance of five equal weights
