@@ -11,7 +11,7 @@ from adaptsim_jax.adapt.phase2 import adapt
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQConfig, make_bdq
 from adaptsim_jax.models import pendulum as model
-from adaptsim_jax.tasks.pendulum import make_pendulum
+from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
 from adaptsim_jax.tasks.pendulum_measured import measured_trajectory
 
 TARGET = (1.8, 0.3, 1.5, 1.5)
@@ -19,7 +19,7 @@ TARGET = (1.8, 0.3, 1.5, 1.5)
 
 @pytest.fixture(scope="module")
 def made():
-    task = make_pendulum()
+    task = make_pendulum(PendulumConfig(scaling="paper", reference="optimum"))  # compiles sooner
     bdq = make_bdq(BDQConfig(obs_dim=task.space.dim + task.obs_dim, branches=task.space.dim))
     weights = bdq.init(jax.random.key(3)).online
     means = jnp.array([[0.2, 0.8, 0.5, 0.5], [0.9, 0.1, 0.3, 0.6]])
