@@ -11,7 +11,9 @@ from adaptsim_jax.models.effects import catalogue, effect_named
 from tests.generators import make_dataset, write_dataset
 
 SAMPLE = Path(adaptsim_jax.closeloop.__file__).parent / "sample" / "recording"
-LIKE_A_MASS = tuple(effect_named(n, catalogue()) for n in ("rotor_inertia", "torque_gain", "spring", "tilt", "bias", "coulomb"))
+LIKE_A_MASS = tuple(
+    effect_named(n, catalogue()) for n in ("rotor_inertia", "torque_gain", "spring", "tilt", "bias", "coulomb")
+)
 LEVEL = 0.294  # N m of Coulomb friction at joint 1, put in by the generator (sample/README.md)
 
 
