@@ -1,5 +1,6 @@
 """Close the loop on measured data: read, audit, fit, search, judge, report (design, section 5)."""
 
+import shlex
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide, unforced
 from adaptsim_jax.closeloop.view import View, view
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.files import output_folder, write_bytes
-from adaptsim_jax.models.effects import Effect, catalogue
+from adaptsim_jax.models.effects import Effect, catalogue, effect_named
 
 STAGES = 9
 Progress = Callable[[int, int, str], None]
@@ -81,18 +82,21 @@ def diagnose(
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
     recording = data if isinstance(data, Recording) else read_recording(data)
+    known = tuple(effects or catalogue(recording.task))
+    left_out = [effect_named(name, known).name for name in exclude]
+    run = {"version": adaptsim_jax.__version__, "seed": seed, "command": command_of(recording, seed, left_out)}
     say(1, STAGES, "audit")
     checked = audit(recording)
     if checked.fault:
         report = faulty(recording, checked)
-        return finish(report, {"audit": findings(checked)}, out, recording, seed, began, None)
-    chosen = tuple(e for e in (effects or catalogue(recording.task)) if e.name not in exclude) + useless(irrelevant)
+        return finish(report, {"audit": findings(checked)}, out, recording, run, began, None)
+    chosen = tuple(e for e in known if e.name not in exclude) + useless(irrelevant)
     recording = usable(recording, checked)
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Settings(), seed, say)
     if follow_up:
         add_follow_up(result, seed, say)
-    return finish(result.report, result.evidence, out, recording, seed, began, result)
+    return finish(result.report, result.evidence, out, recording, run, began, result)
 
 
 def examine(
@@ -205,13 +209,17 @@ def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:
     return new_report(recording.task, recording.model, "data_fault", checked.message, data)
 
 
+def command_of(recording: Recording, seed: int, exclude: Sequence[str]) -> str:
+    """The command that gives the same answer."""
+    words = ["adaptsim", "diagnose", str(recording.path), *(["--seed", str(seed)] if seed else [])]
+    return shlex.join([*words, *(["--exclude", *exclude] if exclude else [])])
+
+
 def finish(
-    report, evidence, out, recording: Recording, seed: int, began: float, result: Diagnosis | None
+    report, evidence, out, recording: Recording, run: dict[str, Any], began: float, result: Diagnosis | None
 ) -> dict[str, Any]:
     """Add how it was run, and write what was asked for."""
-    seconds = round(time.monotonic() - began, 1)
-    run = {"version": adaptsim_jax.__version__, "seed": seed, "seconds": seconds}
-    report["run"] = evidence["run"] = run | {"command": f"adaptsim diagnose {recording.path}"}
+    report["run"] = evidence["run"] = run | {"seconds": round(time.monotonic() - began, 1)}
     report = check(report)
     if out is not None:
         from adaptsim_jax.report.diagnosis import write_diagnosis

@@ -136,8 +136,9 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
         return weight * measure(model, on, problem.mask, drive.time, x, first_angles(windows, x0), measured.shape[1])
 
     tangents = _tangents(problem, theta, eff, x0)
-    y, push = jax.linearize(simulated, theta, eff, x0)
-    jac = jax.vmap(push)(*tangents)  # [P + A + S, L+1, Y, W]
+    # one pass for the motion and all tangents: a linearised program would be twice the steps, and keep all of them in memory
+    along = lambda *way: jax.jvp(simulated, (theta, eff, x0), way)
+    y, jac = jax.vmap(along, out_axes=(None, 0))(*tangents)  # jac [P + A + S, L+1, Y, W]
     residual = weight * measured - y
     robust = jnp.minimum(1.0, huber / jnp.maximum(jnp.abs(residual), 1e-12))
     rows = jnp.concatenate([jac, residual[None]]) * jnp.sqrt(robust)[None]

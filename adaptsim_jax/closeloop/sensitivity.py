@@ -143,9 +143,9 @@ def _row_maps(model: Model, theta, eff, mask, drive, x, memory, substeps: int):
     def end(x, force):
         return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on, ramp)[0]
 
-    _, push = jax.linearize(end, start, zero)
     eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((1, 1, length * windows), x.dtype)
-    maps = jax.vmap(push)(eye[:, :states], eye[:, states:])  # [S + n, S, L W]
+    along = jax.vmap(lambda *way: jax.jvp(end, (start, zero), way)[1])
+    maps = along(eye[:, :states], eye[:, states:])  # [S + n, S, L W]
     maps = maps.reshape(states + joints, states, length, windows).transpose(2, 1, 0, 3)
     return maps[:, :, :states], maps[:, :, states:]
 

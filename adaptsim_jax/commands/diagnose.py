@@ -14,12 +14,17 @@ BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)
 EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
   adaptsim diagnose logs/rig --out out2 --seed 1
+  adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("data", metavar="DATA", help="a folder with meta.toml and one CSV or npz a trial")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for report.json, report.html, model.toml")
+    parser.add_argument(
+        "--exclude", nargs="+", default=[], metavar="EFFECT",
+        help="effects that are not to be considered; `adaptsim effects pendulum` lists them all",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     with output(args.out) as out, progress("diagnose") as report:
         from adaptsim_jax.closeloop.diagnose import diagnose
 
-        result = diagnose(recording, out=out, seed=args.seed, progress=paced(report))
+        result = diagnose(recording, out=out, seed=args.seed, exclude=args.exclude, progress=paced(report))
     from rich.console import Console
 
     from adaptsim_jax.report.diagnosis import print_summary

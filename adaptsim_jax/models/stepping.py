@@ -132,7 +132,7 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
         now = _later(t, i * h)
         memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h, on)
 
-        rub = _dry_force(model, theta, eff, memory, x, u, now, h, push, on)
+        rub = _if_rubbing(model, on, theta, eff, memory, x, u, now, h, push)
 
         def stage(inner, ab):
             slope, total = inner
@@ -151,6 +151,25 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
     if substeps == 1:
         return substep((x, memory), 0.0)[0]
     return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=x.dtype))[0]
+
+
+def _if_rubbing(model: Model, on, theta, eff, memory, x, u, t, h, push: Push):
+    """`_dry_force`, at no cost where no effect that is dry friction is on."""
+    if on is None:
+        return _dry_force(model, theta, eff, memory, x, u, t, h, push, on)
+    n = model.plant.joint_dim
+    motion = motion_of(model, theta, x[:n], x[n:], u, t, jnp.zeros_like(x[:n]))
+
+    def is_dry(effect) -> bool:
+        p = model.layout.params(effect, eff, 1)
+        return not effect.inertia and isinstance(jax.eval_shape(lambda: effect.apply(p, motion)), Dry)
+
+    dry = [on[model.layout.effects.index(e)] for e in model.layout.placed("force") if is_dry(e)]
+    nothing = jnp.zeros_like(push.force)
+    if not dry:
+        return nothing
+    rub = lambda: _dry_force(model, theta, eff, memory, x, u, t, h, push, on)
+    return jax.lax.cond(jnp.stack(dry).any(), rub, lambda: nothing)
 
 
 def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on):

@@ -112,6 +112,12 @@ def test_a_recording(data, tmp_path, capsys, damage):
     assert not (tmp_path / "out").exists()
 
 
+def test_an_excluded_effect_that_is_not_in_the_catalogue(data, tmp_path, capsys):
+    message = refused(capsys, "diagnose", data, "--out", tmp_path / "out", "--exclude", "backlash", "backlask")
+    assert "'backlask'" in message and "backlash" in message
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_unwritable_output_folder(data, tmp_path, capsys):
     (tmp_path / "file").write_text("kept")
     out = tmp_path / "file" / "out"

@@ -1,0 +1,62 @@
+"""Time of `adaptsim diagnose` on recordings of 6 trials of 6 s at 200 Hz, with an empty and with a warm compile cache.
+
+    python benchmarks/diagnose.py                        all four recordings, cold and then warm
+    python benchmarks/diagnose.py --only null --no-cold  one of them, warm
+
+Each diagnosis is the command in a process of its own, everything included: import, compiling, the next experiment, the page. Cold: a
+new cache folder for each; warm: that folder again. Recordings come from the suites' generator, with seeds that are for tuning:
+nothing hidden, one effect (Coulomb friction), two effects, and one effect that the catalogue is denied.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.generators import Spec, make_datasets, write_dataset
+
+SEED = 900
+DRAG = ("quadratic_drag", 1, 4.0)
+SPECS = {  # recording, and what the catalogue is denied
+    "null": (Spec(SEED), ()),
+    "one effect": (Spec(SEED + 1, effects=(("coulomb", 2, 5.0),)), ()),
+    "two effects": (Spec(SEED + 2, effects=(("coulomb", 2, 5.0), ("spring", 1, 5.0))), ()),
+    "not in the catalogue": (Spec(SEED + 3, effects=(DRAG,)), (DRAG[0],)),
+}
+
+
+def diagnose(folder: Path, out: Path, exclude: tuple[str, ...], cache: Path) -> tuple[float, float, str]:
+    """Wall and CPU seconds of one command, and its verdict."""
+    options = ["--exclude", *exclude] if exclude else []
+    command = [sys.executable, "-m", "adaptsim_jax", "diagnose", str(folder), "--out", str(out), *options]
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(cache)}
+    subprocess.run(command, check=True, capture_output=True, env=environment)
+    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall, cpu, json.loads((out / "report.json").read_text())["verdict"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", default=list(SPECS), choices=SPECS)
+    parser.add_argument("--no-cold", action="store_true", help="leave the first run of each untimed")
+    args = parser.parse_args()
+    print(f"{'recording':22} {'cache':6} {'wall s':>7} {'CPU s':>7}  verdict", flush=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        for i, name in enumerate(args.only):
+            spec, exclude = SPECS[name]
+            folder = write_dataset(make_datasets([spec])[0], Path(scratch) / f"data{i}")
+            for cache in ("cold", "warm"):
+                wall, cpu, verdict = diagnose(folder, Path(scratch) / f"out{i}", exclude, Path(scratch) / f"cache{i}")
+                if cache == "warm" or not args.no_cold:
+                    print(f"{name:22} {cache:6} {wall:7.1f} {cpu:7.1f}  {verdict}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
