@@ -9,6 +9,8 @@ LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half
 HERTZ_DEPTH = 0.1  # rad
 FINEST = 1.0 / 12.0  # Hz between frequencies of the grid
 MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
+LEAST_FADING = 0.2  # of friction within a trial, for it to be a drift
+LEAST_EXCESS = 0.1  # of the level at speed, by which Stribeck's friction is higher at rest
 
 
 def coulomb(p, m: Motion):
@@ -145,6 +147,18 @@ def _no_spring(value, error, q, duration) -> str:
     return "its stiffness is no different from zero, which makes it a constant torque" if slack else ""
 
 
+def _no_drift(value, error, q, duration) -> str:
+    """What hardly fades while a trial lasts is dry and viscous friction, whose viscous part the declared damping may take back."""
+    fades = 1.0 - np.exp(-duration / value["decay"])
+    return f"it fades by {100 * fades:.0f} % in a trial, as friction that stays" if fades < LEAST_FADING else ""
+
+
+def _no_stribeck(value, error, q, duration) -> str:
+    """With hardly any excess it is dry friction, and the excess takes up what another effect has left."""
+    more = value["excess"] / max(value["level"], 1e-12)
+    return f"it is {100 * more:.0f} % higher at rest, as plain dry friction" if more < LEAST_EXCESS else ""
+
+
 def _no_stop(value, error, q, duration) -> str:
     """Where the joint leans on it nearly always it is a spring, with a constant torque in the other effect's place."""
     leaning = float(np.mean(value["side"] * (q - value["angle"]) > 0.0)) if len(q) else 0.0
@@ -170,7 +184,7 @@ FORCE = (
             Parameter("speed", "rad/s", 0.02, 20.0, 0.5, None, meaning="at which the excess has fallen to a third"),
         ),
         stribeck, "dry friction that is higher at creeping speed", "long stretches of slow motion beside fast ones",
-        ("coulomb", "presliding"), contains=("coulomb",), grid=_speeds,
+        ("coulomb", "presliding"), contains=("coulomb",), grid=_speeds, amiss=_no_stribeck,
         formula="-(level + excess exp(-(v / speed)^2)) sign(v)",
     ),
     Effect(
@@ -220,6 +234,7 @@ FORCE = (
         ),
         friction_drift, "friction that changes as the joint warms up within a trial",
         "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=_decays,
+        amiss=_no_drift,
         formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
     ),
     Effect(

@@ -6,6 +6,7 @@ the graph stays small and vectorises.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,6 +14,8 @@ import jax.numpy as jnp
 
 from adaptsim_jax.models.effects import Dry, Layout, Motion, Relaxation
 from adaptsim_jax.models.plant import Plant, solve_mass
+
+TOGETHER = 5  # effects that are asked about at once
 
 
 @dataclass(frozen=True)
@@ -72,25 +75,34 @@ class Acting(NamedTuple):
 
 def acting(model: Model, theta, eff, memory, x, u, t, on=None) -> Acting:
     """What the force effects do at `x: [S, ...]`. on `[effects]`: those that are False are skipped, at no cost but the
-    question; all count where None."""
+    question, which is put to several of them at once first; all count where None."""
     n = model.plant.joint_dim
     q, v = x[:n], x[n:]
+    effects = list(model.layout.placed("force"))
+    memories = dict(zip((e.name for e in effects if e.memory), memory, strict=True))
+
+    def add(total: Acting, group) -> Acting:
+        for effect in group:
+            p = model.layout.params(effect, eff, q.ndim - 1)
+            if effect.inertia:
+                total = total._replace(inertia=total.inertia + effect.apply(p))
+                continue
+            w = memories.get(effect.name, jnp.zeros_like(q))
+            total = _where_on(model, effect, on, one, total, effect, p, w)
+        return total
+
+    def one(total: Acting, effect, p, w) -> Acting:
+        answer = effect.apply(p, motion_of(model, theta, q, v, u, t, w))
+        level = total.level + answer.level if isinstance(answer, Dry) else total.level
+        force = answer.force if isinstance(answer, (Dry, Relaxation)) else answer
+        return Acting(total.force + force, level, total.inertia)
+
     total = Acting(jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q))
-    memories = iter(memory)
-    for effect in model.layout.placed("force"):
-        p = model.layout.params(effect, eff, q.ndim - 1)
-        if effect.inertia:
-            total = total._replace(inertia=total.inertia + effect.apply(p))
-            continue
-        w = next(memories) if effect.memory else jnp.zeros_like(q)
-
-        def add(total: Acting, p, theta, q, v, u, t, w, effect=effect) -> Acting:
-            answer = effect.apply(p, motion_of(model, theta, q, v, u, t, w))
-            level = total.level + answer.level if isinstance(answer, Dry) else total.level
-            force = answer.force if isinstance(answer, (Dry, Relaxation)) else answer
-            return Acting(total.force + force, level, total.inertia)
-
-        total = _where_on(model, effect, on, add, total, p, theta, q, v, u, t, w)
+    if on is None:
+        return add(total, effects)
+    for at in range(0, len(effects), TOGETHER):
+        group = effects[at : at + TOGETHER]
+        total = jax.lax.cond(_any_on(model, group, on), partial(add, group=group), lambda total: total, total)
     return total
 
 
@@ -113,8 +125,11 @@ def _where_on(model: Model, effect, on, change: Callable, value, *args):
     """`change(value, *args)` if `effect` is on, else `value`."""
     if on is None:
         return change(value, *args)
-    index = model.layout.effects.index(effect)
-    return jax.lax.cond(on[index], change, lambda value, *_: value, value, *args)
+    return jax.lax.cond(_any_on(model, [effect], on), lambda value: change(value, *args), lambda value: value, value)
+
+
+def _any_on(model: Model, effects: list, on) -> jax.Array:
+    return jnp.stack([on[model.layout.effects.index(e)] for e in effects]).any()
 
 
 def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int, on=None, ramp=None):
@@ -164,12 +179,12 @@ def _if_rubbing(model: Model, on, theta, eff, memory, x, u, t, h, push: Push):
         p = model.layout.params(effect, eff, 1)
         return not effect.inertia and isinstance(jax.eval_shape(lambda: effect.apply(p, motion)), Dry)
 
-    dry = [on[model.layout.effects.index(e)] for e in model.layout.placed("force") if is_dry(e)]
+    dry = [e for e in model.layout.placed("force") if is_dry(e)]
     nothing = jnp.zeros_like(push.force)
     if not dry:
         return nothing
     rub = lambda: _dry_force(model, theta, eff, memory, x, u, t, h, push, on)
-    return jax.lax.cond(jnp.stack(dry).any(), rub, lambda: nothing)
+    return jax.lax.cond(_any_on(model, dry, on), rub, lambda: nothing)
 
 
 def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on):

@@ -1,4 +1,4 @@
-"""Fitted values that make an effect another one: a spring without stiffness, a stop that is always leaned on."""
+"""Fitted values that make an effect another one: a spring without stiffness, a stop that is always leaned on, a drift that stays."""
 
 import numpy as np
 import pytest
@@ -18,6 +18,11 @@ TRIAL = 6.0  # s
         ("hard_stop", {"angle": 0.8, "side": 1.0}, {}, ""),
         ("hard_stop", {"angle": -0.8, "side": -1.0}, {}, ""),
         ("hard_stop", {"angle": -0.5, "side": 1.0}, {}, "lean on it 75 % of the time"),
+        ("friction_drift", {"viscous": 0.1, "dry": 0.0, "decay": 8.0}, {}, ""),
+        ("friction_drift", {"viscous": -0.04, "dry": 0.03, "decay": 94.0}, {}, "fades by 6 % in a trial"),
+        ("stribeck", {"level": 0.3, "excess": 0.1, "speed": 0.5}, {}, ""),
+        ("stribeck", {"level": 0.0, "excess": 0.1, "speed": 0.5}, {}, ""),
+        ("stribeck", {"level": 0.32, "excess": 0.0037, "speed": 4.3}, {}, "1 % higher at rest"),
         ("cogging", {"order": 7.0}, {}, ""),
         ("cogging", {"order": 1.5}, {}, "0.5 of its periods"),
         ("periodic_disturbance", {"frequency": 0.7}, {}, ""),
