@@ -1,7 +1,7 @@
 """Time of `adaptsim diagnose` on recordings of 6 trials of 6 s at 200 Hz, with an empty and with a warm compile cache.
 
-    python benchmarks/diagnose.py                        all four recordings, cold and then warm
-    python benchmarks/diagnose.py --only null --no-cold  one of them, warm
+    python -m benchmarks.diagnose                        all four recordings, cold and then warm
+    python -m benchmarks.diagnose --only null --no-cold  one of them, warm
 
 Each diagnosis is the command in a process of its own, everything included: import, compiling, the next experiment, the page. Cold: a
 new cache folder for each; warm: that folder again. Recordings come from the suites' generator, with seeds that are for tuning:

@@ -25,11 +25,8 @@ from adaptsim_jax.tasks.scooping import SETTINGS
 from adaptsim_jax.tasks.scooping_one_shot import GRID
 from adaptsim_jax.tasks.scooping_trial import success, test_contexts
 
-ROUNDS = (
-    (None, 6),
-    (48, 24),
-    (8, 96),
-)  # leaders that are tried (None: all), and in how many tests that none was tried in before
+# Leaders that are tried (None: all), and in how many tests that nothing was tried in before.
+ROUNDS = ((None, 6), (48, 24), (8, 96))
 PART = 24  # actions between two reports
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 import adaptsim_jax.closeloop
-from adaptsim_jax.closeloop.diagnose import diagnose
+from adaptsim_jax.closeloop.diagnose import command_of, diagnose
+from adaptsim_jax.closeloop.recording import read_recording
 from tests.generators import make_dataset, write_dataset
 
 SAMPLE = Path(adaptsim_jax.closeloop.__file__).parent / "sample" / "recording"
@@ -46,3 +47,9 @@ def test_a_known_mass_that_is_wrong_is_not_called_an_effect(tmp_path):
     assert report["verdict"] == "confounded_with_declared"
     assert report["effects"] == []
     assert f"{true:.3g}"[:4] in report["message"]
+
+
+def test_the_report_names_the_command_that_repeats_it():
+    recording = read_recording(SAMPLE)
+    assert command_of(recording, 0, []) == f"adaptsim diagnose {SAMPLE}"
+    assert command_of(recording, 3, ["spring", "bias"]).endswith(" --seed 3 --exclude spring bias")
