@@ -27,7 +27,7 @@ from adaptsim_jax.tasks.scooping_trial import success, test_contexts
 
 # Leaders that are tried (None: all), and in how many tests that nothing was tried in before.
 ROUNDS = ((None, 6), (48, 24), (8, 96))
-PART = 24  # actions between two reports
+PART = 24  # actions that are simulated at once
 
 
 def wins(world: World, params: np.ndarray, actions: np.ndarray, tests: np.ndarray) -> np.ndarray:
