@@ -17,6 +17,8 @@ from adaptsim_jax.closeloop.windows import Windows
 from adaptsim_jax.models.effects import Dry, Effect, Layout, Motion, Reach
 from adaptsim_jax.models.plant import Plant
 
+MANY = 100  # columns of one effect (a grid of frequencies) that are worth a program of their own
+
 
 @dataclass(frozen=True)
 class Columns:
@@ -29,10 +31,21 @@ class Columns:
     counts: tuple[int, ...] = ()
     atoms: tuple[Atom, ...] = ()
 
-    def trim(self, groups: Sequence[np.ndarray], measured: bool) -> list[np.ndarray]:
-        """Groups of one kind (force and command, or measurement) without their padding."""
-        counts = [c for c, e in zip(self.counts, self.effects, strict=True) if (e.place == "measurement") == measured]
-        return [np.asarray(g)[:c] for g, c in zip(groups, counts, strict=True)]
+    def trim(self, groups: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """One group `[K_e, ...]` for each effect without its padding."""
+        return [np.asarray(g)[:c] for g, c in zip(groups, self.counts, strict=True)]
+
+    def split(self) -> tuple["Columns", list["Columns"]]:
+        """Those of measurement effects; and the others in groups of much the same work, which may be computed abreast."""
+        sensed = [i for i, e in enumerate(self.effects) if e.place == "measurement"]
+        acting = [i for i in range(len(self.effects)) if i not in sensed]
+        few = [i for i in acting if self.counts[i] < MANY]
+        groups = [few, *([i] for i in acting if i not in few)]
+        return self._of(sensed), [self._of(g) for g in groups if g]
+
+    def _of(self, at: Sequence[int]) -> "Columns":
+        pick = lambda z: tuple(z[i] for i in at)
+        return Columns(pick(self.joint), pick(self.params), pick(self.effects), pick(self.counts))
 
 
 def _flatten(c: Columns):
@@ -168,8 +181,13 @@ def _measured_motion(windows: Windows, time) -> tuple[jax.Array, jax.Array]:
 
 
 def _force_rows(model: Model, theta, drive, motion, effect: Effect):
-    """Trapezoid of the force at a row's two ends, under that row's command, along the measured motion."""
+    """Trapezoid of the force at a row's two ends, under that row's command, along the measured motion.
+
+    In float32, as what comes of it is: that is more than twice as fast, and off by the phase of what oscillates, less than
+    1e-3 rad at 50 Hz after half a minute.
+    """
     n = model.plant.joint_dim
+    theta, drive, motion = jax.tree.map(_single, (theta, drive, motion))
     q, v = motion
     u = drive.u.transpose(1, 0, 2)
     turned = _mean_sign(v[:, :-1], v[:, 1:])
@@ -187,9 +205,13 @@ def _force_rows(model: Model, theta, drive, motion, effect: Effect):
         def mean(p):
             return 0.5 * (at(p, pick, slice(None, -1)) + at(p, pick, slice(1, None)))
 
-        return _spread(_change(effect, row, mean), joint, n)
+        return _spread(_change(effect, _single(row), mean), joint, n)
 
     return one
+
+
+def _single(z):
+    return jnp.asarray(z, jnp.float32)
 
 
 def _mean_sign(before, after):

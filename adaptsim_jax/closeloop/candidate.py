@@ -1,6 +1,7 @@
 """One model of a problem refitted under a residual covariance, and its linearisation in rows of averaged samples."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -150,9 +151,14 @@ def compressed(problem: Problem, lin: Linearised) -> Linearised:
 
 
 def survey(
-    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray
+    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray, *, candidates: bool = True
 ) -> tuple[tuple[Atom, ...], Linearised, Path, FitResult]:
-    """Signatures of every candidate and of the generic dictionary about one model, rows compressed."""
+    """Signatures of every candidate and of the generic dictionary about one model, rows compressed; without `candidates` the
+    linearisation and the path alone."""
     result = at_point(problem, active, theta, eff, x0)
-    seen = signatures(problem.model, result, problem.windows, problem.reach, basis=generic_forces)
-    return seen.atoms, compressed(problem, seen.lin), seen.path, result
+    effects, basis = (None, generic_forces) if candidates else ((), None)
+    compress = partial(compressed, problem)
+    seen = signatures(
+        problem.model, result, problem.windows, problem.reach, effects=effects, basis=basis, compress=compress
+    )
+    return seen.atoms, seen.lin, seen.path, result

@@ -88,7 +88,7 @@ def _rows(problem: Problem, base: Fitted, view: View) -> _Rows | None:
         if not np.isfinite(result.residual).all():
             return None
         lin = replace(compressed(fed, linearised(fed, result)), impulse=view.lin.impulse, dt=view.lin.dt)
-    _, _, path, result = survey(fed, c.active, c.theta, c.eff, x0)
+    _, _, path, result = survey(fed, c.active, c.theta, c.eff, x0, candidates=False)
     forces = generic_forces(replace(path, u=view.path.u))  # of the command as it was recorded
     answer = path.impulse.reshape(*path.impulse.shape[:2], -1)
     fine = linearised(fed, result)

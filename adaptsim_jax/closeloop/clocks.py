@@ -27,7 +27,7 @@ def clock_of(given: Mapping[str, float], recording: Recording, windows: Windows)
 
 def by_trial(scorer: Scorer, atom: Atom) -> tuple[float, dict[int, np.ndarray]]:
     """Gain and amplitudes `{trial: [2]}` of an atom with amplitudes of its own in each trial."""
-    s = scorer.atoms[:, :, list(atom.columns)]
+    s = scorer.columns(atom.columns)
     normal = np.swapaxes(s, 1, 2) @ s
     slope = np.einsum("wmi,wm->wi", s, scorer.residual)
     gain, amplitude = 0.0, {}

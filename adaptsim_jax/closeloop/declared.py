@@ -71,7 +71,7 @@ def _as_it_is(problem: Problem, result: FitResult) -> Fitted | None:
     and parameters refitted as if they were follow them anywhere."""
     if result.code == DIVERGED:
         return None
-    _, lin, _, result = survey(problem, problem.base, result.theta, result.eff, result.x0)
+    _, lin, _, result = survey(problem, problem.base, result.theta, result.eff, result.x0, candidates=False)
     response = respond(lin)
     parts = disturbance.estimate(lin, response.kernels)
     return unmoved(problem, problem.base, result.theta, result.eff, result.x0, parts, response)
@@ -80,7 +80,7 @@ def _as_it_is(problem: Problem, result: FitResult) -> Fitted | None:
 def _declared_from(problem: Problem, theta, eff, x0) -> Fitted:
     if at_point(problem, problem.base, theta, eff, x0).code == DIVERGED:  # before its candidates are surveyed
         raise Diverged("the declared model runs away")
-    _, lin, _, result = survey(problem, problem.base, theta, eff, x0)
+    _, lin, _, result = survey(problem, problem.base, theta, eff, x0, candidates=False)
     response = respond(lin)
     parts = disturbance.estimate(lin, response.kernels)
     return fitted(problem, problem.base, theta, result.eff, x0, parts, response)

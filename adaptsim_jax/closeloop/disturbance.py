@@ -19,6 +19,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
+from adaptsim_jax.closeloop.abreast import abreast
+
+COLUMNS = 256  # of atoms that are whitened at a time: what lies between stays small
 CORRELATION_TIMES = (0.02, 0.1, 0.5)  # s: faster than a row, a motion's phase, slower than a window
 
 
@@ -189,8 +192,14 @@ def whiten(lin: Linearised, factor: np.ndarray) -> Whitened:
     q, _ = np.linalg.qr(factor @ lin.jac_state)
 
     def clean(z: np.ndarray) -> np.ndarray:
-        z = factor @ z
-        return z - q @ (np.swapaxes(q, 1, 2) @ z)
+        out = np.empty((z.shape[2], *z.shape[:2]))  # a column is picked quickly where it lies in one piece
+
+        def part(at: slice) -> None:
+            w = factor @ z[..., at]
+            out[at] = np.moveaxis(w - q @ (np.swapaxes(q, 1, 2) @ w), -1, 0)
+
+        abreast(part, [slice(k, k + COLUMNS) for k in range(0, len(out), COLUMNS)])
+        return np.moveaxis(out, 0, -1)
 
     rows = np.maximum(lin.used.sum(1) - lin.jac_state.shape[2], 0)
     return Whitened(clean(lin.residual[..., None])[..., 0], clean(lin.jac_theta), clean(lin.atoms), lin.trial, rows)

@@ -40,8 +40,7 @@ def power(problem: Problem, view: View, settings: Settings) -> list[Power]:
     for r in ranked:
         need = np.sqrt(chi2.isf(level / r.tried, r.score.freedom)) + 0.84
         column = list(r.atom.columns)
-        information = np.einsum("wmk,wmk->k", view.scorer.atoms[:, :, column], view.scorer.atoms[:, :, column])
-        size = np.einsum("wmk,wmk->k", view.lin.atoms[:, :, column], view.lin.atoms[:, :, column])
+        information, size = (np.sum(z**2, (0, 1)) for z in (view.scorer.columns(column), view.lin.atoms[:, :, column]))
         joint = int(r.instance[1][-1]) - 1 if r.instance[1].startswith("joint") else 0
         share = need / np.sqrt(np.maximum(information, 1e-300)) * np.sqrt(size) * scale[joint]
         out.append(Power(*r.instance, float(np.min(share))))

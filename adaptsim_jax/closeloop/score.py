@@ -66,26 +66,33 @@ class Scorer:
 
     def __init__(self, white: Whitened, fold: np.ndarray):
         self.white, self.fold = white, fold
-        j = white.jac_theta
-        normal = _ridge(np.einsum("wmi,wmj->ij", j, j, optimize=True))
-        project = lambda z: z - j @ np.linalg.solve(normal, np.einsum("wmi,wmk->ik", j, z, optimize=True))
-        self.atoms = project(white.atoms)
-        self.residual = project(white.residual[..., None])[..., 0]
-        before, after = (np.einsum("wmk,wmk->k", z, z, optimize=True) for z in (white.atoms, self.atoms))
-        self.retained = np.where(before > 1e-12, after / np.maximum(before, 1e-30), 0.0)
+        j, z = white.jac_theta, white.atoms
+        normal = np.tensordot(j, j, ((0, 1), (0, 1)))
+        seen = (np.swapaxes(j, 1, 2) @ z).sum(0)
+        # `[P, K]`: what the declared parameters take of each column
+        self._absorbed = np.linalg.solve(_ridge(normal), seen)
+        self.residual = white.residual - j @ np.linalg.solve(_ridge(normal), np.einsum("wmi,wm->i", j, white.residual))
+        before = np.einsum("wmk,wmk->k", z, z)
+        after = before - np.sum(self._absorbed * (2.0 * seen - normal @ self._absorbed), axis=0)
+        self.retained = np.where(before > 1e-12, np.maximum(after, 0.0) / np.maximum(before, 1e-30), 0.0)
         self.sum_squares = float(np.sum(self.residual**2))
         self.freedom = int(white.rows.sum()) - j.shape[2]
 
+    def columns(self, columns: Sequence[int]) -> np.ndarray:
+        """Atom columns `[W, M, k]` orthogonal to the declared Jacobian."""
+        at = list(columns)
+        return self.white.atoms[:, :, at] - self.white.jac_theta @ self._absorbed[:, at]
+
     def gain(self, columns: Sequence[int]) -> tuple[float, np.ndarray]:
         """Likelihood-ratio gain and amplitudes of a set of atom columns."""
-        s = self.atoms[:, :, list(columns)]
+        s = self.columns(columns)
         slope = np.einsum("wmi,wm->i", s, self.residual, optimize=True)
         amplitude = np.linalg.solve(_ridge(np.einsum("wmi,wmj->ij", s, s, optimize=True)), slope)
         return float(slope @ amplitude), amplitude
 
     def robust(self, columns: Sequence[int], amplitude: np.ndarray) -> float:
         """Wald statistic whose variance comes from the scatter of the windows' scores about the fit."""
-        s = self.atoms[:, :, list(columns)]
+        s = self.columns(columns)
         scores = np.einsum("wmi,wm->wi", s, self.residual - s @ amplitude, optimize=True)
         live = int((self.white.rows > 0).sum())
         spread = scores.T @ scores * live / max(live - len(amplitude), 1)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.atoms import Columns, columns_of, force_rows, measured_change
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit_result import FitResult
@@ -25,7 +26,6 @@ from adaptsim_jax.closeloop.simulate import (
     measure,
     row_step,
     switched_on,
-    trajectory,
 )
 from adaptsim_jax.closeloop.windows import Windows
 from adaptsim_jax.models.effects import Reach
@@ -64,20 +64,30 @@ def signatures(
 ) -> Signatures:
     """Linearise about `result` and give the signature of every instance at every shape on its grid.
 
-    effects: names to include (all where None). basis: `path -> [K', W, n, L]` more force columns (`generic_forces`),
-    named `generic` and placed after the catalogue's. compress: a linear map of the rows (of all fields alike), applied
-    before the large product. Effects already in the fit stay in it and are linearised about.
+    effects: names to include (all where None; none: the linearisation alone, at a tenth of the time). basis:
+    `path -> [K', W, n, L]` more force columns (`generic_forces`), named `generic` and placed after the catalogue's.
+    compress: a linear map of the rows (of all fields alike), applied before the large product. Effects already in the fit
+    stay in it and are linearised about.
     """
     columns = columns_of(model.layout, reach, effects)
+    sensed, forces = columns.split()
     with jax.enable_x64(True):
         args = jax.tree.map(jnp.asarray, (windows, result.theta, result.eff, result.mask, result.x0))
-        path, rows, change = _signatures(model, *args, columns)
+        path, motion = _path(model, *args)
+        change = _changes(model, *args[:4], motion, sensed) if sensed.effects else ()
     path = Path(*(np.asarray(z) for z in path))
     none = np.zeros((*path.impulse.shape[:2], 0), np.float32)
-    seen = np.concatenate([none, *(np.moveaxis(c, 0, -1) for c in columns.trim(change, True))], 2)
-    lin = _linearised(result, windows, path, seen)
+    shown = [none, *(np.moveaxis(c, 0, -1) for c in sensed.trim(change))]
+    lin = _linearised(result, windows, path, np.concatenate(shown, 2))
     lin = lin if compress is None else compress(lin)
-    parts = [_respond(lin.impulse, group) for group in columns.trim(rows, False)] + [lin.atoms]
+
+    def responses(group: Columns) -> dict[str, np.ndarray]:
+        with jax.enable_x64(True):
+            rows = _rows(model, *args[:4], motion, group)
+        return {e.name: _respond(lin.impulse, f) for e, f in zip(group.effects, group.trim(rows), strict=True)}
+
+    seen = {name: part for group in abreast(responses, forces) for name, part in group.items()}
+    parts = [seen[e.name] for e in columns.effects if e.name in seen] + [lin.atoms]
     atoms = columns.atoms
     if basis is not None:
         extra = basis(path)
@@ -111,43 +121,55 @@ def _linearised(result: FitResult, windows: Windows, path: Path, atoms: np.ndarr
 
 
 @jax.jit
-def _signatures(model: Model, windows: Windows, theta, eff, mask, x0, columns: Columns):
+def _path(model: Model, windows: Windows, theta, eff, mask, x0):
+    """The fields of `Path`, and what drives the windows with the states `[L+1, S, W]` that come of it."""
     eff = model.layout.masked(eff, mask)
     drive = driven(model, theta, eff, mask, windows)
-    x, memory = trajectory(model, theta, eff, mask, drive, x0.T, windows.substeps)
-    weight = jnp.asarray(windows.weight).transpose(1, 2, 0)
-    phi, gamma = _row_maps(model, theta, eff, mask, drive, x, memory, windows.substeps)
+    x, phi, gamma = _row_maps(model, theta, eff, mask, drive, x0.T, windows.substeps)
     see = partial(_sensed, model, eff, mask, drive, x, first_angles(windows, x[0]))
-    impulse = _impulse(see, phi, gamma, weight)
-    rows = force_rows(model, theta, eff, mask, windows, drive, x, columns)
-    change = measured_change(model, eff, mask, windows, drive, x, columns, weight)
+    impulse = _impulse(see, phi, gamma, _weight(windows))
     first = lambda z: jnp.moveaxis(z, -1, 0)
-    path = (drive.time.T, drive.dt.T, first(x), first(drive.u), impulse)
-    return path, rows, change
+    return (drive.time.T, drive.dt.T, first(x), first(drive.u), impulse), (drive, x)
 
 
-def _row_maps(model: Model, theta, eff, mask, drive, x, memory, substeps: int):
-    """Derivatives of each row's end state by its start `[L, S, S, W]` and by a held force `[L, S, n, W]`.
+@jax.jit
+def _rows(model: Model, windows: Windows, theta, eff, mask, motion, columns: Columns):
+    return force_rows(model, theta, model.layout.masked(eff, mask), mask, windows, *motion, columns)
 
-    All rows are independent given the trajectory, so they are one batch. Memories are held: their own change with the
-    motion is second order in what is added.
+
+@jax.jit
+def _changes(model: Model, windows: Windows, theta, eff, mask, motion, columns: Columns):
+    return measured_change(model, model.layout.masked(eff, mask), mask, windows, *motion, columns, _weight(windows))
+
+
+def _weight(windows: Windows) -> jax.Array:
+    return jnp.asarray(windows.weight).transpose(1, 2, 0)
+
+
+def _row_maps(model: Model, theta, eff, mask, drive, x0, substeps: int):
+    """States `[L+1, S, W]`, and the derivatives of each row's end state by its start `[L, S, S, W]` and by a held force
+    `[L, S, n, W]`.
+
+    One scan makes all three, so that the step is traced once. Memories are held: their own change with the motion is
+    second order in what is added.
     """
-    length, states, windows = drive.dt.shape[0], x.shape[1], x.shape[2]
-    joints = model.plant.joint_dim
-    batch = lambda z: jnp.moveaxis(z, 0, -2).reshape(*z.shape[1:-1], length * windows)
-    start, u, ramp, t, dt = (batch(z) for z in (x[:-1], drive.u, drive.ramp, drive.stamps[:-1], drive.dt))
-    memory = tuple(batch(w[:-1]) for w in memory)
-    zero = jnp.zeros((joints, length * windows), x.dtype)
+    states, joints = x0.shape[0], model.plant.joint_dim
+    zero = jnp.zeros((joints, x0.shape[1]), x0.dtype)
     on = switched_on(model, mask)
+    eye = jnp.eye(states + joints, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, x0.shape[1]), x0.dtype)
 
-    def end(x, force):
-        return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on, ramp)[0]
+    def row(carry, now):
+        (x, memory), (u, ramp, t, dt) = carry, now
 
-    eye = jnp.eye(states + joints, dtype=x.dtype)[:, :, None] * jnp.ones((1, 1, length * windows), x.dtype)
-    along = jax.vmap(lambda *way: jax.jvp(end, (start, zero), way)[1])
-    maps = along(eye[:, :states], eye[:, states:])  # [S + n, S, L W]
-    maps = maps.reshape(states + joints, states, length, windows).transpose(2, 1, 0, 3)
-    return maps[:, :, :states], maps[:, :, states:]
+        def end(x, force):
+            return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on, ramp)
+
+        along = jax.vmap(lambda *way: jax.jvp(end, (x, zero), way), out_axes=(None, 0))
+        new, (maps, _) = along(eye[:, :states], eye[:, states:])
+        return new, (x, jnp.swapaxes(maps, 0, 1))
+
+    last, (x, maps) = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.ramp, drive.stamps[:-1], drive.dt))
+    return jnp.concatenate([x, last[0][None]]), maps[:, :, :states], maps[:, :, states:]
 
 
 def _impulse(see, phi, gamma, weight):

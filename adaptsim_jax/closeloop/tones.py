@@ -35,7 +35,7 @@ def tone_of(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) -
 
 def _gains(windows: Windows, scorer: Scorer, atom: Atom, shift: np.ndarray) -> np.ndarray:
     """Likelihood-ratio gain `[D]` of an atom whose frequency is shifted by `shift` Hz, amplitudes free in each trial."""
-    s = scorer.atoms[:, :, list(atom.columns)]
+    s = scorer.columns(atom.columns)
     normal, slope = np.swapaxes(s, 1, 2) @ s, np.einsum("wmi,wm->wi", s, scorer.residual)
     middle = 0.5 * (windows.times[:, 0] + windows.times.max(1))
     cos, sin = (f(2.0 * np.pi * shift[:, None] * middle) for f in (np.cos, np.sin))
