@@ -20,7 +20,8 @@ class Settings:
     class_z: a rival stays in the class unless it loses by more than `class_gap` nats *and* `class_z` standard errors over
     windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
     this share of the unexplained force left over, the search ends at the first effect that earns nothing. pairs: of two effects
-    that are refitted until they settle, where no single one earns a name.
+    that are refitted until they settle, where no single one earns a name. clear: a pair that leaves less than this share ends
+    the making of pairs.
     """
 
     alpha: float = 0.01
@@ -34,6 +35,7 @@ class Settings:
     explained: float = 0.35
     most_effects: int = 3
     pairs: int = 3
+    clear: float = 0.1
 
 
 def choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:

@@ -2,7 +2,8 @@
 
 Declared parameters that bent to the one effect leave residuals which the other alone makes no better (a drag and a ripple at one
 joint). So those that each of the two linear scores puts first are refitted in pairs, with the sensors as the only noise: under a
-covariance that both effects have inflated, a refit stays where it is.
+covariance that both effects have inflated, a refit stays where it is. And where the declared fit went far astray, scores about it
+say little: the effect that alone leaves least error, by least squares, is taken first, and the second by the scores about that.
 """
 
 from collections.abc import Sequence
@@ -12,14 +13,16 @@ from itertools import product
 
 import numpy as np
 
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.leaders import NEW
-from adaptsim_jax.closeloop.problem import Diverged, Problem
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted_plainly, settled
+from adaptsim_jax.closeloop.problem import Diverged, Problem, fit_plain
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted_plainly, settled, unmoved
 from adaptsim_jax.closeloop.start import merged, started
-from adaptsim_jax.closeloop.view import Ranked, View
+from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
 POOL = 5  # candidates of each score that pairs are made of
+SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Pair = tuple[Ranked, Ranked]
 
@@ -55,6 +58,38 @@ def refit_pair(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fitted
     eff = merged(problem, started(problem, base, pair[0]), started(problem, base, pair[1]), pair[1].instance)
     with suppress(Diverged, np.linalg.LinAlgError):
         return fitted_plainly(problem, active, base.candidate, eff, base.parts, seen.response)
+    return None
+
+
+def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
+    """The effect that fits best alone, with each of the leaders about the model that has it, refitted whole."""
+    exclude = base.candidate.active
+    leaders = [r for r in seen.ranked(exclude, plain=True) if r.score.retained > NEW][:POOL]
+    alone = [m for m in abreast(lambda r: _alone(problem, base, r, seen), leaders) if m is not None]
+    if not alone:
+        return []
+    first = min(alone, key=lambda m: (m[0] > SAME * min(e for e, _ in alone), m[1].size, m[0]))[1]
+    about = view(problem, first)
+    ranked = [r for plain in (True, False) for r in about.ranked(first.active, plain=plain)[:POOL]]
+    seconds = {r.instance: r for r in ranked if r.score.retained > NEW}
+    made = abreast(lambda r: _beside(problem, first, r, base, seen), seconds.values())
+    return [m for m in made if m is not None]
+
+
+def _alone(problem: Problem, base: Fitted, ranked: Ranked, seen: View) -> tuple[float, Fitted] | None:
+    """Sum of squares of a least-squares fit with one effect, and that model."""
+    c, active = base.candidate, (*base.candidate.active, ranked.instance)
+    result = fit_plain(problem, active, c.theta, started(problem, base, ranked), problem.windows.start)
+    with suppress(Diverged, np.linalg.LinAlgError):
+        model = unmoved(problem, active, result.theta, result.eff, result.x0, base.parts, seen.response)
+        return float(result.cost.sum()), model
+    return None
+
+
+def _beside(problem: Problem, first: Fitted, ranked: Ranked, base: Fitted, seen: View) -> Fitted | None:
+    active, eff = (*first.active, ranked.instance), started(problem, first, ranked)
+    with suppress(Diverged, np.linalg.LinAlgError):
+        return fitted_plainly(problem, active, first.candidate, eff, base.parts, seen.response)
     return None
 
 

@@ -16,7 +16,7 @@ from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
-from adaptsim_jax.closeloop.pairs import leading_pairs, refit_pair, settled_plainly
+from adaptsim_jax.closeloop.pairs import leading_pairs, refit_beside_first, refit_pair, settled_plainly
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
@@ -84,7 +84,7 @@ def search(
         ranked = seen.ranked(exclude=current.active)
         if found.final is current:
             found.view, found.last = seen, ranked
-    if found.final is base:
+    if unexplained(found.final, base) > settings.explained:
         problem, current = _paired(problem, found, current, first, settings, say)
     found.leading = None if current is found.final else current
     found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
@@ -116,12 +116,14 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
 
 
 def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):
-    """Where no single effect earned a name though something is there: the best pair, if it leaves no more than a name may."""
+    """Where no single effect explained enough for a name though something is there: the best pair, if it does."""
     base = found.base
     if not first_leaders(found.ranked, seen, base.active, settings.alpha, 1):
         return problem, current
     say("refitting with two effects at once")
-    trials = abreast(lambda p: refit_pair(problem, base, p, seen), leading_pairs(problem, seen, base.active))
+    trials: list[Fitted | None] = list(refit_beside_first(problem, base, seen))
+    if not any(t is not None and plausible(t, base) and unexplained(t, base) < settings.clear for t in trials):
+        trials += abreast(lambda p: refit_pair(problem, base, p, seen), leading_pairs(problem, seen, base.active))
     order = sorted((t for t in trials if t is not None), key=lambda t: -t.merit(settings.price))
     front = [t for t in order if plausible(t, base)][: settings.pairs]
     trials = abreast(lambda t: settled_plainly(problem, t, seen), front)
@@ -129,6 +131,7 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
     best = choose(problem, [t for t in trials if plausible(t, base)], base, settings)
     if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
         return problem, current
+    found.final = base
     for new in [a for a in best.active if a not in base.active]:
         best = _beside(problem, found, best, new, seen, settings, say)
     problem, best = _finer(problem, best, base, seen, settings)
