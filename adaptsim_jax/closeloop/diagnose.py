@@ -22,6 +22,7 @@ from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
 from adaptsim_jax.closeloop.model_file import fitted_model, write_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
+from adaptsim_jax.closeloop.polish import polished
 from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.recording import read_recording
@@ -128,6 +129,7 @@ def examine(
         return examine(sharp, checked, noise_floor(sharp, checked), effects, settings, seed, say)
     say(5, STAGES, "what is left")
     problem, found = sharpened(problem, found, first)
+    found = polished(problem, found, first)
     found, tested = trimmed(problem, found, first, settings)
     seen = found.view or first
     after = before if not found.added else leftover(problem, seen)

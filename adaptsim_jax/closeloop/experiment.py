@@ -232,13 +232,14 @@ def _runs(model, push, gain, theta, eff, start, dt: float, history: int):
 def _balance(problem: Problem, ours: Rival) -> np.ndarray:
     """A gain `[2, 4]` that holds the rig upright, by the declared part of our model."""
     zero = jnp.zeros((2, 1))
-    scale = jnp.asarray(problem.reach.torque, jnp.float32)
 
-    def deriv(x, u):
-        return problem.plant.deriv(jnp.asarray(ours.theta, jnp.float32), x[:, None], u[:, None], zero, zero)[:, 0]
+    @jax.jit  # one program: run one by one, its operations would be a hundred to compile
+    def gain(theta, scale):
+        deriv = lambda x, u: problem.plant.deriv(theta, x[:, None], u[:, None], zero, zero)[:, 0]
+        A, B = jax.jacfwd(deriv, (0, 1))(jnp.zeros(4), jnp.zeros(2))
+        return lqr_gain(A, B, jnp.eye(4), jnp.diag(1.0 / jnp.square(scale))).gain
 
-    A, B = jax.jacfwd(deriv, (0, 1))(jnp.zeros(4), jnp.zeros(2))
-    return np.asarray(lqr_gain(A, B, jnp.eye(4), jnp.diag(1.0 / jnp.square(scale))).gain)
+    return np.asarray(gain(jnp.asarray(ours.theta, jnp.float32), jnp.asarray(problem.reach.torque, jnp.float32)))
 
 
 def _as_recorded(problem: Problem, runs: list[_Run]) -> Windows:

@@ -70,6 +70,7 @@ def fit_result(model: "Model", problem: "Problem", point: "Point", info) -> FitR
     )  # fmt: skip
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a fit that ran away
 def _uncertainty(hess, scores, trial, names):
     """Covariances and weak directions, from the reduced information `[G, G]` and the windows' scores `[W, G]`."""
     diagonal = np.diag(hess)

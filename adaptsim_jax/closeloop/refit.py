@@ -120,6 +120,7 @@ def _solve(hess: np.ndarray, slope: np.ndarray, damping: float) -> np.ndarray:
     return scale * (vector @ (inverse * (vector.T @ (scale * slope))))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a model that runs away
 def _covariance(z, white: Whitened, low, high, free, keep) -> tuple[np.ndarray, np.ndarray]:
     """Sandwich covariance over windows, no smaller than the model's own; entries at a bound are held there."""
     hess, slope = _information(white, keep)

@@ -7,7 +7,7 @@ import pytest
 import adaptsim_jax.closeloop
 from adaptsim_jax.closeloop.diagnose import command_of, diagnose
 from adaptsim_jax.closeloop.recording import read_recording
-from tests.generators import make_dataset, write_dataset
+from tests.generators import Spec, make_dataset, make_datasets, write_dataset
 
 SAMPLE = Path(adaptsim_jax.closeloop.__file__).parent / "sample" / "recording"
 LEVEL = 0.294  # N m of Coulomb friction at joint 1, put in by the generator (sample/README.md)
@@ -47,6 +47,21 @@ def test_a_known_mass_that_is_wrong_is_not_called_an_effect(tmp_path):
     assert report["verdict"] == "confounded_with_declared"
     assert report["effects"] == []
     assert f"{true:.3g}"[:4] in report["message"]
+
+
+@pytest.mark.slow
+def test_of_two_effects_that_hide_each_other_both_are_named(tmp_path):
+    """Friction at one joint and play at the other: the declared fit goes astray, and no single effect helps it."""
+    two = (("coulomb", 2, 5.0), ("backlash", 1, 4.0))
+    (data,) = make_datasets([Spec(906, n_trials=4, seconds=4.0, effects=two, world="linearized")])
+    report = diagnose(write_dataset(data, tmp_path / "data"), follow_up=False)
+    assert report["verdict"] == "explained", report["message"]
+    assert {(e["name"], e["where"]) for e in report["effects"]} == {("coulomb", "joint2"), ("backlash", "joint1")}
+    sizes = {"coulomb": "level", "backlash": "gap"}
+    true = {e["name"]: e["parameters"]["size"] for e in data.truth["effects"]}
+    for effect in report["effects"]:
+        assert effect["parameters"][sizes[effect["name"]]]["value"] == pytest.approx(true[effect["name"]], rel=0.05)
+    assert report["error"]["after"] < 2.0 * report["error"]["noise_floor"]
 
 
 def test_the_report_names_the_command_that_repeats_it():

@@ -1,0 +1,70 @@
+"""The final model fitted once more from where it stands, with the sensors as the only noise.
+
+A refit under a covariance that the missing effect had inflated stops short of the bottom where effects switch (a play that is
+taken up, a joint that sticks): what is left to gain looks like chance there. The plain fit goes on, and from the initial
+states that were found: of those in the data some lie on the wrong side of a switch.
+"""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, fit_plain
+from adaptsim_jax.closeloop.rivals import Fitted, plausible, settled, unmoved
+from adaptsim_jax.closeloop.search import Found
+from adaptsim_jax.closeloop.view import View, view
+
+ROUNDS = 4  # each from where the last ended
+LEAST = 1e-3  # of the torque: with less force left unexplained there is nothing to gain
+GAIN = 1.0  # of log-likelihood, for another round
+NUDGES = (0.96, 1.04)  # of what switches: a fit may rest where no event of the data changes sides
+
+
+def polished(problem: Problem, found: Found, first: View) -> Found:
+    """`found` with its final model at the bottom; unchanged where it was there, or nothing is left to gain."""
+    if not found.added or np.all(found.final.parts.force_std() < LEAST * problem.torque_scale):
+        return found
+    model = lowest(problem, found.final, found.base, found.view or first)
+    if model is found.final:
+        return found
+    seen = view(problem, model)
+    return replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+
+
+def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
+    """The likeliest model that plain fits reach, round after round, from its own place and from nudged ones."""
+    for _ in range(ROUNDS):
+        starts = (model.candidate.eff, *_nudged(problem, model))
+        tried = abreast(lambda eff, at=model: _plainly(problem, at, eff, seen), starts)
+        best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)
+        if best.total - model.total < GAIN:
+            break
+        model = best
+    return model
+
+
+def _nudged(problem: Problem, model: Fitted) -> list[np.ndarray]:
+    """Effect parameters with each size of an effect that switches a little smaller and larger."""
+    layout, out = problem.model.layout, []
+    for active in model.active:
+        instance = layout.instances[layout.index(*active)]
+        if not instance.effect.jump or active in problem.base:
+            continue
+        for share in NUDGES:
+            eff = model.candidate.eff.copy()
+            eff[instance.at.start] *= share
+            out.append(eff)
+    return out
+
+
+def _plainly(problem: Problem, model: Fitted, eff: np.ndarray, seen: View) -> Fitted | None:
+    c = model.candidate
+    result = fit_plain(problem, c.active, c.theta, eff, c.refit.point.x0)
+    if result.code == DIVERGED:
+        return None
+    with suppress(Diverged, np.linalg.LinAlgError):
+        new = unmoved(problem, c.active, result.theta, result.eff, result.x0, model.parts, seen.response)
+        return settled(problem, new, seen.response)
+    return None
