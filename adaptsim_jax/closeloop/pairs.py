@@ -69,7 +69,10 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
     if not alone:
         return []
     first = min(alone, key=lambda m: (m[0] > SAME * min(e for e, _ in alone), m[1].size, m[0]))[1]
-    about = view(problem, first)
+    try:
+        about = view(problem, first)
+    except np.linalg.LinAlgError:  # its response to forces is not finite
+        return []
     ranked = [r for plain in (True, False) for r in about.ranked(first.active, plain=plain)[:POOL]]
     seconds = {r.instance: r for r in ranked if r.score.retained > NEW}
     made = abreast(lambda r: _beside(problem, first, r, base, seen), seconds.values())
