@@ -39,7 +39,13 @@ def fit_declared(
 
 
 def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
-    """The declared model with its residual covariance, and all candidates scored about it.
+    """The declared model with its residual covariance (`declared_base`), and all candidates scored about it."""
+    base = declared_base(problem, start)
+    return base, view(problem, base)
+
+
+def declared_base(problem: Problem, start: FitResult) -> Fitted:
+    """The declared model fitted, with its residual covariance.
 
     `start` is the regression on the measured motion, which no simulation can lead astray. Where much force is left
     unexplained, least squares from there is a second start: it may find a better optimum, but it may as well flee from the
@@ -58,7 +64,7 @@ def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
     base = max(fits, key=lambda m: (_sane(problem, m), m.total))
     if not _sane(problem, base):
         base = _as_it_is(problem, result) or base  # no sane fit: least squares was the last to be tried
-    return base, view(problem, base)
+    return base
 
 
 def _sane(problem: Problem, model: Fitted) -> bool:

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptsim_jax.closeloop.declared import fit_declared
-from adaptsim_jax.closeloop.problem import Diverged, Problem
+from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.declared import declared_base
+from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.models.effects import Effect
@@ -51,14 +52,14 @@ def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Rem
 
 def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitted:
     changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
-    return fit_declared(changed, problem.audit, problem.noise, effects)[1]
+    return declared_base(*prepare_within_reach(changed, problem.audit, problem.noise, effects))
 
 
 def _likeliest(total) -> float:
     """The offset [1] with the largest total that a few parabolas lead to, within `FARTHEST`."""
     centre, step = 0.0, STEP
     for _ in range(ROUNDS):
-        low, middle, high = total(centre - step), total(centre), total(centre + step)
+        low, middle, high = abreast(total, (centre - step, centre, centre + step))
         bend, slope = low + high - 2.0 * middle, 0.5 * (high - low)
         leap = np.clip(-slope / bend, -3.0, 3.0) if bend < 0 else 3.0 * np.sign(slope)
         tried = float(np.clip(centre + leap * step, -FARTHEST, FARTHEST))
