@@ -1,5 +1,7 @@
 """Signatures against finite differences of the simulation, one effect after the other."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -87,6 +89,28 @@ def test_impulse_is_the_response_to_a_held_force(case):
     live = np.asarray(case[1].dt) > 0
     total = (seen.lin.impulse[:, :, 1] * live[:, None]).sum(-1)
     np.testing.assert_allclose(seen.lin.atoms[:, :, atom.columns[0]], total, rtol=1e-3, atol=1e-2 * np.abs(total).max())
+
+
+def test_without_candidates_the_linearisation_is_the_same(case):
+    model, windows, result, reach, seen = case
+    alone = signatures(model, result, windows, reach, effects=())
+    assert alone.atoms == () and alone.lin.atoms.shape[2] == 0
+    np.testing.assert_array_equal(alone.lin.impulse, seen.lin.impulse)
+    np.testing.assert_array_equal(alone.path.x, seen.path.x)
+
+
+def test_rows_may_be_averaged_before_the_large_product(case):
+    model, windows, result, reach, seen = case
+    halved = lambda z: 0.5 * (z[:, 0:-1:2] + z[:, 1::2])
+
+    def compress(lin):
+        names = ("residual", "jac_state", "jac_theta", "atoms", "impulse")
+        return replace(lin, **{k: halved(getattr(lin, k)) for k in names})
+
+    early = signatures(model, result, windows, reach, basis=generic_forces, compress=compress).lin.atoms
+    late = halved(seen.lin.atoms)
+    scale = np.abs(late).max((0, 1)) + 1e-12
+    assert np.abs((early - late) / scale).max() < 1e-5
 
 
 def test_jacobian_of_the_fit_is_the_derivative(case):
