@@ -3,7 +3,7 @@
 Declared parameters that bent to the one effect leave residuals which the other alone makes no better (a drag and a ripple at one
 joint). So those that each of the two linear scores puts first are refitted in pairs, with the sensors as the only noise: under a
 covariance that both effects have inflated, a refit stays where it is. And where the declared fit went far astray, scores about it
-say little: the effect that alone leaves least error, by least squares, is taken first, and the second by the scores about that.
+say little: the effect that alone leaves least error, by least squares, is taken first, and the second by the plain scores about that.
 """
 
 from collections.abc import Sequence
@@ -22,6 +22,7 @@ from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
 POOL = 5  # candidates of each score that pairs are made of
+SECONDS = 3  # candidates beside the effect that fits best alone; the right one was first or second of tuning sets
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Pair = tuple[Ranked, Ranked]
@@ -62,7 +63,7 @@ def refit_pair(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fitted
 
 
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
-    """The effect that fits best alone, with each of the leaders about the model that has it, refitted whole."""
+    """The effect that fits best alone, with each of the plain score's leaders about the model that has it, refitted whole."""
     exclude = base.candidate.active
     leaders = [r for r in seen.ranked(exclude, plain=True) if r.score.retained > NEW][:POOL]
     alone = [m for m in abreast(lambda r: _alone(problem, base, r, seen), leaders) if m is not None]
@@ -73,9 +74,8 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
         about = view(problem, first)
     except np.linalg.LinAlgError:  # its response to forces is not finite
         return []
-    ranked = [r for plain in (True, False) for r in about.ranked(first.active, plain=plain)[:POOL]]
-    seconds = {r.instance: r for r in ranked if r.score.retained > NEW}
-    made = abreast(lambda r: _beside(problem, first, r, base, seen), seconds.values())
+    seconds = [r for r in about.ranked(first.active, plain=True) if r.score.retained > NEW][:SECONDS]
+    made = abreast(lambda r: _beside(problem, first, r, base, seen), seconds)
     return [m for m in made if m is not None]
 
 
