@@ -11,15 +11,14 @@ time tau. The components are estimated by restricted maximum likelihood (Patters
 projected out; whitening with the result makes residuals nearly independent, with unit variance.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import minimize
 
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.restricted import Terms, factored, maximised
 
 COLUMNS = 256  # of atoms that are whitened at a time: what lies between stays small
 CORRELATION_TIMES = (0.02, 0.1, 0.5)  # s: faster than a row, a motion's phase, slower than a window
@@ -132,59 +131,26 @@ def estimate(
     kernels = kernels or force_kernels(lin)
     at = _spread(np.flatnonzero(lin.used.any(1)), most_windows)
     resid, jac, used = lin.residual[at], lin.jac_state[at], lin.used[at]
-    count, rows = resid.shape
     force = kernels.force[:, at]
     n_sensor = len(np.unique(lin.channel))
-    trace = np.trace(force, axis1=2, axis2=3).mean(1) / rows
+    trace = np.trace(force, axis1=2, axis2=3).mean(1) / resid.shape[1]
     scale = np.concatenate([np.ones(n_sensor), np.maximum(trace, 1e-30)])
-    flat = (force / scale[n_sensor:, None, None, None]).reshape(len(force), -1)
     sensor = np.stack([used * (lin.channel == c) for c in range(n_sensor)]).astype(float)  # [Y, W', M]
-    index, corner = np.arange(rows), np.arange(jac.shape[2])
-
-    def objective(log_a: np.ndarray) -> tuple[float, np.ndarray]:
-        a = np.exp(log_a)
-        cov = (a[n_sensor:] @ flat).reshape(count, rows, rows)
-        cov[:, index, index] += np.tensordot(a[:n_sensor], sensor, 1) + ~used
-        inverse = np.linalg.inv(cov)
-        seen = inverse @ jac
-        info = np.swapaxes(jac, 1, 2) @ seen
-        info[:, corner, corner] *= 1.0 + 1e-9  # a short window may not fix all of its initial state
-        info[:, corner, corner] += 1e-9
-        project = inverse - seen @ np.linalg.solve(info, np.swapaxes(seen, 1, 2))
-        weighted = (project @ resid[..., None])[..., 0]
-        logdet = np.linalg.slogdet(cov)[1].sum() + np.linalg.slogdet(info)[1].sum()
-        change = project - weighted[:, :, None] * weighted[:, None, :]
-        slope = np.concatenate([np.tensordot(sensor, change[:, index, index], 2), flat @ change.ravel()])
-        # a weak prior keeps each sensor's variance within a factor of about two of what was declared or estimated
-        slope = 0.5 * a * slope
-        slope[:n_sensor] += log_a[:n_sensor] / 0.49
-        return 0.5 * (logdet + np.sum(resid * weighted)) + 0.5 * np.sum((log_a[:n_sensor] / 0.7) ** 2), slope
-
-    first = np.log(np.concatenate([np.ones(n_sensor), np.full(len(force), 1e-2)]))
+    terms = Terms(resid, jac, sensor, force / scale[n_sensor:, None, None, None], used)
+    first = np.concatenate([np.ones(n_sensor), np.full(len(force), 1e-2)])
     if start is not None:
-        first = np.log(np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12))
-    bounds = [(np.log(0.05), np.log(50.0))] * n_sensor + [(np.log(1e-8), np.log(1e12))] * len(force)
-    options = {"maxiter": 40, "ftol": 1e-7}
-    found = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    a = np.exp(found.x) / scale
+        first = np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12)
+    low = np.array([0.05] * n_sensor + [1e-8] * len(force))
+    high = np.array([50.0] * n_sensor + [1e12] * len(force))
+    a = np.exp(maximised(terms, np.log(first), np.log(low), np.log(high))) / scale
     return Components(a[:n_sensor], a[n_sensor:].reshape(lin.impulse.shape[2], len(CORRELATION_TIMES)))
 
 
 def whitener(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
     """Inverse Cholesky factor `[W, M, M]` of each window's residual covariance."""
-    lower = _factored((kernels or force_kernels(lin)).covariance(lin, parts))
+    lower = factored((kernels or force_kernels(lin)).covariance(lin, parts))
     eye = np.broadcast_to(np.eye(lower.shape[1]), lower.shape)
     return solve_triangular(lower, eye, lower=True)
-
-
-def _factored(cov: np.ndarray) -> np.ndarray:
-    """Cholesky factors `[W, M, M]`. Forces a million times the sensors leave a covariance that rounding has made indefinite: a
-    trace of white noise mends it."""
-    for share in (0.0, 1e-12, 1e-10):
-        with suppress(np.linalg.LinAlgError):
-            trace = np.trace(cov, axis1=1, axis2=2)[:, None, None]
-            return np.linalg.cholesky(cov + share * trace * np.eye(cov.shape[1]) if share else cov)
-    raise np.linalg.LinAlgError("a residual covariance has no factor; the model's response to forces is not finite")
 
 
 def whiten(lin: Linearised, factor: np.ndarray) -> Whitened:
@@ -229,7 +195,7 @@ def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, n
 
 def log_likelihood(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
     """Restricted log-likelihood of each window `[W]`, initial states integrated out; constants left out."""
-    lower = _factored((kernels or force_kernels(lin)).covariance(lin, parts))
+    lower = factored((kernels or force_kernels(lin)).covariance(lin, parts))
     both = solve_triangular(lower, np.concatenate([lin.jac_state, lin.residual[..., None]], -1), lower=True)
     q, r = np.linalg.qr(both[..., :-1])
     white = both[..., -1:] - q @ (np.swapaxes(q, 1, 2) @ both[..., -1:])
