@@ -79,7 +79,7 @@ def trip_rows(
             "trials": trip.spent,
             "failed": int(failed[i]),
             "made": int(made[i]),
-            "of_oracle": trip.rewards[i].max(axis=1).max(axis=1).mean() / oracle[i],
+            "of_oracle": trip.rewards[i].max(axis=1).max(axis=1).mean() / oracle[i] if oracle[i] else None,
         }
         if trip.means is not None:
             S = trip.rewards.shape[1]

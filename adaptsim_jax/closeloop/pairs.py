@@ -15,14 +15,16 @@ import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.leaders import NEW
-from adaptsim_jax.closeloop.problem import Diverged, Problem, fit_plain
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted_plainly, settled, unmoved
+from adaptsim_jax.closeloop.problem import Diverged, Problem
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted_plainly, least_squares, settled
 from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
 POOL = 5  # candidates of each score that pairs are made of
-SECONDS = 3  # candidates beside the effect that fits best alone; the right one was first or second of tuning sets
+SECONDS = (
+    3  # candidates beside the effect that fits best alone; the right one was first or second, in tuning and spent sets
+)
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Pair = tuple[Ranked, Ranked]
@@ -57,9 +59,7 @@ def refit_pair(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fitted
     """The model with both effects, refitted whole from their linear amplitudes; None where that runs away."""
     active = (*base.candidate.active, *(r.instance for r in pair))
     eff = merged(problem, started(problem, base, pair[0]), started(problem, base, pair[1]), pair[1].instance)
-    with suppress(Diverged, np.linalg.LinAlgError):
-        return fitted_plainly(problem, active, base.candidate, eff, base.parts, seen.response)
-    return None
+    return fitted_plainly(problem, active, base.candidate.theta, eff, base.parts, seen.response)
 
 
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
@@ -69,43 +69,36 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
     alone = [m for m in abreast(lambda r: _alone(problem, base, r, seen), leaders) if m is not None]
     if not alone:
         return []
-    first = min(alone, key=lambda m: (m[0] > SAME * min(e for e, _ in alone), m[1].size, m[0]))[1]
+    least = min(error for _, error in alone)
+    first = min(alone, key=lambda m: (m[1] > SAME * least, m[0].size, m[1]))[0]
     try:
         about = view(problem, first)
     except np.linalg.LinAlgError:  # its response to forces is not finite
         return []
     seconds = [r for r in about.ranked(first.active, plain=True) if r.score.retained > NEW][:SECONDS]
-    made = abreast(lambda r: _beside(problem, first, r, base, seen), seconds)
-    return [m for m in made if m is not None]
+
+    def beside(r: Ranked) -> Fitted | None:
+        active, eff = (*first.active, r.instance), started(problem, first, r)
+        return fitted_plainly(problem, active, first.candidate.theta, eff, base.parts, seen.response)
+
+    return [m for m in abreast(beside, seconds) if m is not None]
 
 
-def _alone(problem: Problem, base: Fitted, ranked: Ranked, seen: View) -> tuple[float, Fitted] | None:
-    """Sum of squares of a least-squares fit with one effect, and that model."""
-    c, active = base.candidate, (*base.candidate.active, ranked.instance)
-    result = fit_plain(problem, active, c.theta, started(problem, base, ranked), problem.windows.start)
+def _alone(problem: Problem, base: Fitted, ranked: Ranked, seen: View) -> tuple[Fitted, float] | None:
+    """The least-squares fit with one effect and its sum of squares."""
+    active, eff = (*base.active, ranked.instance), started(problem, base, ranked)
     with suppress(Diverged, np.linalg.LinAlgError):
-        model = unmoved(problem, active, result.theta, result.eff, result.x0, base.parts, seen.response)
-        return float(result.cost.sum()), model
-    return None
-
-
-def _beside(problem: Problem, first: Fitted, ranked: Ranked, base: Fitted, seen: View) -> Fitted | None:
-    active, eff = (*first.active, ranked.instance), started(problem, first, ranked)
-    with suppress(Diverged, np.linalg.LinAlgError):
-        return fitted_plainly(problem, active, first.candidate, eff, base.parts, seen.response)
+        return least_squares(problem, active, base.candidate.theta, eff, base.parts, seen.response)
     return None
 
 
 def settled_plainly(problem: Problem, model: Fitted, seen: View) -> Fitted:
     """Refitted with the sensors as the only noise until that gains no more, then under its own covariance."""
     for _ in range(MOST):
-        with suppress(Diverged, np.linalg.LinAlgError):
-            new = fitted_plainly(
-                problem, model.active, model.candidate, model.candidate.eff, model.parts, seen.response
-            )
-            gain = new.total - model.total
-            model = new if gain > 0 else model
-            if gain > 1.0:
-                continue
-        break
+        c = model.candidate
+        new = fitted_plainly(problem, c.active, c.theta, c.eff, model.parts, seen.response)
+        gain = -np.inf if new is None else new.total - model.total
+        model = new if gain > 0 else model
+        if gain <= 1.0:
+            break
     return settled(problem, model, seen.response)

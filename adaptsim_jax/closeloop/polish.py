@@ -5,14 +5,14 @@ taken up, a joint that sticks): what is left to gain looks like chance there. Th
 states that were found: of those in the data some lie on the wrong side of a switch.
 """
 
-from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
-from adaptsim_jax.closeloop.problem import DIVERGED, Diverged, Problem, fit_plain
-from adaptsim_jax.closeloop.rivals import Fitted, plausible, settled, unmoved
+from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.rivals import Fitted, fitted_plainly, plausible
 from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.view import View, view
 
@@ -37,7 +37,9 @@ def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
     """The likeliest model that plain fits reach, round after round, from its own place and from nudged ones."""
     for _ in range(ROUNDS):
         starts = (model.candidate.eff, *_nudged(problem, model))
-        tried = abreast(lambda eff, at=model: _plainly(problem, at, eff, seen), starts)
+        c, parts = model.candidate, model.parts
+        again = partial(fitted_plainly, problem, c.active, c.theta, x0=c.refit.point.x0, rounds=3)
+        tried = abreast(lambda eff, again=again, parts=parts: again(eff, parts, seen.response), starts)
         best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)
         if best.total - model.total < GAIN:
             break
@@ -57,14 +59,3 @@ def _nudged(problem: Problem, model: Fitted) -> list[np.ndarray]:
             eff[instance.at.start] *= share
             out.append(eff)
     return out
-
-
-def _plainly(problem: Problem, model: Fitted, eff: np.ndarray, seen: View) -> Fitted | None:
-    c = model.candidate
-    result = fit_plain(problem, c.active, c.theta, eff, c.refit.point.x0)
-    if result.code == DIVERGED:
-        return None
-    with suppress(Diverged, np.linalg.LinAlgError):
-        new = unmoved(problem, c.active, result.theta, result.eff, result.x0, model.parts, seen.response)
-        return settled(problem, new, seen.response)
-    return None

@@ -13,7 +13,7 @@ from scipy.linalg.lapack import dpotri
 TOLERANCE = 3e-3  # of log-likelihood
 EVALUATIONS = 40
 MOST_SHRINK, MOST_GROW = 4.0, 8.0  # in log, per step
-PRIOR = 0.7  # standard deviation of a sensor's log variance: within a factor of about two of what was declared or estimated
+PRIOR = 0.7  # standard deviation of a sensor's log variance: a factor of two about what was declared or estimated
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Rival models: each refitted whole, under its own residual covariance, and judged by its restricted likelihood."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,15 +131,27 @@ def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int 
 
 
 def fitted_plainly(
-    problem: Problem, active: Active, c: Candidate, eff: np.ndarray, parts: Components, response: Response
-) -> Fitted:
-    """Fitted with the sensors as the only noise, then judged: this closes large gaps that the covariance inflated by the
-    missing effect would leave open. Initial states start from the data: a model that lacks the effect has bent its own."""
-    result = fit_plain(problem, active, c.theta, eff, problem.windows.start)
+    problem: Problem, active: Active, theta, eff, parts: Components, response: Response, *, x0=None, rounds: int = 1
+) -> Fitted | None:
+    """Fitted with the sensors as the only noise, then settled; None where that runs away. This closes large gaps that the
+    covariance inflated by the missing effect would leave open. Initial states start from the data, unless given: a model that
+    lacks the effect has bent its own."""
+    with suppress(Diverged, np.linalg.LinAlgError):
+        return settled(
+            problem, least_squares(problem, active, theta, eff, parts, response, x0=x0)[0], response, rounds=rounds
+        )
+    return None
+
+
+def least_squares(
+    problem: Problem, active: Active, theta, eff, parts: Components, response: Response, *, x0=None
+) -> tuple[Fitted, float]:
+    """The least-squares fit, judged where it is, and its sum of squares. Raises `Diverged` where it runs away."""
+    result = fit_plain(problem, active, theta, eff, problem.windows.start if x0 is None else x0)
     if result.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its fit starts")
-    start = unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
-    return settled(problem, start, response, rounds=1)
+    placed = unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
+    return placed, float(result.cost.sum())
 
 
 def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response) -> Fitted:

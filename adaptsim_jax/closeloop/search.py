@@ -214,11 +214,9 @@ def extend(
         except Diverged:
             continue
     if ranked.plain:
-        with suppress(Diverged):
-            made.append(
-                fitted_plainly(problem, active, c, started(problem, current, ranked), current.parts, seen.response)
-            )
-    return max(made, key=lambda t: t.total, default=None)
+        eff = started(problem, current, ranked)
+        made.append(fitted_plainly(problem, active, c.theta, eff, current.parts, seen.response))
+    return max((m for m in made if m is not None), key=lambda t: t.total, default=None)
 
 
 def _new(best: Fitted, current: Fitted) -> Instance:

@@ -49,7 +49,9 @@ def test_the_information_is_what_the_curvature_is_on_average():
 
 
 @pytest.mark.parametrize("first", [(1.0, 1e-2, 1e-2), (1.0, 1e-7, 1e-7), (0.1, 1e3, 1e3)])
-@pytest.mark.parametrize(("sizes", "stray"), [((1.0, 0.5, 0.0), 0.0), ((1.0, 1e-3, 40.0), 0.0), ((1.0, 0.0, 0.0), 300.0)])
+@pytest.mark.parametrize(
+    ("sizes", "stray"), [((1.0, 0.5, 0.0), 0.0), ((1.0, 1e-3, 40.0), 0.0), ((1.0, 0.0, 0.0), 300.0)]
+)
 def test_the_maximum_is_as_high_as_any_that_a_search_without_derivatives_finds(first, sizes, stray):
     terms = drawn(3, sizes, stray)
     low, high = np.log([0.05, 1e-8, 1e-8]), np.log([50.0, 1e12, 1e12])
