@@ -59,6 +59,7 @@ class Meta:
     known: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
     scale: dict[str, float] = field(default_factory=dict)
+    angle_stated: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -114,6 +115,7 @@ def read_meta(path: str | Path) -> Meta:
         known={k: _number(path, f"known.{k}", v) for k, v in raw.get("known", {}).items()},
         noise=_noise(path, raw.get("noise", {})),
         scale=_scales(path, raw.get("units", {})),
+        angle_stated=not {"angle", "q", "q1", "q2"}.isdisjoint(raw.get("units", {})),
         notes=notes,
     )
 

@@ -50,7 +50,7 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
         notes=meta.notes + _notes(read),
         model_file=meta.model_file,
     )
-    check_units(recording)
+    check_units(recording, angle_stated=meta.angle_stated)
     return recording
 
 

@@ -25,8 +25,11 @@ BETTER = 0.5
 """Share of the unexplained torque that must remain, at most, after a conversion for it to be believed."""
 
 
-def check_units(recording: Recording) -> None:
-    """Raise `BadInput` naming the first trial whose unit is suspect, with the line to add to meta.toml."""
+def check_units(recording: Recording, *, angle_stated: bool = False) -> None:
+    """Raise `BadInput` naming the first trial whose unit is suspect, with the line to add to meta.toml.
+
+    Where meta.toml states the unit of angles, that is believed.
+    """
     for trial in recording.trials:
         if trial.dt > SLOWEST:
             raise BadInput(
@@ -39,12 +42,11 @@ def check_units(recording: Recording) -> None:
         suspect = _velocity_suspect(trial)
         if suspect:
             raise BadInput(_say(trial, f"velocities and angles differ by a unit: suspected are {suspect}"))
-    fastest = max(recording.trials, key=_top_speed)
-    if _degrees(recording, _top_speed(fastest)):
-        reach = max(float(np.max(np.abs(t.q))) for t in recording.trials)
-        size = f"angles reach {reach:.3g} and speeds {_top_speed(fastest):.3g}"
+    if not angle_stated and _degrees(recording):
+        fastest = max(recording.trials, key=_top_speed)
+        size = f"angles reach {_reach(fastest):.3g} and speeds {_top_speed(fastest):.3g}"
         why = f"{size}: degrees are suspected instead of radians"
-        raise BadInput(_say(fastest, f'{why}; write angle = "deg"'))
+        raise BadInput(_say(fastest, f'{why}; write angle = "deg", or "rad" if they are,'))
 
 
 def _say(trial: Trial, why: str) -> str:
@@ -69,12 +71,18 @@ def _top_speed(trial: Trial) -> float:
     return float(np.max(np.quantile(np.abs(v), 0.99, axis=0)))
 
 
-def _degrees(recording: Recording, speed: float) -> bool:
+def _reach(trial: Trial) -> float:
+    return float(np.max(np.abs(trial.q)))
+
+
+def _degrees(recording: Recording) -> bool:
     """Angles too large and speeds too high for radians, or a rigid-body fit that degrees suit far better.
 
-    The fit decides where there is torque to judge by: sin and cos of the true angle enter the dynamics.
+    The fit decides where there is torque to judge by: sin and cos of the true angle enter the dynamics. Sizes are those of the
+    median trial: all of a recording is in one unit, and one trial may have run away.
     """
-    reach = max(float(np.max(np.abs(t.q))) for t in recording.trials)
+    reach = float(np.median([_reach(t) for t in recording.trials]))
+    speed = float(np.median([_top_speed(t) for t in recording.trials]))
     length = min(recording.geometry.get("l1", 0.3), recording.geometry.get("l2", 0.3))
     gravity = max(recording.geometry.get("g", 9.81), 1.0)
     implausible = reach > 10 and speed > FAST * math.sqrt(gravity / length)
@@ -83,5 +91,5 @@ def _degrees(recording: Recording, speed: float) -> bool:
     as_rad = 1.0 - gravity_fit(recording)[2]
     as_deg = 1.0 - gravity_fit(recording, math.pi / 180)[2]
     if min(as_rad, as_deg) < 0.5:
-        return as_deg < BETTER * as_rad and reach > 5
+        return as_deg < BETTER * as_rad
     return implausible

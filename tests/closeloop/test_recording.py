@@ -261,6 +261,20 @@ def test_a_fast_arm_that_turns_over_is_not_taken_for_degrees(tmp_path):
     assert read_recording(write(tmp_path, {"t": table(t, q, v, np.zeros_like(q))})).samples == 800
 
 
+def test_one_trial_that_ran_away_does_not_make_the_others_degrees(tmp_path):
+    calm, far = swing(), {k: x * (1.0 if k == "time" else DEG) for k, x in swing().items()}
+    assert len(read_recording(write(tmp_path, {"a": calm, "b": far, "c": calm})).trials) == 3
+
+
+def test_a_stated_unit_of_angles_is_believed(tmp_path):
+    far = {k: x * (1.0 if k == "time" else DEG) for k, x in swing().items()}
+    folder = write(tmp_path, {"t": far})
+    assert '"rad" if they are' in refusal(folder)
+    with open(folder / "meta.toml", "a") as f:
+        f.write('\n[units]\nangle = "rad"\n')
+    assert float(np.abs(read_recording(folder).trials[0].q).max()) > 50
+
+
 def test_known_parameters_are_checked_by_whoever_has_their_names():
     check_known("folder", {"m1": 1.0}, ("m1", "m2"))
     with pytest.raises(BadInput, match="did you mean 'm1'"):
