@@ -21,7 +21,7 @@ class Settings:
     windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
     this share of the unexplained force left over, the search ends at the first effect that earns nothing. pairs: of two effects
     that are refitted until they settle, where no single one earns a name. clear: a pair that leaves less than this share ends
-    the making of pairs.
+    the making of pairs; promising: of one that leaves no more, look-alikes of its members are tried in their place.
     """
 
     alpha: float = 0.01
@@ -36,6 +36,7 @@ class Settings:
     most_effects: int = 3
     pairs: int = 3
     clear: float = 0.1
+    promising: float = 0.6
 
 
 def choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:

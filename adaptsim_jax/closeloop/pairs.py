@@ -14,9 +14,9 @@ from itertools import product
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
-from adaptsim_jax.closeloop.leaders import NEW
+from adaptsim_jax.closeloop.leaders import NEW, look_alikes
 from adaptsim_jax.closeloop.problem import Diverged, Problem
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted_plainly, least_squares, settled
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, least_squares, settled
 from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
@@ -82,6 +82,23 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
         return fitted_plainly(problem, active, first.candidate.theta, eff, base.parts, seen.response)
 
     return [m for m in abreast(beside, seconds) if m is not None]
+
+
+def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequence[Fitted], seen: View) -> list[Fitted]:
+    """Each look-alike of a member in its place, the other as it is, refitted whole: friction that seems to fade may be friction
+    and nothing more. Where members are doubtful, only theirs."""
+    ranked, done = seen.ranked(pair.active, plain=True), {frozenset(t.active) for t in tried}
+    members = sorted(doubtful(pair, base) or set(pair.active) - set(base.active))
+    swaps = [(old, r) for old in members for r in look_alikes(problem, old, ranked, [])]
+    swaps = [(old, r) for old, r in swaps if frozenset({*pair.active, r.instance} - {old}) not in done]
+
+    def swapped(swap: tuple[Instance, Ranked]) -> Fitted | None:
+        old, new = swap
+        active = tuple(new.instance if a == old else a for a in pair.active)
+        eff = merged(problem, pair.candidate.eff, started(problem, base, new), new.instance)
+        return fitted_plainly(problem, active, pair.candidate.theta, eff, base.parts, seen.response)
+
+    return [m for m in abreast(swapped, swaps) if m is not None]
 
 
 def _alone(problem: Problem, base: Fitted, ranked: Ranked, seen: View) -> tuple[Fitted, float] | None:

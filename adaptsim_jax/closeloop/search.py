@@ -16,7 +16,13 @@ from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
-from adaptsim_jax.closeloop.pairs import leading_pairs, refit_beside_first, refit_pair, settled_plainly
+from adaptsim_jax.closeloop.pairs import (
+    leading_pairs,
+    refit_beside_first,
+    refit_pair,
+    settled_plainly,
+    with_look_alikes,
+)
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
@@ -121,7 +127,14 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
     if not first_leaders(found.ranked, seen, base.active, settings.alpha, 1):
         return problem, current
     say("refitting with two effects at once")
-    trials: list[Fitted | None] = list(refit_beside_first(problem, base, seen))
+    trials = refit_beside_first(problem, base, seen)
+    for _ in range(2):
+        likeliest = max(trials, key=lambda t: t.merit(settings.price), default=base)
+        left = unexplained(likeliest, base)
+        if left > settings.promising or (left < settings.clear and plausible(likeliest, base)):
+            break
+        more = with_look_alikes(problem, base, likeliest, trials, seen)
+        trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
     if not any(t is not None and plausible(t, base) and unexplained(t, base) < settings.clear for t in trials):
         trials += abreast(lambda p: refit_pair(problem, base, p, seen), leading_pairs(problem, seen, base.active))
     order = sorted((t for t in trials if t is not None), key=lambda t: -t.merit(settings.price))
