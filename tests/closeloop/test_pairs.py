@@ -4,8 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from adaptsim_jax.closeloop import pairs
 from adaptsim_jax.closeloop.disturbance import Whitened
 from adaptsim_jax.closeloop.pairs import leading_pairs
+from adaptsim_jax.closeloop.problem import Diverged
 from adaptsim_jax.closeloop.score import Atom, Scorer
 from adaptsim_jax.closeloop.view import Ranked
 
@@ -45,8 +47,8 @@ def test_pairs_cross_the_two_scores_and_leave_out_look_alikes():
 
 
 def test_a_pair_has_the_shapes_and_amplitudes_of_both_together():
-    pairs = {frozenset(r.instance[0] for r in pair): pair for pair in leading_pairs(layout(), Seen(), ())}
-    found = {r.instance[0]: r for r in pairs[frozenset(("drag", "ripple"))]}
+    found = {frozenset(r.instance[0] for r in pair): pair for pair in leading_pairs(layout(), Seen(), ())}
+    found = {r.instance[0]: r for r in found[frozenset(("drag", "ripple"))]}
     assert found["drag"].atom.shape == {"k": 0} and found["ripple"].atom.shape == {"k": 1}
     np.testing.assert_allclose(found["drag"].score.amplitude, [2.0], atol=0.05)
     np.testing.assert_allclose(found["ripple"].score.amplitude, [-3.0], atol=0.05)
@@ -54,5 +56,55 @@ def test_a_pair_has_the_shapes_and_amplitudes_of_both_together():
 
 
 def test_what_the_model_has_already_is_in_no_pair():
-    pairs = leading_pairs(layout(), Seen(), (("ripple", "joint1"),))
-    assert all(r.instance[0] != "ripple" for pair in pairs for r in pair)
+    made = leading_pairs(layout(), Seen(), (("ripple", "joint1"),))
+    assert all(r.instance[0] != "ripple" for pair in made for r in pair)
+
+
+def fake_fits(monkeypatch, errors=None, doubted=()):
+    """Refits that only say which effects they hold; `errors` are the sums of squares of single ones, with their sizes."""
+    made = lambda active: SimpleNamespace(active=active, candidate=SimpleNamespace(theta=None, eff=None))
+    monkeypatch.setattr(pairs, "started", lambda *_: None)
+    monkeypatch.setattr(pairs, "merged", lambda *_: None)
+    monkeypatch.setattr(pairs, "doubtful", lambda *_: set(doubted))
+    monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, *_: made(active))
+
+    def alone(problem, active, *_):
+        error, size = errors[active[-1][0]]
+        if error is None:
+            raise Diverged("away")
+        return SimpleNamespace(**vars(made(active)), size=size), error
+
+    monkeypatch.setattr(pairs, "least_squares", alone)
+    monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
+    return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=None), parts=None)
+
+
+SEEN = SimpleNamespace(response=None, ranked=Seen().ranked)
+
+
+def names_of(models):
+    return [tuple(name for name, _ in m.active) for m in models]
+
+
+def test_the_second_is_tried_beside_the_one_that_alone_leaves_least(monkeypatch):
+    base = fake_fits(monkeypatch, {"drag": (9.0, 3), "friction": (4.0, 3), "lag": (None, 3)})
+    assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == [("friction", "drag"), ("friction", "lag")]
+
+
+def test_of_those_that_leave_alike_the_one_with_fewest_parameters_is_first(monkeypatch):
+    base = fake_fits(monkeypatch, {"drag": (4.1, 2), "friction": (4.0, 3), "lag": (9.0, 1)})
+    assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == [("drag", "friction"), ("drag", "lag")]
+
+
+def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):
+    base = fake_fits(monkeypatch, dict.fromkeys(ALIKE, (None, 1)))
+    assert pairs.refit_beside_first(layout(), base, SEEN) == []
+
+
+def test_a_look_alike_takes_the_place_of_a_doubtful_member_alone(monkeypatch):
+    base = fake_fits(monkeypatch, doubted=[("drag", "joint1")])
+    pair = SimpleNamespace(active=(("drag", "joint1"), ("ripple", "joint1")), candidate=base.candidate)
+    pair.candidate.eff = None
+    assert names_of(pairs.with_look_alikes(layout(), base, pair, [], SEEN)) == [("friction", "ripple")]
+    done = SimpleNamespace(active=(("ripple", "joint1"), ("friction", "joint1")))
+    assert pairs.with_look_alikes(layout(), base, pair, [done], SEEN) == []
