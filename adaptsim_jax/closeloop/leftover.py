@@ -12,7 +12,7 @@ from adaptsim_jax.closeloop.view import View
 @dataclass(frozen=True)
 class Leftover:
     """The generic dictionary about one model. p_value is corrected for the groups tried; share is the held-out fall of
-    the whitened sum of squares; places: `(joint, variable, share, p_value)`, the strongest first."""
+    the whitened sum of squares; places: `(joint, variable, share, p_value)`, the surest first."""
 
     p_value: float
     share: float
@@ -29,7 +29,7 @@ def leftover(problem: Problem, view: View) -> Leftover:
     for group in groups:
         score = view.scorer.score([a for a, n in zip(atoms, names, strict=True) if n == group])
         places.append((*group, max(score.held_out_share, 0.0), min(1.0, score.p_value * len(groups)), score.gain))
-    places.sort(key=lambda p: -p[4])
+    places.sort(key=lambda p: (p[3], -p[4]))  # a large gain that trials do not share says nothing
     best = min(p[3] for p in places)
     share = max(p[2] for p in places)
     return Leftover(best, share, float(max(p[4] for p in places)), tuple(p[:4] for p in places))
