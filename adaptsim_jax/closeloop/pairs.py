@@ -114,8 +114,9 @@ def settled_plainly(problem: Problem, model: Fitted, seen: View) -> Fitted:
     for _ in range(MOST):
         c = model.candidate
         new = fitted_plainly(problem, c.active, c.theta, c.eff, model.parts, seen.response)
-        gain = -np.inf if new is None else new.total - model.total
-        model = new if gain > 0 else model
+        if new is None or new.total <= model.total:
+            break
+        gain, model = new.total - model.total, new
         if gain <= 1.0:
             break
     return settled(problem, model, seen.response)

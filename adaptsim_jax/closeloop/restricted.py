@@ -8,8 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dpotri
+from scipy.linalg import get_lapack_funcs
 
+(_potri,) = get_lapack_funcs(("potri",), dtype=np.float64)
 TOLERANCE = 3e-3  # of log-likelihood
 EVALUATIONS = 40
 MOST_SHRINK, MOST_GROW = 4.0, 8.0  # in log, per step
@@ -43,19 +44,26 @@ class Point:
 
 
 def maximised(terms: Terms, first: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Log components `[C]` of the highest restricted likelihood within bounds, sensors first, from `first`."""
+    """Log components `[C]` of the highest restricted likelihood within bounds, sensors first, from `first`.
+
+    Raises `LinAlgError` where already the covariance at `first` has no factor.
+    """
     at, damping = _evaluated(terms, np.clip(first, low, high)), 1e-3
     for _ in range(EVALUATIONS):
         new = _stepped(at, damping, low, high)
-        if -(at.slope @ np.expm1(new - at.log)) < TOLERANCE:
+        promised = -(at.slope @ np.expm1(new - at.log))
+        if 0 <= promised < TOLERANCE or damping > 1e5:
             break
-        tried = _evaluated(terms, new)
-        gain = at.value - tried.value
+        gain = -np.inf
+        if promised > 0:  # cut to their limits, steps of components that are alike may lead uphill together
+            with suppress(np.linalg.LinAlgError):  # too far: forces beyond what rounding lets be factored
+                tried = _evaluated(terms, new)
+                gain = at.value - tried.value
         if gain > 0:
             at, damping = tried, max(damping / 10.0, 1e-6)
         else:
             damping = max(damping * 10.0, 1e-2)
-        if 0 < gain < TOLERANCE or damping > 1e5:
+        if 0 < gain < TOLERANCE:
             break
     return at.log
 
@@ -72,7 +80,8 @@ def _stepped(at: Point, damping: float, low: np.ndarray, high: np.ndarray) -> np
     change[free] = -np.linalg.solve(curve, at.slope[free])
     step = np.maximum(np.log1p(np.maximum(change, -1.0 + 1e-9)), -MOST_SHRINK)
     # far below its size a component's information says little; its own form then says how far up it is
-    step = np.where(change > 0, np.maximum(step, np.minimum(at.drift, MOST_GROW)), step)
+    drift = np.minimum(at.drift, MOST_GROW) / (1.0 + 100.0 * damping)
+    step = np.where(change > 0, np.maximum(step, drift), step)
     return np.clip(at.log + step, low, high)
 
 
@@ -118,7 +127,7 @@ def _inverted(terms: Terms, size: np.ndarray) -> tuple[np.ndarray, float]:
     lower = factored(cov)
     logdet = 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
     for matrix in lower:  # in place, and half the work of a general inverse
-        dpotri(matrix.T, lower=0, overwrite_c=1)
+        _potri(matrix.T, lower=0, overwrite_c=1)
     strict = np.tril(lower, -1)
     return lower + np.swapaxes(strict, 1, 2), logdet
 

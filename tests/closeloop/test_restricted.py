@@ -66,6 +66,23 @@ def test_the_maximum_is_as_high_as_any_that_a_search_without_derivatives_finds(f
     assert value(terms, found) < min(searched) + 0.02
 
 
+def test_a_step_to_where_no_covariance_has_a_factor_is_not_the_end(monkeypatch):
+    terms, evaluated, asked = drawn(5, (1.0, 30.0, 0.0)), restricted._evaluated, []
+    first, low, high = np.log([1.0, 1e-6, 1e-6]), np.log([0.05, 1e-8, 1e-8]), np.log([50.0, 1e12, 1e12])
+    free = restricted.maximised(terms, first, low, high)
+
+    def picky(terms, log):
+        asked.append(log)
+        if len(asked) in (2, 3, 5):
+            raise np.linalg.LinAlgError
+        return evaluated(terms, log)
+
+    monkeypatch.setattr(restricted, "_evaluated", picky)
+    found = restricted.maximised(terms, first, low, high)
+    assert len(asked) > 5
+    assert evaluated(terms, found).value == pytest.approx(evaluated(terms, free).value, abs=0.02)
+
+
 def test_rows_that_are_not_there_count_for_nothing():
     terms = drawn(4)
     whole = restricted.Terms(
