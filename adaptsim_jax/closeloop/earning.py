@@ -53,10 +53,15 @@ def matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: 
     """Whether the torque that `new` explains beyond `old` matters: to the joint, and beside what was unexplained. A base model
     that went astray leaves forces beyond the torques themselves, beside which nothing would matter: then beside what `old` leaves."""
     own = np.maximum(old.moving - new.moving, 0.0)
-    share = float(np.max(np.sqrt(own) / problem.torque_scale))
+    share = felt(problem, new, old)
     astray = np.any(base.moving > np.square(problem.torque_scale))
     beside = np.sqrt(own.sum() / max((old if astray else base).moving.sum(), 1e-300))
     return share > strict * settings.least_share and beside > strict * settings.least_beside
+
+
+def felt(problem: Problem, new: Fitted, old: Fitted) -> float:
+    """The torque that `new` explains beyond `old`, as a share of what moves the joint; of the joint where that is most."""
+    return float(np.max(np.sqrt(np.maximum(old.moving - new.moving, 0.0)) / problem.torque_scale))
 
 
 def pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
@@ -73,10 +78,13 @@ def earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Se
 
 
 def completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
-    """Whether what was added to a named effect, small as it may be, brings what is left down to what a name may leave (friction
-    that differs by direction is an effect and a small bias)."""
+    """Whether what was added to a named effect, small as it may be beside that one, is needed all the same: it brings what is left
+    down to what a name may leave (friction that differs by direction is an effect and a small bias), or is most of what was left
+    and matters to its joint (a spring beside ten times as much friction)."""
     if old is base or not pays(new, old, settings):
         return False
+    if unexplained(new, old) < settings.explained and felt(problem, new, old) > settings.least_share:
+        return True
     falls = unexplained(new, old) < 1.0 - settings.least_fall
     left = unexplained(new, base) < settings.explained < unexplained(old, base)
     return falls and left and matters(problem, new, base, base, settings)

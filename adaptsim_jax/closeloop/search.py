@@ -35,8 +35,10 @@ from adaptsim_jax.closeloop.rivals import (
     unexplained,
 )
 from adaptsim_jax.closeloop.start import merged, started
-from adaptsim_jax.closeloop.view import Ranked, View, view
+from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
+NO_CHANCE = 1e-8  # of what a found effect leaves: below this the whole list is tried, not a quarter of it
+BLATANT = 0.01  # of the torque: with less force left over the short list will do
 Progress = Callable[[str], None]
 
 
@@ -107,7 +109,9 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     trials = _refitted(problem, found, current, leaders, seen, settings, say)
     trials = trials + _pruned(problem, found, current, trials, seen)
     best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
-    if current is found.base and (best is None or not earns(problem, best, current, found.base, settings)):
+    nothing = best is None or not pays(best, current, settings)
+    wanting = done and nothing and _blatant(problem, current, seen)
+    if wanting or (current is found.base and (nothing or not earns(problem, best, current, found.base, settings))):
         more = further_leaders(problem, leaders, ranked, seen, current.active, settings.alpha, count)
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
@@ -119,6 +123,12 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         trials, found.tried = trials + more, found.tried + more
         best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     return best, trials
+
+
+def _blatant(problem: Problem, model: Fitted, seen: View) -> bool:
+    """Whether what is left moves a joint and follows the motion in all trials."""
+    moves = np.any(model.parts.force_std() > BLATANT * problem.torque_scale)
+    return bool(moves) and generic_p_value(seen) < NO_CHANCE
 
 
 def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):
