@@ -37,14 +37,18 @@ def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
     """The likeliest model that plain fits reach, round after round, from its own place and from nudged ones."""
     for _ in range(ROUNDS):
         starts = (model.candidate.eff, *_nudged(problem, model))
-        c, parts = model.candidate, model.parts
-        again = partial(fitted_plainly, problem, c.active, c.theta, x0=c.refit.point.x0, rounds=3)
-        tried = abreast(lambda eff, again=again, parts=parts: again(eff, parts, seen.response), starts)
+        tried = abreast(partial(_again, problem, model, seen), starts)
         best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)
         if best.total - model.total < GAIN:
             break
         model = best
     return model
+
+
+def _again(problem: Problem, model: Fitted, seen: View, eff: np.ndarray) -> Fitted | None:
+    """A plain fit from the model's own place, but for the effect parameters."""
+    c = model.candidate
+    return fitted_plainly(problem, c.active, c.theta, eff, model.parts, seen.response, x0=c.refit.point.x0, rounds=3)
 
 
 def _nudged(problem: Problem, model: Fitted) -> list[np.ndarray]:

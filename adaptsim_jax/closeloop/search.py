@@ -37,7 +37,7 @@ from adaptsim_jax.closeloop.rivals import (
 from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
-NO_CHANCE = 1e-8  # of what a found effect leaves: below this the whole list is tried, not a quarter of it
+FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
 BLATANT = 0.01  # of the torque: with less force left over the short list will do
 Progress = Callable[[str], None]
 
@@ -128,7 +128,7 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
 def _blatant(problem: Problem, model: Fitted, seen: View) -> bool:
     """Whether what is left moves a joint and follows the motion in all trials."""
     moves = np.any(model.parts.force_std() > BLATANT * problem.torque_scale)
-    return bool(moves) and generic_p_value(seen) < NO_CHANCE
+    return bool(moves) and generic_p_value(seen) < FOLLOWS
 
 
 def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):

@@ -20,9 +20,7 @@ class Verdict:
 
 
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
-WELL_PREDICTED = (
-    0.4  # below this they are structure whatever the linear scores say, where the error is beyond the noise
-)
+WELL_PREDICTED = 0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise
 NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
 LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance, whatever its shape
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named

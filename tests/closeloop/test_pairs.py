@@ -104,7 +104,6 @@ def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):
 def test_a_look_alike_takes_the_place_of_a_doubtful_member_alone(monkeypatch):
     base = fake_fits(monkeypatch, doubted=[("drag", "joint1")])
     pair = SimpleNamespace(active=(("drag", "joint1"), ("ripple", "joint1")), candidate=base.candidate)
-    pair.candidate.eff = None
     assert names_of(pairs.with_look_alikes(layout(), base, pair, [], SEEN)) == [("friction", "ripple")]
     done = SimpleNamespace(active=(("ripple", "joint1"), ("friction", "joint1")))
     assert pairs.with_look_alikes(layout(), base, pair, [done], SEEN) == []
