@@ -162,7 +162,8 @@ def _row_maps(model: Model, theta, eff, mask, drive, x0, substeps: int):
         (x, memory), (u, ramp, t, dt) = carry, now
 
         def end(x, force):
-            return row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on, ramp)
+            x, after = row_step(model, theta, eff, x, memory, u, t, dt, Push(force, zero), substeps, on, ramp)
+            return jnp.stack(x), after
 
         along = jax.vmap(lambda *way: jax.jvp(end, (x, zero), way), out_axes=(None, 0))
         new, (maps, _) = along(eye[:, :states], eye[:, states:])

@@ -154,8 +154,9 @@ def trajectory(model: Model, theta, eff, mask, drive: Drive, x0, substeps: int):
         new = row_step(model, theta, eff, x, memory, u, t, dt, push, substeps, on, ramp)
         return new, carry
 
-    last, seen = jax.lax.scan(row, (x0, drive.memory), (drive.u, drive.ramp, drive.stamps[:-1], drive.dt))
-    return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), seen, last)
+    last, seen = jax.lax.scan(row, (list(x0), drive.memory), (drive.u, drive.ramp, drive.stamps[:-1], drive.dt))
+    x, memory = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), seen, last)
+    return jnp.stack(x, 1), memory
 
 
 def first_angles(windows: Windows, x0) -> jax.Array:

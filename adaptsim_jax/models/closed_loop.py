@@ -59,7 +59,7 @@ def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, hi
         past = jnp.concatenate([past[1:], u[None]])
         applied = arrived(model, eff, past, dt)
         new, memory = row_step(model, theta, eff, x[:, None], memory, applied[:, None], t[None], step, push, 1)
-        return (new[:, 0], memory, past, seen, said), Loop(x, y, u)
+        return (jnp.concatenate(new), memory, past, seen, said), Loop(x, y, u)
 
     past = jnp.zeros((history, model.plant.command_dim), start.dtype)
     seen = jnp.broadcast_to(start, (history, *start.shape))

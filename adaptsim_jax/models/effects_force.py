@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.models.effects import Dry, Effect, Motion, Parameter, Relaxation
+from adaptsim_jax.models.trig import sin_cos
 
 LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must
 HERTZ_DEPTH = 0.1  # rad
@@ -39,9 +40,9 @@ def cogging(p, m: Motion):
     """A ripple and its second harmonic, which is written as a share of the first and turned with it."""
     at = p["order"] * m.q
     sine, cosine, ahead, across = p["sine"], p["cosine"], p["second_sine"], p["second_cosine"]
-    first = sine * jnp.sin(at) + cosine * jnp.cos(at)
+    sin, cos = sin_cos(at)
     second_sine, second_cosine = sine * ahead - cosine * across, sine * across + cosine * ahead
-    return first + second_sine * jnp.sin(2.0 * at) + second_cosine * jnp.cos(2.0 * at)
+    return sine * sin + cosine * cos + second_sine * 2.0 * sin * cos + second_cosine * (cos * cos - sin * sin)
 
 
 def friction_drift(p, m: Motion):
@@ -53,7 +54,8 @@ def friction_drift(p, m: Motion):
 def at_phase(p, m: Motion):
     """What goes on between trials, so that each trial meets it at another phase."""
     phase = 2.0 * jnp.pi * p["frequency"] * (m.t if m.clock is None else m.clock)
-    return p["sine"] * jnp.sin(phase) + p["cosine"] * jnp.cos(phase)
+    sin, cos = sin_cos(phase)
+    return p["sine"] * sin + p["cosine"] * cos
 
 
 def periodic_disturbance(p, m: Motion):

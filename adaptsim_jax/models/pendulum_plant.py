@@ -7,14 +7,15 @@ import numpy as np
 
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models.plant import Physical, Plant
+from adaptsim_jax.models.trig import sin_cos
 
 
 def _rigid_mass(c, theta, q):
     p1, p3, h2 = theta[0], theta[1], theta[3]
-    couple = c["l1"] * h2 * jnp.cos(q[1])
+    couple = c["l1"] * h2 * sin_cos(q[1])[1]
     m12 = p3 + couple
     m11 = p1 + 2.0 * couple
-    return jnp.stack([jnp.stack([m11, m12]), jnp.stack([m12, p3 + 0.0 * m11])])
+    return (m11, m12), (m12, p3)
 
 
 def _rigid_sound(c, theta):
@@ -30,23 +31,32 @@ def _rigid_sound(c, theta):
 
 
 def _rigid_gravity(c, theta, q):
-    h1, h2 = theta[2], theta[3]
-    second = h2 * jnp.sin(q[0] + q[1])
-    return -c["gravity_sign"] * c["g"] * jnp.stack([h1 * jnp.sin(q[0]) + second, second])
+    first, second = sin_cos(jnp.stack([q[0], q[0] + q[1]]))[0]
+    return jnp.stack(_rigid_weight(c, theta, first, second))
+
+
+def _rigid_weight(c, theta, first, second):
+    """Gravity on each joint from the sines of the links' angles."""
+    weight = -c["gravity_sign"] * c["g"]
+    outer = weight * theta[3] * second
+    return weight * theta[2] * first + outer, outer
 
 
 def _rigid_push(c, theta, q, v):
     """Coriolis, gravity and viscous forces of the rigid double pendulum (q2 relative to link 1)."""
-    bend = c["l1"] * theta[3] * jnp.sin(q[1])
-    coriolis = jnp.stack([bend * v[1] * (2.0 * v[0] + v[1]), -bend * v[0] * v[0]])
-    return coriolis + _rigid_gravity(c, theta, q) - jnp.stack([theta[4] * v[0], theta[5] * v[1]])
+    first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
+    bend = c["l1"] * theta[3] * elbow
+    g1, g2 = _rigid_weight(c, theta, first, second)
+    f1 = bend * v[1] * (2.0 * v[0] + v[1]) + g1 - theta[4] * v[0]
+    return jnp.stack([f1, g2 - bend * v[0] * v[0] - theta[5] * v[1]])
 
 
 def _rigid_momentum_push(c, theta, q, v):
     """dL/dq and the viscous force: what changes the momentum M v when no torque acts."""
-    bend = c["l1"] * theta[3] * jnp.sin(q[1])
-    kinetic = jnp.stack([0.0 * bend * v[0], -bend * v[0] * (v[0] + v[1])])
-    return kinetic + _rigid_gravity(c, theta, q) - jnp.stack([theta[4] * v[0], theta[5] * v[1]])
+    first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
+    bend = c["l1"] * theta[3] * elbow
+    g1, g2 = _rigid_weight(c, theta, first, second)
+    return jnp.stack([g1 - theta[4] * v[0], g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]])
 
 
 def _rigid_declared(c, theta, known):
@@ -66,20 +76,23 @@ def _rigid_declared(c, theta, known):
 
 def _linear_mass(c, theta, q):
     m1, m2 = theta[0], theta[1]
-    zero = 0.0 * q[0]
-    m12 = 2.0 * m2 + zero
-    return jnp.stack([jnp.stack([m1 + 4.0 * m2 + zero, m12]), jnp.stack([m12, m2 + zero])])
+    return (m1 + 4.0 * m2, 2.0 * m2), (2.0 * m2, m2)
 
 
 def _linear_gravity(c, theta, q):
     """Linearized about upright: g [[m1 + 2 m2, m2], [m2, m2]] q (the paper's A times M)."""
+    return jnp.stack(_linear_weight(c, theta, q))
+
+
+def _linear_weight(c, theta, q):
     m1, m2 = theta[0], theta[1]
     second = m2 * (q[0] + q[1])
-    return c["g"] * jnp.stack([(m1 + m2) * q[0] + second, second])
+    return c["g"] * ((m1 + m2) * q[0] + second), c["g"] * second
 
 
 def _linear_push(c, theta, q, v):
-    return _linear_gravity(c, theta, q) - jnp.stack([theta[2] * v[0], theta[3] * v[1]])
+    g1, g2 = _linear_weight(c, theta, q)
+    return jnp.stack([g1 - theta[2] * v[0], g2 - theta[3] * v[1]])
 
 
 def _linear_declared(c, theta, known):

@@ -9,7 +9,7 @@ that a start value comes from linear regression and the data can fix what they c
 Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, ...]`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ class Plant:
     """A model as pure functions of `(constants, theta, ...)`; a pytree whose leaves are numbers, so that two plants of
     the same kind but other geometry share one compiled program.
 
-    mass(constants, theta, q [n, ...]) -> [n, n, ...]; gravity(constants, theta, q) -> [n, ...];
+    mass(constants, theta, q [n, ...]) -> rows of entries, each a number or `[...]`; gravity(constants, theta, q) -> [n, ...];
     push(constants, theta, q, v) -> [n, ...]: all forces but the input; momentum_push(constants, theta, q, v) ->
     [n, ...]: what changes the momentum `mass v` beside the input, for the regression.
     """
@@ -69,11 +69,15 @@ class Plant:
     def deriv(self, theta: jax.Array, x: jax.Array, u: jax.Array, force: jax.Array, inertia: jax.Array) -> jax.Array:
         """Time derivative of `x: [S, ...]` (positions, then velocities) under command `u: [U, ...]` N m, generalized
         force `force: [n, ...]` N m and extra inertia `inertia: [n, ...]` kg m^2 on the diagonal."""
+        return jnp.stack(self.rates(theta, list(x), u, force, inertia))
+
+    def rates(self, theta: jax.Array, x: Sequence, u: Sequence, force: Sequence, inertia: Sequence) -> list[jax.Array]:
+        """`deriv` a state at a time: all that is stacked there is a sequence here."""
         n = self.joint_dim
-        q, v = x[:n], x[n:]
-        total = u + force + self.push(self.constants, theta, q, v)
-        mass = self.mass(self.constants, theta, q)
-        return jnp.concatenate([v, solve_mass(mass, inertia, total)])
+        q, v = jnp.stack(x[:n]), jnp.stack(x[n:])
+        push = self.push(self.constants, theta, q, v)
+        total = [u[i] + force[i] + push[i] for i in range(n)]
+        return [*x[n:], *solve_mass(self.mass(self.constants, theta, q), inertia, total)]
 
     def output(self, x: jax.Array) -> jax.Array:
         """What the sensors would see of `x: [S, ...]`: positions, then velocities."""
@@ -83,9 +87,14 @@ class Plant:
         """Generalized force of gravity `[n, ...]` at `q: [n, ...]`; a tilt of the base adds to the first angle."""
         return self.gravity(self.constants, theta, q)
 
+    def mass_matrix(self, theta: jax.Array, q: jax.Array) -> jax.Array:
+        """`[n, n, ...]` kg m^2 at `q: [n, ...]`."""
+        rows = self.mass(self.constants, theta, q)
+        return jnp.stack([jnp.stack([m + jnp.zeros_like(q[0]) for m in row]) for row in rows])
+
     def inertia_at(self, theta: jax.Array, q: jax.Array) -> jax.Array:
         """What each joint feels when pushed alone: 1 / diag(M^-1) `[n, ...]` kg m^2."""
-        mass = self.mass(self.constants, theta, q)
+        mass = self.mass_matrix(theta, q)
         n = self.joint_dim
         eye = jnp.eye(n, dtype=mass.dtype).reshape((n, n) + (1,) * (mass.ndim - 2))
         zero = jnp.zeros_like(mass[0])
@@ -146,17 +155,19 @@ jax.tree_util.register_dataclass(
 )
 
 
-def solve_mass(mass: jax.Array, inertia: jax.Array, total: jax.Array) -> jax.Array:
-    """`(mass + diag(inertia))^-1 total`, in closed form for one and two joints (batched LAPACK on 2x2 is slow)."""
-    n = total.shape[0]
+def solve_mass(mass: Sequence, inertia: Sequence, total: Sequence) -> list[jax.Array]:
+    """`(mass + diag(inertia))^-1 total`, a joint at a time, in closed form for one and two (batched LAPACK on 2x2 is slow)."""
+    n = len(total)
     if n == 1:
-        return total / (mass[0] + inertia)
+        return [total[0] / (mass[0][0] + inertia[0])]
     if n == 2:
-        m11, m12, m22 = mass[0, 0] + inertia[0], mass[0, 1], mass[1, 1] + inertia[1]
+        m11, m12, m22 = mass[0][0] + inertia[0], mass[0][1], mass[1][1] + inertia[1]
         det = m11 * m22 - m12 * m12
-        return jnp.stack([(m22 * total[0] - m12 * total[1]) / det, (m11 * total[1] - m12 * total[0]) / det])
-    full = jnp.moveaxis(mass, (0, 1), (-2, -1)) + jnp.moveaxis(inertia, 0, -1)[..., None] * jnp.eye(n)
-    return jnp.moveaxis(jnp.linalg.solve(full, jnp.moveaxis(total, 0, -1)[..., None])[..., 0], -1, 0)
+        return [(m22 * total[0] - m12 * total[1]) / det, (m11 * total[1] - m12 * total[0]) / det]
+    wide = lambda z: z + jnp.zeros_like(total[0])
+    full = jnp.stack([jnp.stack([wide(m) for m in row], -1) for row in mass], -2)
+    full = full + jnp.stack([wide(m) for m in inertia], -1)[..., None] * jnp.eye(n)
+    return list(jnp.moveaxis(jnp.linalg.solve(full, jnp.stack(list(total), -1)[..., None])[..., 0], -1, 0))
 
 
 def _balances(plant: Plant, time, q, v, torque, interval: float):
@@ -208,7 +219,7 @@ def _momentum_columns(plant: Plant, q, v):
     """Momentum and push per unit of each theta, `[n, T, P]` each: both are linear in theta."""
 
     def sides(theta):
-        momentum = jnp.einsum("ij...,j...->i...", plant.mass(plant.constants, theta, q), v)
+        momentum = jnp.einsum("ij...,j...->i...", plant.mass_matrix(theta, q), v)
         return momentum, plant.momentum_push(plant.constants, theta, q, v)
 
     return jax.jacfwd(sides)(jnp.zeros(len(plant.theta_names), q.dtype))

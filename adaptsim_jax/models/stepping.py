@@ -73,31 +73,33 @@ class Acting(NamedTuple):
     inertia: jax.Array
 
 
-def acting(model: Model, theta, eff, memory, x, u, t, on=None) -> Acting:
-    """What the force effects do at `x: [S, ...]`. on `[effects]`: those that are False are skipped, at no cost but the
-    question, which is put to several of them at once first; all count where None."""
+def acting(model: Model, theta, eff, memory, x, u, t, on=None, effects: list | None = None) -> Acting:
+    """What the force effects do at `x`, `[S, ...]` or as many `[...]`. on `[effects]`: those that are False are skipped, at no
+    cost but the question, which is put to several of them at once first; all count where None. effects: others are left out."""
     n = model.plant.joint_dim
-    q, v = x[:n], x[n:]
-    effects = list(model.layout.placed("force"))
-    memories = dict(zip((e.name for e in effects if e.memory), memory, strict=True))
+    every = list(model.layout.placed("force"))
+    memories = dict(zip((e.name for e in every if e.memory), memory, strict=True))
+    effects = every if effects is None else effects
 
     def add(total: Acting, group) -> Acting:
         for effect in group:
-            p = model.layout.params(effect, eff, q.ndim - 1)
+            p = model.layout.params(effect, eff, jnp.ndim(x[0]))
             if effect.inertia:
                 total = total._replace(inertia=total.inertia + effect.apply(p))
                 continue
-            w = memories.get(effect.name, jnp.zeros_like(q))
+            w = memories.get(effect.name, jnp.zeros_like(total.force))
             total = _where_on(model, effect, on, one, total, effect, p, w)
         return total
 
     def one(total: Acting, effect, p, w) -> Acting:
-        answer = effect.apply(p, motion_of(model, theta, q, v, u, t, w))
+        answer = effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
         level = total.level + answer.level if isinstance(answer, Dry) else total.level
         force = answer.force if isinstance(answer, (Dry, Relaxation)) else answer
         return Acting(total.force + force, level, total.inertia)
 
-    total = Acting(jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q))
+    x = [jnp.asarray(z) for z in x]
+    zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
+    total = Acting(zero, zero, zero)
     if on is None:
         return add(total, effects)
     for at in range(0, len(effects), TOGETHER):
@@ -107,7 +109,7 @@ def acting(model: Model, theta, eff, memory, x, u, t, on=None) -> Acting:
 
 
 def remember(model: Model, theta, eff, memory, x, u, t, h, on=None) -> tuple[jax.Array, ...]:
-    """The effects' memories after `h` s at a constant state; those that are off stay as they are."""
+    """The effects' memories after `h` s at a constant state (S times `[W]`); those that are off stay as they are."""
     n = model.plant.joint_dim
     effects = [e for e in model.layout.placed("force") if e.memory]
     out = []
@@ -115,7 +117,7 @@ def remember(model: Model, theta, eff, memory, x, u, t, h, on=None) -> tuple[jax
         p = model.layout.params(effect, eff, 1)
 
         def later(w, p, theta, x, u, t, h, effect=effect):
-            return relax(effect.apply(p, motion_of(model, theta, x[:n], x[n:], u, t, w)), w, h)
+            return relax(effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)), w, h)
 
         out.append(_where_on(model, effect, on, later, w, p, theta, x, u, t, h))
     return tuple(out)
@@ -133,61 +135,69 @@ def _any_on(model: Model, effects: list, on) -> jax.Array:
 
 
 def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int, on=None, ramp=None):
-    """State and memories after a row of `dt: [W]` s from `x: [S, W]`: Runge-Kutta 4, memories relaxed exactly by half a
-    substep on each side of it (Strang splitting).
+    """States and memories after a row of `dt: [W]` s from `x`, S times `[W]`: Runge-Kutta 4, memories relaxed exactly by half a
+    substep on each side of it (Strang splitting). A state at a time, since stacking them costs more than the dynamics do.
 
     on `[effects]`: as of `acting`; ramp `[U, W]` N m: how much the command rises over the row, `u` being its mean.
     """
     h = dt / substeps
-    wide = _lift(h, x)
-    stages = (jnp.array([0.0, 0.5, 0.5, 1.0], x.dtype), jnp.array([1.0, 2.0, 2.0, 1.0], x.dtype) / 6.0)
+    kind = jnp.result_type(x[0])
+    stages = (jnp.array([0.0, 0.5, 0.5, 1.0], kind), jnp.array([1.0, 2.0, 2.0, 1.0], kind) / 6.0)
 
     def substep(carry, i):
         x, memory = carry
         now = _later(t, i * h)
         memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h, on)
 
-        rub = _if_rubbing(model, on, theta, eff, memory, x, u, now, h, push)
+        rub = jnp.zeros_like(push.force)
+        if dry:
+            rubbing = lambda: _dry_force(model, theta, eff, memory, jnp.stack(x), u, now, h, push, on, smooth, dry)
+            rub = rubbing() if on is None else jax.lax.cond(_any_on(model, dry, on), rubbing, lambda: rub)
 
         def stage(inner, ab):
             slope, total = inner
             a, b = ab
-            at = x + a * wide * slope
-            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on)
+            at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
+            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on, smooth)
             here = u if ramp is None else u + ((i + a) / substeps - 0.5) * ramp
-            slope = model.plant.deriv(theta, at, here, act.force + rub + push.force, act.inertia + push.inertia)
-            return (slope, total + b * slope), None
+            force = [f + r + p for f, r, p in zip(act.force, rub, push.force, strict=True)]
+            inertia = [m + p for m, p in zip(act.inertia, push.inertia, strict=True)]
+            slope = model.plant.rates(theta, at, here, force, inertia)
+            return (slope, [t + b * d for t, d in zip(total, slope, strict=True)]), None
 
-        (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
-        x = x + wide * total
+        zero = [jnp.zeros_like(z) for z in x]
+        (_, total), _ = jax.lax.scan(stage, (zero, zero), stages)
+        x = [z + h * t for z, t in zip(x, total, strict=True)]
         memory = remember(model, theta, eff, memory, x, u, _later(now, h), 0.5 * h, on)
         return (x, memory), None
 
+    x = list(x)
+    smooth, dry = _sorted(model, theta, eff, x, u, t)
     if substeps == 1:
         return substep((x, memory), 0.0)[0]
-    return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=x.dtype))[0]
+    return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=kind))[0]
 
 
-def _if_rubbing(model: Model, on, theta, eff, memory, x, u, t, h, push: Push):
-    """`_dry_force`, at no cost where no effect that is dry friction is on."""
-    if on is None:
-        return _dry_force(model, theta, eff, memory, x, u, t, h, push, on)
-    n = model.plant.joint_dim
-    motion = motion_of(model, theta, x[:n], x[n:], u, t, jnp.zeros_like(x[:n]))
+def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list]:
+    """The force effects that push smoothly or add inertia, and those that rub dry; some do both."""
+    smooth, dry = [], []
 
-    def is_dry(effect) -> bool:
-        p = model.layout.params(effect, eff, 1)
-        return not effect.inertia and isinstance(jax.eval_shape(lambda: effect.apply(p, motion)), Dry)
+    def answer(effect):
+        q, v = jnp.split(jnp.stack(x), 2)
+        said = effect.apply(model.layout.params(effect, eff, 1), motion_of(model, theta, q, v, u, t, jnp.zeros_like(q)))
+        rubs = isinstance(said, Dry)
+        dry.extend([effect] if rubs else [])
+        smooth.extend([] if rubs and isinstance(said.force, float) and said.force == 0.0 else [effect])
 
-    dry = [e for e in model.layout.placed("force") if is_dry(e)]
-    nothing = jnp.zeros_like(push.force)
-    if not dry:
-        return nothing
-    rub = lambda: _dry_force(model, theta, eff, memory, x, u, t, h, push, on)
-    return jax.lax.cond(_any_on(model, dry, on), rub, lambda: nothing)
+    for effect in model.layout.placed("force"):
+        if effect.inertia:
+            smooth.append(effect)
+        else:
+            jax.eval_shape(lambda effect=effect: answer(effect))
+    return smooth, dry
 
 
-def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on):
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smooth: list, dry: list):
     """Mean force `[n, W]` of dry friction over a step of `h: [W]` s.
 
     Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
@@ -197,15 +207,15 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on):
     """
     n, plant = model.plant.joint_dim, model.plant
     q, v = x[:n], x[n:]
-    act = acting(model, theta, eff, memory, x, u, t, on)
+    act = acting(model, theta, eff, memory, x, u, t, on, smooth)
     inertia = act.inertia + push.inertia
     free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
-    mass = plant.mass(plant.constants, theta, q)
+    mass = plant.mass_matrix(theta, q)
     unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (q.ndim - 1)) + jnp.zeros_like(q)[None]
-    answer = [solve_mass(mass, inertia, unit[j]) for j in range(n)]  # acceleration per force at each joint
+    answer = [jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)]  # acceleration per force at each joint
     wide = _lift(h, q)
     ahead = jnp.concatenate([q, _halfway(v, free, wide)])
-    level = acting(model, theta, eff, memory, ahead, u, _later(t, 0.5 * h), on).level
+    level = acting(model, theta, eff, memory, ahead, u, _later(t, 0.5 * h), on, dry).level
     stop = free + v / jnp.where(wide > 0, wide, 1.0)
     hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
     force = [_within(hold[j], level[j]) for j in range(n)]
