@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptsim_jax.closeloop.earning import pays
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, plausible
 from adaptsim_jax.models.effects import Layout
 
@@ -12,7 +13,8 @@ if TYPE_CHECKING:
 
 
 def class_of(effect: Instance, found: "Found", settings: "Settings", layout: Layout) -> list[Instance]:
-    """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival."""
+    """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival, unless it pays
+    for what it has more: then that was too small to matter, but a spring with its rest far off may have passed for a bias."""
     final = found.final
     wider = {i.effect.name for i in layout.instances if effect[0] in i.effect.contains}
     out = []
@@ -23,7 +25,7 @@ def class_of(effect: Instance, found: "Found", settings: "Settings", layout: Lay
             len(extra) != 1
             or sorted(a for a in other.active if a != extra[0]) != sorted(rest)
             or not plausible(other, found.base)
-            or extra[0] in {(name, effect[1]) for name in wider}
+            or (extra[0] in {(name, effect[1]) for name in wider} and not pays(other, final, settings))
         ):
             continue
         if _close(final, other, settings) and extra[0] not in out:

@@ -224,7 +224,8 @@ def _finished(problem: Problem, trials: list[Fitted], seen: View, settings: Sett
 def extend(
     problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None
 ) -> Fitted | None:
-    """The current model with one more effect, refitted whole; None where that runs away however small it starts."""
+    """The current model with one more effect, refitted whole; None where that runs away however small it starts. Less likely than
+    without the effect, it was led astray, and starts smaller too."""
     say(f"refitting with {ranked.instance[0]} at {ranked.instance[1]}")
     c = current.candidate
     active = (*c.active, ranked.instance)
@@ -233,9 +234,10 @@ def extend(
         eff = started(problem, current, ranked, share)
         try:
             made.append(fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response, rounds=1))
-            break
         except Diverged:
             continue
+        if made[-1].total >= current.total:
+            break
     if ranked.plain:
         eff = started(problem, current, ranked)
         made.append(fitted_plainly(problem, active, c.theta, eff, current.parts, seen.response))

@@ -194,9 +194,7 @@ def test_regressed_inertias_that_no_bodies_have_are_raised():
     plant = make_pendulum_plant("rigid_body", "upright", {"l1": 0.309})
     impossible = np.array([0.1706, 0.0341, 0.656, 0.240, 0.59, 0.025])  # det M < 0 at some angles
     q = jnp.stack([jnp.zeros(64), jnp.linspace(-np.pi, np.pi, 64)])
-    smallest = lambda theta: float(
-        jnp.linalg.eigvalsh(jnp.moveaxis(plant.mass_matrix(theta, q), -1, 0)).min()
-    )
+    smallest = lambda theta: float(jnp.linalg.eigvalsh(jnp.moveaxis(plant.mass_matrix(theta, q), -1, 0)).min())
     assert smallest(impossible) < 0
     mended = plant.sound(plant.constants, impossible)
     assert smallest(mended) > 0

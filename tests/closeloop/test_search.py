@@ -1,0 +1,61 @@
+"""A refit that was led astray starts again from less, and a wider rival that pays is one that a recording does not exclude."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from adaptsim_jax.closeloop import search
+from adaptsim_jax.closeloop.classes import class_of
+from adaptsim_jax.closeloop.earning import Settings
+
+BIAS, SPRING, DRAG = ("bias", "joint1"), ("spring", "joint1"), ("drag", "joint1")
+
+
+def extended(monkeypatch, totals: dict[float, float]):
+    """`extend` where a refit that starts from a share ends with a total, and the shares that it tried."""
+    tried = []
+
+    def refit(problem, active, theta, eff, *args, **kwargs):
+        tried.append(eff)
+        return SimpleNamespace(total=totals[eff], active=active)
+
+    monkeypatch.setattr(search, "started", lambda problem, base, ranked, share=1.0: share)
+    monkeypatch.setattr(search, "fitted", refit)
+    point = SimpleNamespace(point=SimpleNamespace(x0=None))
+    current = SimpleNamespace(
+        total=-100.0, parts=None, candidate=SimpleNamespace(active=(), theta=None, eff=0.0, refit=point)
+    )
+    ranked = SimpleNamespace(instance=DRAG, plain=False)
+    return search.extend(None, current, ranked, SimpleNamespace(response=None)), tried
+
+
+def test_a_refit_that_gains_is_made_once(monkeypatch):
+    model, tried = extended(monkeypatch, {1.0: -90.0, 0.1: -50.0})
+    assert model.total == -90.0 and tried == [1.0]
+
+
+def test_a_refit_less_likely_than_without_the_effect_starts_smaller_too(monkeypatch):
+    model, tried = extended(monkeypatch, {1.0: -300.0, 0.1: -60.0})
+    assert model.total == -60.0 and tried == [1.0, 0.1]
+
+
+def named(bias: float, spring: float):
+    """The class of a bias that was named, beside a spring tried in its place; a spring holds a bias as a special case."""
+    effects = [SimpleNamespace(name="bias", contains=()), SimpleNamespace(name="spring", contains=("bias",))]
+    layout = SimpleNamespace(instances=[SimpleNamespace(effect=e) for e in effects])
+
+    def model(active, total, size):
+        windows = np.full(10, total / 10)
+        return SimpleNamespace(active=(active,), likelihood=windows, total=total, size=size, amiss=(), at_bound=tuple)
+
+    final, other = model(BIAS, bias, 5), model(SPRING, spring, 6)
+    base = SimpleNamespace(active=())
+    return class_of(BIAS, SimpleNamespace(final=final, base=base, tried=[final, other]), Settings(), layout)
+
+
+def test_a_wider_effect_that_does_not_pay_is_no_rival():
+    assert named(-100.0, -97.0) == []
+
+
+def test_a_wider_effect_that_pays_is_in_the_class():
+    assert named(-100.0, -60.0) == [SPRING]
