@@ -45,9 +45,11 @@ def further_leaders(
 
 
 def look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: list[Ranked]) -> list[Ranked]:
-    """Known look-alikes of the leader at its joint that were not refitted: the score alone must not decide there."""
+    """Known look-alikes of the leader that were not refitted, at its joint or, if it is one of its own, at another: the score alone
+    must not decide there."""
     layout = problem.model.layout
     names = layout.instances[layout.index(*best)].effect.look_alikes
     tried = {r.instance for r in done}
-    near = [r for r in ranked if r.instance[0] in names and r.instance[1] in (best[1], "base")]
+    beside = lambda name, where: where in (best[1], "base") if name != best[0] else where != best[1]
+    near = [r for r in ranked if r.instance[0] in names and beside(*r.instance)]
     return [r for r in near if r.instance not in tried and r.score.retained > NEW]

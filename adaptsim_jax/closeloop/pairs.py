@@ -89,14 +89,17 @@ def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequen
     members = sorted(doubtful(pair, base) or set(pair.active) - set(base.active))
     swaps = [(old, r) for old in members for r in look_alikes(problem, old, ranked, [])]
     swaps = [(old, r) for old, r in swaps if frozenset({*pair.active, r.instance} - {old}) not in done]
+    made = abreast(lambda swap: swapped_plainly(problem, base, pair, *swap, seen), swaps)
+    return [m for m in made if m is not None]
 
-    def swapped(swap: tuple[Instance, Ranked]) -> Fitted | None:
-        old, new = swap
-        active = tuple(new.instance if a == old else a for a in pair.active)
-        eff = merged(problem, pair.candidate.eff, started(problem, base, new), new.instance)
-        return fitted_plainly(problem, active, pair.candidate.theta, eff, base.parts, seen.response)
 
-    return [m for m in abreast(swapped, swaps) if m is not None]
+def swapped_plainly(
+    problem: Problem, base: Fitted, model: Fitted, old: Instance, new: Ranked, seen: View
+) -> Fitted | None:
+    """`new` in the place of `old`, refitted whole from where the model is; None where that runs away."""
+    active = tuple(new.instance if a == old else a for a in model.active)
+    eff = merged(problem, model.candidate.eff, started(problem, base, new), new.instance)
+    return fitted_plainly(problem, active, model.candidate.theta, eff, base.parts, seen.response)
 
 
 def _alone(problem: Problem, base: Fitted, ranked: Ranked, seen: View) -> tuple[Fitted, float] | None:

@@ -21,6 +21,7 @@ from adaptsim_jax.closeloop.pairs import (
     refit_beside_first,
     refit_pair,
     settled_plainly,
+    swapped_plainly,
     with_look_alikes,
 )
 from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
@@ -180,8 +181,10 @@ def _beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: V
     if plausible(without, found.base) and not needed(problem, best, without, found, settings):
         return without
     alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]
-    trials = abreast(lambda r: extend(problem, without, r, seen, say), alike)
-    trials = abreast(lambda t: settled(problem, t, seen.response), [t for t in trials if t is not None])
+    grown = abreast(lambda r: extend(problem, without, r, seen, say), alike)
+    swaps = abreast(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
+    trials = abreast(lambda t: settled(problem, t, seen.response), [t for t in grown if t is not None])
+    trials += abreast(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if t is not None])
     found.tried, found.rivals[new] = found.tried + trials, trials
     return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best
 
@@ -268,8 +271,8 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
 
 
 def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, settings: Settings, say) -> Fitted:
-    """The best of the rivals of `old` in its place, if any beats it."""
-    for rival in found.rivals.get(old, [])[:3]:
+    """The best of the likeliest rivals of `old` in its place, if any beats it."""
+    for rival in sorted(found.rivals.get(old, []), key=lambda t: -t.merit(settings.price))[:3]:
         instance = rival.active[-1]
         if instance in current.active:
             continue

@@ -110,8 +110,9 @@ class Effect:
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
-    as it does not act linearly. `contains` names effects that this one includes as a special case. `clocked`: it follows
-    `motion.clock`, a sine of which (amplitudes sine, cosine; shape frequency) may have another phase in each trial.
+    as it does not act linearly. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
+    effects that this one includes as a special case. `clocked`: it follows `motion.clock`, a sine of which (amplitudes sine,
+    cosine; shape frequency) may have another phase in each trial.
     `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
     this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
     `formula`: the physics in a line, for people.

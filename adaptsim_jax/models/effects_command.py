@@ -120,7 +120,7 @@ COMMAND = (
     Effect(
         "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
         "the torque constant is off by a share", "driven motion beside free swings",
-        ("load_friction", "rotor_inertia"),
+        ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
         formula="(1 + gain) command",
     ),
     Effect(

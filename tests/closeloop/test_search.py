@@ -7,6 +7,7 @@ import numpy as np
 from adaptsim_jax.closeloop import search
 from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings
+from adaptsim_jax.closeloop.leaders import look_alikes
 
 BIAS, SPRING, DRAG = ("bias", "joint1"), ("spring", "joint1"), ("drag", "joint1")
 
@@ -59,3 +60,15 @@ def test_a_wider_effect_that_does_not_pay_is_no_rival():
 
 def test_a_wider_effect_that_pays_is_in_the_class():
     assert named(-100.0, -60.0) == [SPRING]
+
+
+def test_a_look_alike_of_itself_is_meant_at_another_joint():
+    names = [("gain", "joint1"), ("gain", "joint2"), ("inertia", "joint1"), ("inertia", "joint2")]
+    effects = {"gain": ("inertia", "gain"), "inertia": ("gain",)}
+    instances = [SimpleNamespace(effect=SimpleNamespace(look_alikes=effects[n])) for n, _ in names]
+    layout = SimpleNamespace(instances=instances, index=lambda *place: names.index(place))
+    problem = SimpleNamespace(model=SimpleNamespace(layout=layout))
+    ranked = [SimpleNamespace(instance=n, score=SimpleNamespace(retained=1.0)) for n in names]
+    alike = lambda best: [r.instance for r in look_alikes(problem, best, ranked, [])]
+    assert alike(("gain", "joint1")) == [("gain", "joint2"), ("inertia", "joint1")]
+    assert alike(("inertia", "joint2")) == [("gain", "joint2")]

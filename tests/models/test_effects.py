@@ -80,7 +80,7 @@ def test_catalogue_has_every_name_once():
 def test_entry_is_complete(effect):
     names = {e.name for e in catalogue()}
     assert effect.physics and effect.excitation and effect.look_alikes
-    assert set(effect.look_alikes) | set(effect.contains) <= names - {effect.name}
+    assert set(effect.look_alikes) <= names and set(effect.contains) <= names - {effect.name}
     for p in effect.parameters:
         assert p.low <= p.default <= p.high and p.low < p.high
         assert p.off is None or p.low <= p.off <= p.high
