@@ -76,7 +76,7 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
 
     monkeypatch.setattr(pairs, "least_squares", alone)
     monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
-    return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=None), parts=None)
+    return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=None, eff=None), parts=None)
 
 
 SEEN = SimpleNamespace(response=None, ranked=Seen().ranked)
