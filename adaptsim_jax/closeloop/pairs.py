@@ -22,7 +22,7 @@ from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
 POOL = 5  # candidates of each score that pairs are made of
-SECONDS = 3  # candidates beside the effect that fits best alone: the right one was first or second, in tuning
+SECONDS = 3  # beside the effect that fits best alone: the right one was first or second, in tuning and spent sets
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Pair = tuple[Ranked, Ranked]
