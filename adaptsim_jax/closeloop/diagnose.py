@@ -27,7 +27,7 @@ from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
-from adaptsim_jax.closeloop.rivals import Fitted
+from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.sharpen import sharpened
@@ -117,7 +117,8 @@ def examine(
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
     problem, first = timed(problem, base, first, settings.alpha)
-    before = leftover(problem, first)
+    force = base.parts.force_std() / problem.torque_scale
+    before = leftover(problem, first, base.parts, force)
     say(3, STAGES, "candidates")
     problem, found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
     if (
@@ -132,18 +133,21 @@ def examine(
     found = polished(problem, found, first)
     found, tested = trimmed(problem, found, first, settings)
     seen = found.view or first
-    after = before if not found.added else leftover(problem, seen)
+    after = before
+    if found.added:
+        many = unexplained(found.final, found.base) > settings.explained  # then what is left says nothing of where
+        rest = force if many else found.final.parts.force_std() / problem.torque_scale
+        after = leftover(problem, seen, found.final.parts, rest)
     powers = power(problem, seen, settings)
     say(6, STAGES, "held-out trials, declared model")
     error_before = held_out(problem, base, first)
     flexible = ceiling(problem, base, first, error_before.fold)
     reached = 1.0 if flexible is None else flexible.rmse / error_before.rmse()
-    force = base.parts.force_std() / problem.torque_scale
     beyond = error_before.rmse() / floor_of(problem)
     verdict = decide(found, before, after, settings, powered(powers), reached, force, beyond)
     say(7, STAGES, "held-out trials, mended model")
     error_after = (tested or held_out(problem, found.final, seen)) if verdict.named else error_before
-    verdict = confirmed(verdict, error_before, error_after)
+    verdict = confirmed(verdict, error_before, error_after, after, settings)
     verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
     if found.added or verdict.name == "structured_unattributed":
         verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)

@@ -103,7 +103,7 @@ def _marks(stages: Mapping[str, Mapping | None]) -> list[dict[str, Any]]:
 
 
 def leftover_rows(evidence: Mapping) -> list[dict[str, Any]]:
-    """Where structure remains, the largest share first."""
+    """Where structure remains, as the report has it: the likeliest place first."""
     rows = [row for row in evidence.get("leftover") or [] if row.get("share") is not None]
     return [
         {
@@ -113,7 +113,7 @@ def leftover_rows(evidence: Mapping) -> list[dict[str, Any]]:
             "bar": min(100.0, max(0.0, 100 * row["share"])),
             "p": fmt.p_value(row.get("p_value")),
         }
-        for row in sorted(rows, key=lambda row: -row["share"])
+        for row in rows
     ]
 
 

@@ -8,6 +8,7 @@ import pytest
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
+from adaptsim_jax.closeloop.lines import Line
 from adaptsim_jax.closeloop.search import Settings
 from adaptsim_jax.closeloop.verdict import LARGE, Verdict, confirmed, decide, unforced
 
@@ -16,9 +17,9 @@ FOUND = SimpleNamespace(added=(("coulomb", "joint2"),), tried=[], base=None)
 FLOOR = 1e-4
 
 
-def held_out(rmse):
-    squared = np.full((4, 1), rmse**2)
-    return HeldOut(np.zeros((4, 1, 1)), squared, np.ones((4, 1)), np.arange(4), np.arange(4))
+def held_out(rmse, trials=4):
+    squared = np.full((trials, 1), rmse**2)
+    return HeldOut(np.zeros((trials, 1, 1)), squared, np.ones((trials, 1)), np.arange(trials), np.arange(trials))
 
 
 def left(share, p_value):
@@ -41,7 +42,7 @@ def test_a_name_is_refused_where_what_it_leaves_is_no_chance(after, share, p_val
     assert verdict.name == ("explained" if named else "structured_unattributed")
     if not named:
         assert "coulomb at joint 2" in verdict.message
-        assert "speed of joint 2" in verdict.message
+        assert "sits at joint 2 and follows its speed" in verdict.message
 
 
 def test_an_effect_that_takes_nearly_all_of_the_error_away_keeps_its_name():
@@ -50,8 +51,21 @@ def test_an_effect_that_takes_nearly_all_of_the_error_away_keeps_its_name():
 
 
 def test_left_out_trials_must_gain_by_a_name():
-    assert confirmed(NAMED, held_out(1.0), held_out(0.5)) is NAMED
-    assert confirmed(NAMED, held_out(1.0), held_out(0.7)).name == "structured_unattributed"
+    clear = left(0.1, 1e-20)
+    assert confirmed(NAMED, held_out(1.0), held_out(0.5), clear, Settings()) is NAMED
+    assert confirmed(NAMED, held_out(1.0), held_out(0.7), clear, Settings()).name == "structured_unattributed"
+
+
+def test_beside_a_wandering_torque_a_fall_in_every_trial_will_do():
+    chance = left(0.0, 0.5)
+    before, after = held_out(1.0, trials=6), held_out(0.9, trials=6)
+    assert confirmed(NAMED, before, after, chance, Settings()) is NAMED
+    assert not confirmed(NAMED, before, after, left(0.01, 1e-5), Settings()).named  # what is left follows something
+    after.squared[3] = 1.1
+    assert not confirmed(NAMED, before, after, chance, Settings()).named
+    assert not confirmed(
+        NAMED, held_out(1.0), held_out(0.9), chance, Settings()
+    ).named  # four trials fall together by chance
 
 
 @pytest.mark.parametrize(("force", "powered", "expected"), [
@@ -65,6 +79,15 @@ def test_a_force_as_large_as_the_torque_is_no_noise(force, powered, expected):
     verdict = decide(nothing, quiet, quiet, Settings(), powered, 1.0, np.array([0.0, force]))
     assert verdict.name == expected
     assert not verdict.named
+
+
+def test_a_line_in_the_spectrum_is_structure_and_is_said():
+    nothing = SimpleNamespace(added=(), tried=[], base=None)
+    hum = Line("joint1", 4.0, 0.2, 1e-50)
+    found = Leftover(0.9, 0.0, 1.0, (("joint1", hum.words(), 0.2, 1e-50), ("joint2", "speed", 0.0, 0.9)), hum)
+    verdict = decide(nothing, found, found, Settings(), True, 1.0, np.zeros(2))
+    assert verdict.name == "structured_unattributed"
+    assert "joint 1, where the unexplained torque has a line at 4 Hz (20 % of the residual)" in verdict.message
 
 
 def test_structure_that_is_no_chance_is_no_noise_and_noise_is_said_as_it_is():

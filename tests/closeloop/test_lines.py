@@ -1,0 +1,78 @@
+"""A hum whose phase differs from trial to trial is a line of the unexplained force's spectrum; chance has none."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.closeloop.disturbance import (
+    CORRELATION_TIMES,
+    Components,
+    Linearised,
+    force_kernels,
+    whiten,
+    whitener,
+)
+from adaptsim_jax.closeloop.lines import line
+from adaptsim_jax.closeloop.score import Scorer, folds
+
+RATE, WINDOW = 100.0, 50  # Hz, rows
+PARTS = Components(
+    np.ones(2), np.tile([0.0, 0.0, 1.0], (2, 1))
+)  # a force that wanders slowly at each joint, and the sensors
+
+
+def seen(trials: int, seconds: float, hum: float, seed: int):
+    """Two joints whose forces are seen as they are, row by row; `hum` at the second, 7.3 Hz, another phase in each trial."""
+    rng = np.random.default_rng(seed)
+    each, dt = int(seconds * RATE) // WINDOW, 1.0 / RATE
+    trial = np.repeat(np.arange(trials), each)
+    time = np.tile((np.arange(each * WINDOW) * dt).reshape(each, WINDOW), (trials, 1))
+    keep = np.exp(-dt / CORRELATION_TIMES[2])
+    force = np.zeros((len(trial), WINDOW, 2))
+    force[:, 0] = rng.normal(size=(len(trial), 2))
+    for k in range(1, WINDOW):
+        force[:, k] = keep * force[:, k - 1] + np.sqrt(1 - keep**2) * rng.normal(size=(len(trial), 2))
+    phase = rng.uniform(0, 2 * np.pi, trials)[trial][:, None]
+    force[..., 1] += hum * np.cos(2 * np.pi * 7.3 * time + phase)
+    rows = 2 * WINDOW
+    impulse = np.zeros((len(trial), rows, 2, WINDOW))
+    for j in range(2):
+        impulse[:, j::2, j] = np.eye(WINDOW)
+    lin = Linearised(
+        residual=force.reshape(len(trial), rows) + rng.normal(size=(len(trial), rows)),
+        jac_state=np.tile(np.eye(2), (WINDOW, 1))[None].repeat(len(trial), 0),
+        jac_theta=rng.normal(size=(len(trial), rows, 1)),
+        atoms=np.zeros((len(trial), rows, 0)),
+        impulse=impulse,
+        dt=np.full((len(trial), WINDOW), dt),
+        channel=np.tile([0, 1], WINDOW),
+        trial=trial,
+        used=np.ones((len(trial), rows), bool),
+    )
+    kernels = force_kernels(lin)
+    white = whiten(lin, whitener(lin, PARTS, kernels))
+    path = SimpleNamespace(time=np.concatenate([time, time[:, -1:] + dt], 1), dt=lin.dt)
+    return SimpleNamespace(
+        lin=lin, path=path, response=SimpleNamespace(kernels=kernels), scorer=Scorer(white, folds(trial, white.rows))
+    )
+
+
+PROBLEM = SimpleNamespace(plant=SimpleNamespace(joints=("joint1", "joint2")))
+
+
+@pytest.mark.parametrize(("trials", "seconds"), [(6, 6.0), (1, 30.0)])
+def test_a_hum_is_found_at_its_joint(trials, seconds):
+    found = line(PROBLEM, seen(trials, seconds, 0.7, 5), PARTS)
+    assert found.joint == "joint2"
+    assert found.frequency == pytest.approx(7.3, abs=0.12)
+    assert found.share > 0.05
+
+
+@pytest.mark.parametrize("seed", range(6, 12))
+def test_a_force_that_wanders_has_no_line(seed):
+    assert line(PROBLEM, seen(6, 6.0, 0.0, seed), PARTS) is None
+
+
+def test_a_recording_too_short_to_compare_says_nothing():
+    assert line(PROBLEM, seen(1, 6.0, 0.7, 5), PARTS) is None
