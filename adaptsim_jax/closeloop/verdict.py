@@ -8,6 +8,7 @@ from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.rivals import unexplained
 from adaptsim_jax.closeloop.search import Found, Settings
+from adaptsim_jax.closeloop.trim import confirms
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
 MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
 BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
-LEAST_TRIALS = 5  # whose errors all fall by chance once in 32 times
+LEAST_TRIALS = 5  # that all gain by chance once in 32 times
 LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
 
 
@@ -84,14 +85,17 @@ def _large(force: np.ndarray) -> str:
     )
 
 
-def confirmed(verdict: Verdict, before: HeldOut, after: HeldOut, left: Leftover, settings: Settings) -> Verdict:
+def confirmed(
+    verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, settings: Settings
+) -> Verdict:
     """The verdict, unless the mended model simulates held-out trials no better: then no name is given.
 
-    left: the generic dictionary about the mended model. Under a torque that wanders by chance, which no model takes away, a smaller
-    fall of the error will do, if every trial has it and what is left is chance.
+    left: the generic dictionary about the mended model. Beside a torque that wanders by chance, which no model takes away, a smaller
+    fall of the error will do, if the likelihood rises in every trial and what is left is chance.
     """
-    chance = left.p_value > settings.alpha and left.line is None
-    if not verdict.named or after.rmse() < LEAST_CONFIRMED * before.rmse() or (chance and _everywhere(before, after)):
+    if not verdict.named or after.rmse() < LEAST_CONFIRMED * before.rmse():
+        return verdict
+    if not _predicted(left, settings) and confirms(after, before) and _everywhere(found, before):
         return verdict
     message = (
         "A candidate fits, but it does not simulate held-out trials better than the declared model; no name is given."
@@ -99,10 +103,11 @@ def confirmed(verdict: Verdict, before: HeldOut, after: HeldOut, left: Leftover,
     return Verdict("structured_unattributed", message, False)
 
 
-def _everywhere(before: HeldOut, after: HeldOut) -> bool:
-    """Whether the error falls in every trial, of enough of them to be no chance."""
-    trials = np.unique(before.trial[before.fold >= 0])
-    return len(trials) >= LEAST_TRIALS and all(after.rmse(None, k) < before.rmse(None, k) for k in trials)
+def _everywhere(found: Found, trials: HeldOut) -> bool:
+    """Whether the likelihood rises in every trial, of enough of them to be no chance."""
+    names = np.unique(trials.trial[trials.fold >= 0])
+    gain = found.final.likelihood - found.base.likelihood
+    return len(names) >= LEAST_TRIALS and all(gain[trials.trial == k].sum() > 0.0 for k in names)
 
 
 def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, floor: float) -> Verdict:
@@ -127,12 +132,16 @@ def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, le
 def _structured(found: Found, before: Leftover, settings: Settings, flexible: float) -> bool:
     """Structure that is more than chance: some smooth force, or a rival that was refitted, predicts it in left-out trials, or its
     spectrum has a line."""
-    if before.p_value < NO_CHANCE or before.line is not None:
-        return True
-    if before.p_value < settings.alpha and (before.share > 0.01 or flexible < PREDICTED):
+    if _predicted(before, settings) or (before.p_value < settings.alpha and flexible < PREDICTED):
         return True
     fall = 1.0 - settings.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
     return any(t.total - found.base.total > 20.0 and unexplained(t, found.base) < fall for t in found.tried)
+
+
+def _predicted(left: Leftover, settings: Settings) -> bool:
+    """Whether some smooth force predicts what is left, or its spectrum has a line."""
+    sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
+    return sure or left.line is not None
 
 
 def _words(name: str) -> str:

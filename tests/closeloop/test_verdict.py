@@ -52,20 +52,22 @@ def test_an_effect_that_takes_nearly_all_of_the_error_away_keeps_its_name():
 
 def test_left_out_trials_must_gain_by_a_name():
     clear = left(0.1, 1e-20)
-    assert confirmed(NAMED, held_out(1.0), held_out(0.5), clear, Settings()) is NAMED
-    assert confirmed(NAMED, held_out(1.0), held_out(0.7), clear, Settings()).name == "structured_unattributed"
+    assert confirmed(NAMED, FOUND, held_out(1.0), held_out(0.5), clear, Settings()) is NAMED
+    assert confirmed(NAMED, FOUND, held_out(1.0), held_out(0.7), clear, Settings()).name == "structured_unattributed"
 
 
-def test_beside_a_wandering_torque_a_fall_in_every_trial_will_do():
-    chance = left(0.0, 0.5)
-    before, after = held_out(1.0, trials=6), held_out(0.9, trials=6)
-    assert confirmed(NAMED, before, after, chance, Settings()) is NAMED
-    assert not confirmed(NAMED, before, after, left(0.01, 1e-5), Settings()).named  # what is left follows something
-    after.squared[3] = 1.1
-    assert not confirmed(NAMED, before, after, chance, Settings()).named
-    assert not confirmed(
-        NAMED, held_out(1.0), held_out(0.9), chance, Settings()
-    ).named  # four trials fall together by chance
+def test_beside_a_wandering_torque_a_smaller_fall_will_do():
+    def named(error=0.9, trials=6, what=None, gain=np.ones):
+        found = SimpleNamespace(base=likely(np.zeros(trials)), final=likely(gain(trials)))
+        after = held_out(error, trials)
+        return confirmed(NAMED, found, held_out(1.0, trials), after, what or left(0.0, 0.5), Settings()).named
+
+    likely = lambda gain: SimpleNamespace(likelihood=gain)
+    assert named()
+    assert not named(error=0.99)
+    assert not named(what=left(0.02, 1e-5)), "what is left follows something"
+    assert not named(gain=lambda n: np.arange(n) - 0.5), "one trial is less likely"
+    assert not named(trials=4), "four trials gain together by chance"
 
 
 @pytest.mark.parametrize(("force", "powered", "expected"), [
