@@ -21,7 +21,8 @@ class Settings:
     windows. least_fall: least relative fall of the unexplained force that is worth a name. explained: with no more than
     this share of the unexplained force left over, the search ends at the first effect that earns nothing. pairs: of two effects
     that are refitted until they settle, where no single one earns a name. clear: a pair that leaves less than this share ends
-    the making of pairs; promising: of one that leaves no more, look-alikes of its members are tried in their place.
+    the making of pairs; promising: of one that leaves no more, look-alikes of its members are tried in their place. large: an
+    unexplained force beyond this share of the torque is no disturbance, whatever its shape.
     """
 
     alpha: float = 0.01
@@ -37,6 +38,7 @@ class Settings:
     pairs: int = 3
     clear: float = 0.1
     promising: float = 0.6
+    large: float = 0.3
 
 
 def choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:

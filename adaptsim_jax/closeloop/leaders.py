@@ -1,25 +1,29 @@
 """Which candidates are worth a whole refit: the linear scores propose, and where they are blunt, more are tried."""
 
+import numpy as np
+
+from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.problem import Active, Problem
-from adaptsim_jax.closeloop.rivals import Instance
+from adaptsim_jax.closeloop.rivals import Fitted, Instance
 from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value
 
 NEW = 1e-3  # of a candidate's signature that the declared parameters cannot do themselves
 
 
-def first_leaders(
-    ranked: list[Ranked], view: View, active: Active, alpha: float, count: int, drowned: bool = False
-) -> list[Ranked]:
-    """The `count` candidates worth a whole refit: where anything is there, those that explain most by either score.
+def anything(problem: Problem, current: Fitted, ranked: list[Ranked], view: View, settings: Settings) -> bool:
+    """Whether there is something to explain: a candidate or some smooth force is no chance, or the force left over is too large for
+    one. A stop that is hit in few windows is hardly sure by the scatter of the windows, however much it explains."""
+    if np.any(current.parts.force_std() > settings.large * problem.torque_scale):
+        return True
+    return any(r.corrected(len(ranked)) < settings.alpha for r in ranked) or generic_p_value(view) < settings.alpha
 
-    The score of one candidate may be blunt (its effect is not small, or moves reversals), so what must be significant is
-    the structure: some candidate, or some smooth force. And a slow effect hides in the covariance that it has inflated,
-    so the plain score has its say too. drowned: unexplained forces beyond the torques themselves are no chance, and under their
-    covariance nothing is significant.
+
+def first_leaders(ranked: list[Ranked], view: View, active: Active, count: int) -> list[Ranked]:
+    """The `count` candidates worth a whole refit: those that explain most by either score.
+
+    The score of one candidate may be blunt (its effect is not small, or moves reversals), and a slow effect hides in the covariance
+    that it has inflated, so the plain score has its say too.
     """
-    seen = drowned or any(r.corrected(len(ranked)) < alpha for r in ranked)
-    if not seen and generic_p_value(view) >= alpha:
-        return []
     plain = [r for r in view.ranked(active, plain=True) if r.score.retained > NEW][: count // 2]
     names = {r.instance for r in plain}
     fine = [r for r in ranked if r.score.retained > NEW and r.instance not in names]
@@ -27,7 +31,7 @@ def first_leaders(
 
 
 def further_leaders(
-    problem: Problem, leaders: list[Ranked], ranked: list[Ranked], view: View, active: Active, alpha: float, count: int
+    problem: Problem, leaders: list[Ranked], ranked: list[Ranked], view: View, active: Active, count: int
 ) -> list[Ranked]:
     """Whom to try where the leaders explain nothing: scores of a model that is far off are blunt, so as many again; and
     whatever does not act linearly, by a plain fit, which finds a play of 0.2 rad from far where no score sees it."""
@@ -41,7 +45,7 @@ def further_leaders(
         if layout.instances[layout.index(*r.instance)].effect.jump and r.instance not in plainly
     ]
     done = {r.instance for r in [*leaders, *far]}
-    return far + [r for r in first_leaders(ranked, view, active, alpha, 2 * count) if r.instance not in done]
+    return far + [r for r in first_leaders(ranked, view, active, 2 * count) if r.instance not in done]
 
 
 def look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: list[Ranked]) -> list[Ranked]:

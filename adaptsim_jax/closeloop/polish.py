@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.problem import Problem
-from adaptsim_jax.closeloop.rivals import Fitted, fitted_plainly, plausible
+from adaptsim_jax.closeloop.rivals import Fitted, fitted_plainly, plausible, settled
 from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.view import View, view
 
@@ -34,8 +34,10 @@ def polished(problem: Problem, found: Found, first: View) -> Found:
 
 
 def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
-    """The likeliest model that plain fits reach, round after round, from its own place and from nudged ones."""
+    """The likeliest model that plain fits reach, round after round, from its own place and from nudged ones, or a refit under its
+    own covariance."""
     for _ in range(ROUNDS):
+        model = settled(problem, model, seen.response)
         starts = (model.candidate.eff, *_nudged(problem, model))
         tried = abreast(partial(_again, problem, model, seen), starts)
         best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)

@@ -58,21 +58,23 @@ def refit(
     """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
 
     factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
-    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. Stops when a
-    step lowers the cost by less than `tolerance` (absolute plus relative 1e-5): below what any test could see.
+    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. Stops after so many steps
+    that lower the cost, or when one lowers it by less than `tolerance` (absolute plus relative 1e-5): below what any test could
+    see. Steps that raise it are shortened and do not count: where effects switch, several in a row may.
     """
     keep = np.ones(len(start.x0), bool) if keep is None else keep
     point = Point(np.clip(start.z, low, high), start.x0)
     lin = linearise(point) if known is None else known
     white = whiten(lin, factor)
     damping, done = 1e-6, 0
-    for done in range(1, iterations + 1):  # noqa: B007  (its last value is reported)
+    while done < iterations:
         old = _objective(lin, factor, keep)
         trial = _stepped(point, lin, white, factor, low, high, free, keep, damping)
         trial_lin = linearise(trial)
         new = _objective(trial_lin, factor, keep)
         if np.isfinite(new) and new <= old:
             point, lin, white, damping = trial, trial_lin, whiten(trial_lin, factor), max(damping * 0.1, 1e-9)
+            done += 1
             if old - new < tolerance + 1e-5 * old:
                 break
         else:

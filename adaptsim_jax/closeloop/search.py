@@ -15,7 +15,7 @@ from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
-from adaptsim_jax.closeloop.leaders import first_leaders, further_leaders, look_alikes
+from adaptsim_jax.closeloop.leaders import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.pairs import (
     leading_pairs,
     refit_beside_first,
@@ -105,15 +105,15 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
     done = unexplained(current, found.base) < settings.explained  # little is left: a shorter list will do
     count = settings.shortlist // 2 if done else settings.shortlist
-    drowned = bool(np.any(current.parts.force_std() > problem.torque_scale))
-    leaders = first_leaders(ranked, seen, current.active, settings.alpha, count, drowned)
+    worth = anything(problem, current, ranked, seen, settings)
+    leaders = first_leaders(ranked, seen, current.active, count) if worth else []
     trials = _refitted(problem, found, current, leaders, seen, settings, say)
     trials = trials + _pruned(problem, found, current, trials, seen)
     best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     nothing = best is None or not pays(best, current, settings)
     wanting = done and nothing and _blatant(problem, current, seen)
     if wanting or (current is found.base and (nothing or not earns(problem, best, current, found.base, settings))):
-        more = further_leaders(problem, leaders, ranked, seen, current.active, settings.alpha, count)
+        more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
         best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
@@ -135,7 +135,7 @@ def _blatant(problem: Problem, model: Fitted, seen: View) -> bool:
 def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):
     """Where no single effect explained enough for a name though something is there: the best pair, if it does."""
     base = found.base
-    if not first_leaders(found.ranked, seen, base.active, settings.alpha, 1):
+    if not anything(problem, base, found.ranked, seen, settings):
         return problem, current
     say("refitting with two effects at once")
     trials = refit_beside_first(problem, base, seen)

@@ -23,7 +23,6 @@ class Verdict:
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
 WELL_PREDICTED = 0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise
 NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
-LARGE = 0.3  # of the torque: an unexplained force beyond this is no disturbance, whatever its shape
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
 MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
 BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
@@ -50,7 +49,7 @@ def decide(
         well = flexible < WELL_PREDICTED and beyond > BEYOND_FLOOR
         if well or _structured(found, before, settings, flexible):
             return Verdict("structured_unattributed", _unattributed(before), False)
-        if np.max(force) > LARGE:
+        if np.max(force) > settings.large:
             return Verdict("structured_unattributed", _large(force), False)
         if powered:
             return Verdict("within_noise", _chance(beyond), False)

@@ -10,7 +10,7 @@ from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.lines import Line
 from adaptsim_jax.closeloop.search import Settings
-from adaptsim_jax.closeloop.verdict import LARGE, Verdict, confirmed, decide, unforced
+from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide, unforced
 
 NAMED = Verdict("explained", "The residual is explained by coulomb at joint 2.", True)
 FOUND = SimpleNamespace(added=(("coulomb", "joint2"),), tried=[], base=None)
@@ -71,9 +71,9 @@ def test_beside_a_wandering_torque_a_smaller_fall_will_do():
 
 
 @pytest.mark.parametrize(("force", "powered", "expected"), [
-    (0.5 * LARGE, True, "within_noise"),
-    (0.5 * LARGE, False, "underpowered"),
-    (1.1 * LARGE, True, "structured_unattributed"),
+    (0.5 * Settings().large, True, "within_noise"),
+    (0.5 * Settings().large, False, "underpowered"),
+    (1.1 * Settings().large, True, "structured_unattributed"),
 ])  # fmt: skip
 def test_a_force_as_large_as_the_torque_is_no_noise(force, powered, expected):
     nothing = SimpleNamespace(added=(), tried=[], base=None)
