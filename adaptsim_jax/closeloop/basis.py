@@ -10,15 +10,16 @@ from adaptsim_jax.closeloop.sensitivity import Path
 
 
 def generic_forces(path: Path, *, bumps: int = 7) -> np.ndarray:
-    """Force columns `[K', W, n, L]` of unit RMS, about 40 a joint, on the fitted trajectory's rows."""
+    """Force columns `[K', W, n, L]` of unit RMS, about 48 a joint, on the fitted trajectory's rows."""
     columns = [c for j in range(path.u.shape[2]) for c in _at_joint(path, j, bumps)]
     return np.stack(columns).astype(np.float32)
 
 
 def generic_names(joints: int, *, bumps: int = 7) -> list[tuple[str, str]]:
-    """(joint, group) of each column of `generic_forces`; the groups are angle, speed, command, time, past, other."""
-    groups = ["angle"] * (bumps + 4) + ["speed"] * (bumps + 4) + ["command"] * 4 + ["time"] * 4 + ["past"] * 6
-    groups += ["other"] * 4
+    """(joint, group) of each column of `generic_forces`; the groups are angle, speed, speed and angle, command, time (by itself, and
+    what fades: a gain or a damping that drifts), past, other."""
+    groups = ["angle"] * (bumps + 4) + ["speed"] * (bumps + 4) + ["speed and angle"] * 4 + ["command"] * 4
+    groups += ["time"] * 8 + ["past"] * 6 + ["other"] * 4
     return [(f"joint{j + 1}", g) for j in range(joints) for g in groups]
 
 
@@ -30,10 +31,13 @@ def _at_joint(path: Path, j: int, bumps: int) -> list[np.ndarray]:
     t = path.time[:, :-1]
     functions = [*_bumps(q, live, bumps), np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q)]
     functions += [*_bumps(v, live, bumps), *(np.tanh(v / s) for s in _speeds(v, live)), v * np.abs(v)]
+    way = np.tanh(v / _speeds(v, live)[1])
+    functions += [v * np.sin(q), v * np.cos(q), way * np.sin(q), way * np.cos(q)]
     scale = np.sqrt(np.mean(u[live] ** 2)) + 1e-9
     functions += [u, np.abs(u), np.tanh(2 * u / scale), u**3 / scale**2]
     end = max(float(t.max()), 1e-6)
-    functions += [np.cos(np.pi * k * t / end) for k in range(1, 5)]
+    waves = [np.cos(np.pi * k * t / end) for k in range(1, 5)]
+    functions += waves + [z * wave for z in (u, v) for wave in waves[:2]]
     functions += [_past(z, dt, tau) for z in (u, v) for tau in (0.01, 0.03, 0.1)]
     other = 1 - j if n == 2 else (j + 1) % n
     p, w = middle[..., other], middle[..., n + other]

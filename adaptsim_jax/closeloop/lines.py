@@ -2,7 +2,8 @@
 another trial, where their phase differs, but chance has no lines.
 
 The force that a recording asks for is compared, frequency by frequency and joint by joint, with what is asked for at the
-frequencies beside it. Phases are free in each stretch of a few seconds, so that a frequency may wander a little.
+frequencies beside it: once over all trials, with a phase of its own in each stretch of a few seconds, and once in short stretches,
+each at a frequency of its own, for a hum that wanders.
 """
 
 from dataclasses import dataclass, replace
@@ -15,9 +16,10 @@ from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.view import View
 
 HIGHEST = 25.0  # Hz
-STRETCH = 6.0  # s of a trial in which a phase is kept
+STRETCH, SHORT = 6.0, 2.0  # s of a trial in which a phase is kept
 BESIDE = 10  # frequencies to each side that a line is compared with, but for the next one
 LEAST_STRETCHES = 3  # fewer tell a line from the shape of one motion badly
+MOST_SURE = 1e-3  # p-value that one short stretch may bring: a single jolt is no hum
 NO_CHANCE = 1e-8  # p-value below which it is a line
 LEAST_SHARE = 0.01
 
@@ -25,50 +27,82 @@ LEAST_SHARE = 0.01
 @dataclass(frozen=True)
 class Line:
     """The sharpest line: `joint` it acts at, frequency [Hz], its share of the whitened sum of squares beyond what is beside it,
-    and the p-value of a line as high, corrected for all frequencies and joints."""
+    and the p-value of a line as high, corrected for all frequencies and joints. highest [Hz]: where it wanders, as far as this."""
 
     joint: str
     frequency: float
     share: float
     p_value: float
+    highest: float | None = None
 
     def words(self) -> str:
-        return f"line at {self.frequency:.3g} Hz"
+        if self.highest is None:
+            return f"line at {self.frequency:.3g} Hz"
+        return f"hum that wanders between {self.frequency:.2g} and {self.highest:.2g} Hz"
 
 
 def line(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
     where the recording is too short to say."""
+    found = [f(problem, view, parts) for f in (_steady, _wandering)]
+    clear = [z for z in found if z is not None and z.p_value < NO_CHANCE and z.share > LEAST_SHARE]
+    return clear[0] if clear else None
+
+
+def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
+    """At one frequency in all trials."""
+    frequency, gain = _gains(view, parts, STRETCH)
+    if len(frequency) <= 2 * BESIDE or len(gain) < LEAST_STRETCHES:
+        return None
+    freedom, total = 2 * len(gain), gain.sum(0)
+    beside = _beside(total) / chi2.median(freedom)
+    p = np.minimum(1.0, chi2.sf(total / np.maximum(beside, 1.0), freedom) * total.size)
+    joint, at = np.unravel_index(np.argmin(p - 1e-12 * total / total.max()), p.shape)
+    share = max(float(total[joint, at] - beside[joint, at] * freedom), 0.0) / view.scorer.sum_squares
+    return Line(problem.plant.joints[joint], float(frequency[at]), share, float(p[joint, at]))
+
+
+def _wandering(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
+    """At another frequency in each short stretch; each brings the p-value of its highest (Fisher's sum), but no more than is sure."""
+    frequency, gain = _gains(view, parts, SHORT)
+    if len(frequency) <= 2 * BESIDE or len(gain) < 2 * LEAST_STRETCHES:
+        return None
+    beside = np.maximum(_beside(gain.mean(0)) / 2.0, 1.0)  # [n, F]; the mean of a chi-square of two degrees is two
+    top = gain / beside
+    at = top.argmax(2)  # [S, n]
+    highest = np.take_along_axis(top, at[..., None], 2)[..., 0]
+    p = -np.expm1(len(frequency) * np.log1p(-chi2.sf(highest, 2)))
+    joined = chi2.sf(-2.0 * np.log(np.clip(p, MOST_SURE, 1.0)).sum(0), 2 * len(gain)) * len(p[0])
+    excess = np.take_along_axis(gain - 2.0 * beside, at[..., None], 2)[..., 0].sum(0)
+    joint = int(np.argmin(joined - 1e-12 * excess / np.abs(excess).max()))
+    low, high = np.quantile(frequency[at[:, joint]], [0.1, 0.9])
+    share = max(float(excess[joint]), 0.0) / view.scorer.sum_squares
+    return Line(problem.plant.joints[joint], float(low), share, float(min(joined[joint], 1.0)), float(high))
+
+
+def _gains(view: View, parts: disturbance.Components, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies `[F]` Hz and, in each stretch of about `seconds`, the fall of the whitened sum of squares `[S, n, F]` with a tone
+    of its own amplitude and phase at each joint."""
     lin, time = view.lin, view.path.time[:, :-1]
     live = view.path.dt > 0
-    stretch = _stretches(lin.trial, time, lin.used.any(1))
-    spans = [np.ptp(time[stretch == s][live[stretch == s]]) for s in np.unique(stretch[stretch >= 0])]
-    spacing = float(np.median(view.path.dt[live]))
-    if len(spans) < LEAST_STRETCHES:
-        return None
-    frequency = np.arange(2, min(HIGHEST, 0.2 / spacing) * np.median(spans)) / np.median(spans)
-    if len(frequency) <= 2 * BESIDE:
-        return None
+    stretch = _stretches(lin.trial, time, lin.used.any(1), seconds)
+    names = range(stretch.max() + 1)
+    span = float(np.median([np.ptp(time[stretch == s][live[stretch == s]]) for s in names]))
+    highest = min(HIGHEST, 0.2 / float(np.median(view.path.dt[live])))
+    frequency = np.arange(2, highest * span) / max(span, 1e-9)
     tones = _tones(lin, time, live, frequency)
     white = disturbance.whiten(replace(lin, atoms=tones), disturbance.whitener(lin, parts, view.response.kernels))
     columns = white.atoms.reshape(*white.atoms.shape[:2], -1, 2)
-    gain = sum(_gain(columns[stretch == s], view.scorer.residual[stretch == s]) for s in range(len(spans)))
-    gain = gain.reshape(lin.impulse.shape[2], len(frequency))
-    freedom = 2 * len(spans)
-    beside = _beside(gain) / chi2.median(freedom)
-    p = np.minimum(1.0, chi2.sf(gain / np.maximum(beside, 1.0), freedom) * gain.size)
-    joint, at = np.unravel_index(np.argmin(p - 1e-12 * gain / gain.max()), p.shape)
-    share = max(float(gain[joint, at] - beside[joint, at] * freedom), 0.0) / view.scorer.sum_squares
-    found = Line(problem.plant.joints[joint], float(frequency[at]), share, float(p[joint, at]))
-    return found if found.p_value < NO_CHANCE and found.share > LEAST_SHARE else None
+    gain = [_gain(columns[stretch == s], view.scorer.residual[stretch == s]) for s in names]
+    return frequency, np.stack(gain).reshape(len(names), lin.impulse.shape[2], len(frequency))
 
 
-def _stretches(trial: np.ndarray, time: np.ndarray, used: np.ndarray) -> np.ndarray:
+def _stretches(trial: np.ndarray, time: np.ndarray, used: np.ndarray, seconds: float) -> np.ndarray:
     """Number of the stretch of each window `[W]`, whole trials where they are short; -1 where there is nothing."""
     out, count = np.full(len(trial), -1), 0
     for name in np.unique(trial[used]):
         here = np.flatnonzero((trial == name) & used)
-        pieces = max(1, round(float(time[here].max() - time[here].min()) / STRETCH))
+        pieces = max(1, round(float(time[here].max() - time[here].min()) / seconds))
         for part in np.array_split(here[np.argsort(time[here, 0])], min(pieces, len(here))):
             out[part], count = count, count + 1
     return out
@@ -84,7 +118,7 @@ def _tones(lin: disturbance.Linearised, time: np.ndarray, live: np.ndarray, freq
 
 
 def _gain(columns: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Fall of a stretch's sum of squares `[n F]` with a tone of its own amplitude and phase; columns `[W, M, n F, 2]`."""
+    """Fall of a stretch's sum of squares `[n F]` with a tone; columns `[W, M, n F, 2]`."""
     normal = np.einsum("wmki,wmkj->kij", columns, columns, optimize=True)
     slope = np.einsum("wmki,wm->ki", columns, residual, optimize=True)
     normal = normal + (1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(2)

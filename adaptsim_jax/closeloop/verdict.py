@@ -26,6 +26,7 @@ NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, howe
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
 MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
 BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
+BEYOND_FLOOR_STILL = 2.0  # the same where much of the error remains
 LEAST_TRIALS = 5  # that all gain by chance once in 32 times
 LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
 
@@ -117,8 +118,10 @@ def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, le
     nothing that follows the motion in left-out trials.
     """
     remains = after.rmse() / before.rmse()
-    clear = (left.share > 0.04 and left.p_value < 1e-10) or (remains > MUCH_REMAINS and left.p_value < 1e-8)
-    if not (verdict.named and clear and remains > REMAINS and after.rmse() > BEYOND_FLOOR * floor):
+    much = remains > MUCH_REMAINS and left.p_value < 1e-8
+    clear = much or (left.share > 0.04 and left.p_value < 1e-10)
+    beyond = after.rmse() > (BEYOND_FLOOR_STILL if much else BEYOND_FLOOR) * floor
+    if not (verdict.named and clear and remains > REMAINS and beyond):
         return verdict
     best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.added)
     message = (
