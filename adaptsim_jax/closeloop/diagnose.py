@@ -30,7 +30,7 @@ from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, r
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.search import Found, Settings
-from adaptsim_jax.closeloop.sharpen import sharpened
+from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
 from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, told, unsmoothed
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
@@ -116,7 +116,7 @@ def examine(
         problem, base, first = fit_unfiltered(recording, checked, noise, effects)
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
-    problem, first = timed(problem, base, first, settings.alpha)
+    problem, first = sharpened_early(*timed(problem, base, first, settings.alpha), base)
     force = base.parts.force_std() / problem.torque_scale
     before = leftover(problem, first, base.parts, force)
     say(3, STAGES, "candidates")

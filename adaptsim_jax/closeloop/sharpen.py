@@ -1,7 +1,8 @@
 """Phases of trials found again with the periodic force in the model.
 
 The first clocks (`clocks.py`) come from linear scores about a model that lacks the force. Once it is in, each trial's clock
-is one more parameter whose derivative is at hand, and Gauss-Newton steps make it as sharp as the rest.
+is one more parameter whose derivative is at hand, and Gauss-Newton steps make it as sharp as the rest: once before the search,
+so that rivals are compared with phases that are right, and once for the final model.
 """
 
 from dataclasses import replace
@@ -9,12 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.candidate import compressed, linearised
 from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point
 from adaptsim_jax.closeloop.rivals import Fitted, fitted
-from adaptsim_jax.closeloop.search import Found
+from adaptsim_jax.closeloop.search import Found, extend
 from adaptsim_jax.closeloop.view import View, view
 
+TRIED = 2  # periodic forces that clocks are sharpened with
 STEP = 1e-5  # s: the angle of a force of 60 Hz moves by 4e-3 rad
 
 
@@ -42,6 +45,23 @@ def sharpened(problem: Problem, found: Found, first: View, rounds: int = 3) -> t
         return problem, found
     seen = view(problem, model)
     return problem, replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+
+
+def sharpened_early(problem: Problem, first: View, base: Fitted) -> tuple[Problem, View]:
+    """The problem with clocks found again beside the likeliest periodic force, before rivals are compared by them, and the scores
+    about `base` with them. A base model that bends to a hum (its inertia does) is a poor place to tell phases from."""
+    if not np.any(problem.windows.clock) or problem.phases(base.active):
+        return problem, first
+    layout = problem.model.layout
+    clocked = [r for r in first.ranked(base.active) if layout.instances[layout.index(*r.instance)].effect.clocked]
+    models = abreast(lambda r: extend(problem, base, r, first), clocked[:TRIED])
+    best = max((m for m in models if m is not None), key=lambda m: m.total, default=base)
+    better, found = sharpened(problem, Found(base, best, [], view=first), first)
+    if better is problem:
+        return problem, first
+    tone, _ = found.final.candidate.parameters(*found.final.active[-1])["frequency"]
+    better = replace(better, reach=replace(better.reach, tone=float(tone)))
+    return better, view(better, base)
 
 
 def clock_step(problem: Problem, model: Fitted, response) -> np.ndarray:

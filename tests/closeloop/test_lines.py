@@ -75,7 +75,9 @@ def test_a_hum_is_found_at_its_joint(trials, seconds):
 def test_a_hum_that_wanders_is_found_and_said_to():
     found = line(PROBLEM, seen(6, 6.0, 1.0, 5, wander=2.0), PARTS)
     assert found.joint == "joint2"
-    assert 4.9 < found.frequency < 6.5 and 7.3 < found.highest < 9.3  # from 7.3 to 9.3 Hz at first, 2.4 Hz lower at the end
+    assert (
+        4.9 < found.frequency < 6.5 and 7.3 < found.highest < 9.3
+    )  # from 7.3 to 9.3 Hz at first, 2.4 Hz lower at the end
     assert "wanders between" in found.words()
 
 

@@ -1,6 +1,7 @@
 """Clocks of trials, refitted with the periodic force in the model."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.rivals import fitted
 from adaptsim_jax.closeloop.search import Found
-from adaptsim_jax.closeloop.sharpen import sharpened
+from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
 from adaptsim_jax.models.effects import catalogue
 from tests.generators import make_dataset, write_dataset
 
@@ -39,7 +40,8 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
         c = base.candidate
         return set_to, fitted(set_to, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
 
-    problem, _ = timed(problem, base, first, 0.01)
+    problem, seen = timed(problem, base, first, 0.01)
+    early, _ = sharpened_early(problem, seen, base)
     clock = problem.windows.clock
     assert np.ptp(clock) > 0.0
     away = np.array([0.0, 0.05, -0.05, 0.0]) / frequency
@@ -52,3 +54,10 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
     assert sharp.final.total > model.total + 10.0
     assert np.abs(np.diff(ends[0] - ends[1])[:2]).max() * frequency < 5e-3  # of a period, from one trial to the next
     assert sharp.final.parts.force_std()[0] < 0.05 * problem.torque_rms[0]
+    assert early.reach.tone == pytest.approx(frequency, rel=1e-3)
+    assert np.abs(np.diff(ends[0] - early.windows.clock)[:2]).max() * frequency < 5e-3
+
+
+def test_without_clocks_nothing_is_sharpened():
+    problem = SimpleNamespace(windows=SimpleNamespace(clock=np.zeros(3)))
+    assert sharpened_early(problem, "first", None) == (problem, "first")
