@@ -24,7 +24,8 @@ from adaptsim_jax.models.pendulum_linear import SAMPLES
 from adaptsim_jax.tasks.mended_policy import DT, ROWS
 from tests.generators import effects as hidden_effects
 from tests.generators import forces
-from tests.generators.dataset import Spec, draft, make_datasets, write_dataset
+from tests.generators.dataset import Spec, draft, make_datasets
+from tests.generators.recording import write_dataset
 from tests.generators.simulate import Delay, Drive, Plant, _rk4, play
 from tests.generators.worlds import lanes_of
 

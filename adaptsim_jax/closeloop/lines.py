@@ -44,9 +44,11 @@ class Line:
 def line(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
     where the recording is too short to say."""
-    found = [f(problem, view, parts) for f in (_steady, _wandering)]
-    clear = [z for z in found if z is not None and z.p_value < NO_CHANCE and z.share > LEAST_SHARE]
-    return clear[0] if clear else None
+    for sharpest in (_steady, _wandering):
+        found = sharpest(problem, view, parts)
+        if found is not None and found.p_value < NO_CHANCE and found.share > LEAST_SHARE:
+            return found
+    return None
 
 
 def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:

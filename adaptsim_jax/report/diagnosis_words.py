@@ -31,7 +31,7 @@ MEANINGS = {
     "with these trials they cannot be told apart.",
     "confounded_with_declared": "Another declared value does the same as an effect along these motions, "
     "so neither can be held responsible.",
-    "structured_unattributed": "What is left repeats from trial to trial, yet no effect in the catalogue "
+    "structured_unattributed": "What is left is more than chance leaves, yet no effect in the catalogue "
     "accounts for it. No name is forced on it.",
     "within_noise": "What is left looks like the noise. Nothing needs to be added for motions like these.",
     "underpowered": "An effect of a size that matters could hide in these data. "

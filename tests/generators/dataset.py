@@ -1,13 +1,13 @@
-"""From a specification to a recording: draw the rig, the trials and the effects, size them, run, write files."""
+"""From a specification to a recording: draw the rig, the trials and the effects, size them, run."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from tests.generators import conditions, effects, sizing
 from tests.generators.conditions import CONDITIONS, Condition
 from tests.generators.excitation import OPEN_KINDS, Trial, make_trial
+from tests.generators.recording import Dataset
 from tests.generators.simulate import Drive, Run, simulate
 from tests.generators.worlds import Rig, draw_rig, lanes_of
 
@@ -29,15 +29,6 @@ class Spec:
     rate: float = 200.0
     angle_zero: str | None = None  # None: hanging, one rig in eight upright
     declare_noise: bool = False
-
-
-@dataclass
-class Dataset:
-    """A recording. trials: one dictionary of columns `[K]` each; truth: what nobody who measures would know."""
-
-    trials: list[dict[str, np.ndarray]]
-    meta: dict
-    truth: dict = field(default_factory=dict)
 
 
 @dataclass
@@ -297,21 +288,3 @@ def _truth(d: Draft) -> dict:
         "sensor": d.sensor,
         "kinds": [t.kind for t in d.trials],
     }
-
-
-def write_dataset(ds: Dataset, folder: str | Path, digits: int = 9) -> Path:
-    """Write `meta.toml` and one CSV a trial, as a user's logger would; the truth is not written."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    lines, tables = [], []
-    for key, value in ds.meta.items():
-        if isinstance(value, dict):
-            tables += ["", f"[{key}]", *(f"{k} = {v!r}" for k, v in value.items())]
-        else:
-            lines.append(f'{key} = "{value}"')
-    (folder / "meta.toml").write_text("\n".join(lines + tables) + "\n")
-    for i, columns in enumerate(ds.trials):
-        table = np.stack(list(columns.values()), 1)
-        name = folder / f"trial_{i:02d}.csv"
-        np.savetxt(name, table, fmt=f"%.{digits}g", delimiter=",", header=",".join(columns), comments="")
-    return folder

@@ -5,7 +5,8 @@ import json
 from pathlib import Path
 
 from tests.generators.conditions import CONDITIONS
-from tests.generators.dataset import make_dataset, write_dataset
+from tests.generators.dataset import make_dataset
+from tests.generators.recording import write_dataset
 
 
 def main() -> None:

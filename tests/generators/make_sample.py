@@ -3,7 +3,8 @@
 import sys
 from pathlib import Path
 
-from tests.generators.dataset import make_dataset, write_dataset
+from tests.generators.dataset import make_dataset
+from tests.generators.recording import write_dataset
 
 FOLDER = Path(__file__).parents[2] / "adaptsim_jax" / "closeloop" / "sample"
 NOTE = """# Sample recording

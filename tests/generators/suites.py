@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tests.generators.conditions import NULL_CONDITIONS
-from tests.generators.dataset import Dataset, Spec
+from tests.generators.dataset import Spec
 from tests.generators.effects import EFFECTS
+from tests.generators.recording import Dataset
 
 PLACES = tuple((n, j) for n in EFFECTS for j in ((0,) if n == "tilt" else (1, 2)))
 EFFECT_CONDITIONS = (
