@@ -230,3 +230,28 @@ def table(results: dict) -> str:
             lines += [f"| {h} | {', '.join(f'{k} {v}' for k, v in s.items())} |" for h, s in r["confusion"].items()]
         lines.append("")
     return "\n".join(lines)
+
+
+def row(r: dict) -> dict[str, object]:
+    """One case in a line, for `cases.csv`: what was hidden and said, errors in rad, declared values covered of those told."""
+    error, declared = r["error"] or {}, [e for e in r["declared"].values() if "covered" in e]
+    number = lambda x: "" if x is None else f"{x:.4g}"
+    return {
+        "case": r["name"],
+        "condition": r["condition"],
+        "world": r["world"],
+        "variant": r["variant"],
+        "hidden": " + ".join(f"{n}@{w}" for n, w in r["hidden"]),
+        "multiple": " + ".join(number(m) for m in r["multiples"]),
+        "absorbed": sum(r["confounded"]),
+        "verdict": r["verdict"],
+        "said": " + ".join("|".join(c) for c in r["classes"]),
+        "right": sum(r["hits"]),
+        "wrong": r["wrong"],
+        "left_at": r["leftover"][0]["joint"] if r["leftover"] and r["verdict"] == "structured_unattributed" else "",
+        **{k: number(error.get(k)) for k in ("before", "after", "noise_floor")},
+        "true_model": number((r.get("true_model") or {}).get("rmse")),
+        "covered": sum(e["covered"] for e in declared),
+        "told": len(declared),
+        "seconds": f"{r['seconds']:.0f}",
+    }

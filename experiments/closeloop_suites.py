@@ -3,10 +3,12 @@
     python -m experiments.closeloop_suites --suite null single --count 200 --seed 10000 --out DIR --workers 2
 
 Seeds 0-9999 are for tuning, from 10000 on for scoring. Every data set goes through files. Finished cases are kept in
-`DIR/cases`, so a stopped run goes on where it was; `DIR/results.json` and `DIR/results.md` hold the scores.
+`DIR/cases`, so a stopped run goes on where it was; `DIR/results.json` and `DIR/results.md` hold the scores, `DIR/cases.csv` a row for
+each case. `--count 0` scores what is there.
 """
 
 import argparse
+import csv
 import itertools
 import json
 import shutil
@@ -19,7 +21,7 @@ from pathlib import Path
 import jax
 
 from adaptsim_jax import memory
-from experiments.closeloop_scores import score_case, summarise, table
+from experiments.closeloop_scores import row, score_case, summarise, table
 from experiments.closeloop_truth import true_error
 from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case, disguise
@@ -116,7 +118,13 @@ def main() -> None:
         pool.shutdown()
     if not a.generate_only:
         records = [json.loads(f.read_text()) for f in sorted((a.out / "cases").glob("*.json"))]
+        if not records:
+            return
         results = summarise(records)
+        with (a.out / "cases.csv").open("w", newline="") as file:
+            rows = csv.DictWriter(file, fieldnames=list(row(records[0])))
+            rows.writeheader()
+            rows.writerows(map(row, records))
         (a.out / "results.json").write_text(json.dumps(results, indent=1))
         (a.out / "results.md").write_text(table(results))
         print(table(results))

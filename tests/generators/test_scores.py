@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.closeloop_scores import classes, declared_errors, parse, score_case, summarise, table, wilson
+from experiments.closeloop_scores import classes, declared_errors, parse, row, score_case, summarise, table, wilson
 from tests.generators import Spec
 from tests.generators.suites import Case
 
@@ -82,3 +82,19 @@ def test_declared_parameters_are_compared_where_they_are_identifiable():
     found = declared_errors(truth, {"before": before, "after": after})
     assert set(found) == {"b1", "b2"} and found["b1"]["before"] == pytest.approx(1.0)
     assert found["b1"]["covered"] and not found["b2"]["covered"]
+
+
+def test_a_case_in_a_line():
+    effects = [
+        {"name": "coulomb", "where": "joint1", "alternatives": ["stribeck"]},
+        {"name": "bias", "where": "joint2"},
+    ]
+    record = judged([("stribeck", "joint1")], effects, "explained_class") | {
+        "seconds": 9.6,
+        "error": {"before": 0.0123456},
+    }
+    record["declared"] = {"m1": {"before": 0.1, "after": 0.0, "covered": True}, "b1": {"before": 0.1, "after": 0.2}}
+    line = row(record)
+    assert (line["hidden"], line["said"]) == ("stribeck@joint1", "coulomb@joint1|stribeck@joint1 + bias@joint2")
+    assert (line["right"], line["wrong"], line["covered"], line["told"]) == (1, 1, 1, 1)
+    assert (line["before"], line["after"], line["true_model"], line["seconds"]) == ("0.01235", "", "", "10")
