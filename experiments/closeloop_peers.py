@@ -54,11 +54,11 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     """The package's own steps up to the declared model and its held-out error."""
     from adaptsim_jax.closeloop.audit import audit, usable
     from adaptsim_jax.closeloop.declared import declared, timed
+    from adaptsim_jax.closeloop.earning import Settings
     from adaptsim_jax.closeloop.heldout import held_out
     from adaptsim_jax.closeloop.noise import noise_floor
     from adaptsim_jax.closeloop.problem import prepare_within_reach
     from adaptsim_jax.closeloop.recording import read_recording
-    from adaptsim_jax.closeloop.search import Settings
     from adaptsim_jax.models.effects import catalogue
 
     recording = read_recording(folder)

@@ -14,7 +14,8 @@ import numpy as np
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.simulate import Model, first_angles, gather_command, mean_speed, measure, trial_command
 from adaptsim_jax.closeloop.windows import Windows
-from adaptsim_jax.models.effects import Dry, Effect, Layout, Motion, Reach
+from adaptsim_jax.models.effect import Dry, Effect, Motion, Reach
+from adaptsim_jax.models.effects import Layout
 from adaptsim_jax.models.plant import Plant
 
 MANY = 100  # columns of one effect (a grid of frequencies) that are worth a program of their own

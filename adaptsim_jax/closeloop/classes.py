@@ -1,18 +1,14 @@
 """Equivalence classes: the rivals that a recording cannot tell from an effect that was named."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from adaptsim_jax.closeloop.earning import pays
+from adaptsim_jax.closeloop.earning import Settings, pays
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, plausible
 from adaptsim_jax.models.effects import Layout
 
-if TYPE_CHECKING:
-    from adaptsim_jax.closeloop.search import Found, Settings
 
-
-def class_of(effect: Instance, found: "Found", settings: "Settings", layout: Layout) -> list[Instance]:
+def class_of(effect: Instance, found: Found, settings: Settings, layout: Layout) -> list[Instance]:
     """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival, unless it pays
     for what it has more: then that was too small to matter, but a spring with its rest far off may have passed for a bias."""
     final = found.final
@@ -33,7 +29,7 @@ def class_of(effect: Instance, found: "Found", settings: "Settings", layout: Lay
     return out
 
 
-def _close(best: Fitted, other: Fitted, settings: "Settings") -> bool:
+def _close(best: Fitted, other: Fitted, settings: Settings) -> bool:
     """Vuong's (1989) comparison over windows: not far behind in nats, or not surely so."""
     gap = best.likelihood - other.likelihood
     price = settings.price * (best.size - other.size)

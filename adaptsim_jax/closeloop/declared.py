@@ -25,7 +25,7 @@ from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.tones import tone_of
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.view import View, view
-from adaptsim_jax.models.effects import Effect
+from adaptsim_jax.models.effect import Effect
 
 SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
 

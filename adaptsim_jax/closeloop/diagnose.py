@@ -14,13 +14,16 @@ from adaptsim_jax.closeloop import search as hunt
 from adaptsim_jax.closeloop.audit import Audit, audit, usable
 from adaptsim_jax.closeloop.ceiling import ceiling
 from adaptsim_jax.closeloop.declared import timed
+from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.evidence import evidence_of
 from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.freed import confounded, freed
 from adaptsim_jax.closeloop.geometry import misdeclared
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.leftover import Leftover, leftover, residual_torque
-from adaptsim_jax.closeloop.model_file import fitted_model, write_model
+from adaptsim_jax.closeloop.mended import fitted_model
+from adaptsim_jax.closeloop.model_file import write_model
 from adaptsim_jax.closeloop.noise import NoiseFloor, noise_floor
 from adaptsim_jax.closeloop.polish import polished
 from adaptsim_jax.closeloop.power import Power, power, powered
@@ -29,7 +32,6 @@ from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import check, new_report
-from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
 from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, told, unsmoothed
 from adaptsim_jax.closeloop.task_reward import task_reward
@@ -39,7 +41,8 @@ from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide, unforced
 from adaptsim_jax.closeloop.view import View, view
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.files import output_folder, write_bytes
-from adaptsim_jax.models.effects import Effect, catalogue, effect_named
+from adaptsim_jax.models.effect import Effect
+from adaptsim_jax.models.effects import catalogue, effect_named
 
 STAGES = 9
 Progress = Callable[[int, int, str], None]

@@ -1,15 +1,12 @@
 """What an effect must earn to be added: likelihood for its price, and a torque that matters."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
-
-if TYPE_CHECKING:
-    from adaptsim_jax.closeloop.search import Found
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,7 @@ def completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings
     return falls and left and matters(problem, new, base, base, settings)
 
 
-def needed(problem: Problem, new: Fitted, without: Fitted, found: "Found", settings: Settings) -> bool:
+def needed(problem: Problem, new: Fitted, without: Fitted, found: Found, settings: Settings) -> bool:
     """Whether an effect of a set earns its place. Where none of the set would by itself, half the usual gain will do."""
     alone = len(new.active) - len(found.final.active) == 1
     if alone:

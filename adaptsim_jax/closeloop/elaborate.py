@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, Response, fitted, plausible
-from adaptsim_jax.models.effects import Parameter
+from adaptsim_jax.models.effect import Parameter
 
 INTO = 0.1  # of its range that a parameter starts from its end, where its default is that end and has no slope
 

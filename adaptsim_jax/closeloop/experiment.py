@@ -17,10 +17,10 @@ import numpy as np
 from adaptsim_jax.closeloop.excitation import library
 from adaptsim_jax.closeloop.fit import Settings as FitSettings
 from adaptsim_jax.closeloop.fit import fit
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.power import COMMON, MATTERS, Power
 from adaptsim_jax.closeloop.problem import Active, Problem, driven
 from adaptsim_jax.closeloop.rivals import Fitted
-from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.windows import Windows, cut_windows
 from adaptsim_jax.control.lqr import lqr_gain
 from adaptsim_jax.models.closed_loop import broadcasts, history_rows, run_loop

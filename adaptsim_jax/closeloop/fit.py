@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.closeloop.fit_problem import Point, Problem
 from adaptsim_jax.closeloop.fit_result import FitResult, fit_result
 from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure, trajectory
 from adaptsim_jax.closeloop.windows import Windows
@@ -33,34 +34,6 @@ class Prior(NamedTuple):
 
     mean: Array
     precision: Array
-
-
-class Problem(NamedTuple):
-    """What a fit holds fixed. free `[P]` marks fitted theta; active `[A]` indexes eff (-1: unused slot)."""
-
-    windows: Windows
-    mask: Array
-    free: Array
-    active: Array
-    low: Array  # [P + A]
-    high: Array
-    trial_weight: Array  # [N]
-    prior_mean: Array  # [P + A]
-    prior_precision: Array
-
-
-class Point(NamedTuple):
-    """Where a fit stands, and the linearisation there: `jac [C-1, L+1, Y, W]` and the Gram matrices `[W, C, C]` of
-    `[J_theta | J_active | J_x0 | r]`, all in standard deviations."""
-
-    theta: Array
-    eff: Array
-    x0: Array  # [S, W]
-    residual: Array  # [L+1, Y, W]
-    jac: Array
-    gram: Array
-    window_cost: Array  # [W]
-    cost: Array
 
 
 def fit(

@@ -1,13 +1,11 @@
 """What a fit found: its parameters, residual and derivatives, and how sure it is of them."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from adaptsim_jax.closeloop.fit import Point, Problem
-    from adaptsim_jax.closeloop.simulate import Model
+from adaptsim_jax.closeloop.fit_problem import Point, Problem
+from adaptsim_jax.closeloop.simulate import Model
 
 CODES = ("converged", "reached the iteration limit", "no step lowers the cost", "diverged: cost is not finite")
 
@@ -47,7 +45,7 @@ class FitResult:
         return self.code in (0, 1, 2)
 
 
-def fit_result(model: "Model", problem: "Problem", point: "Point", info) -> FitResult:
+def fit_result(model: Model, problem: Problem, point: Point, info) -> FitResult:
     """The solver's last point and its `(schur [W, G, G + 1], iterations, code)`, all of NumPy, as a FitResult."""
     schur, iterations, code = info
     g = len(problem.low)

@@ -12,7 +12,7 @@ from adaptsim_jax.closeloop.declared import fit_declared
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.verdict import LEAST_CONFIRMED, Verdict
-from adaptsim_jax.models.effects import Effect
+from adaptsim_jax.models.effect import Effect
 
 AS_WELL = 1.1  # held-out error of the freed declared model over the mended one's: below this they explain alike
 

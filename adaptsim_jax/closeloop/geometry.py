@@ -15,7 +15,7 @@ from adaptsim_jax.closeloop.declared import declared_base
 from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.verdict import Verdict
-from adaptsim_jax.models.effects import Effect
+from adaptsim_jax.models.effect import Effect
 
 STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
 FARTHEST = 0.15  # of the length: beyond this nobody measured it

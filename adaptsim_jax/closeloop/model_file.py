@@ -1,4 +1,4 @@
-"""The mended model of a diagnosis, written as `model.toml`, and a recording's own mended model taken as the declared one.
+"""`model.toml` written, and a recording's own mended model taken as the declared one.
 
 `models/model_file.py` says what stands in the file and reads it.
 """
@@ -6,7 +6,6 @@
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,16 +13,10 @@ from adaptsim_jax import __version__, config
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.files import write_bytes
-from adaptsim_jax.models.effects import Effect
-from adaptsim_jax.models.model_file import SCHEMA, AddedEffect, ModelFile, Value, read_model
+from adaptsim_jax.models.effect import Effect
+from adaptsim_jax.models.model_file import SCHEMA, ModelFile, read_model
 
-if TYPE_CHECKING:
-    from adaptsim_jax.closeloop.problem import Problem
-    from adaptsim_jax.closeloop.rivals import Fitted
-
-__all__ = ["ModelFile", "declared_model", "fitted_model", "read_model", "write_model"]
-
-NINETY = 1.6449
+__all__ = ["ModelFile", "declared_model", "read_model", "write_model"]
 
 
 def declared_model(recording: Recording, effects: Sequence[Effect] | None = None) -> ModelFile | None:
@@ -45,35 +38,6 @@ def declared_model(recording: Recording, effects: Sequence[Effect] | None = None
                 f"{recording.geometry[key]:g}; a mended model is of one rig: mend one of them"
             )
     return given
-
-
-def fitted_model(problem: "Problem", model: "Fitted", provenance: dict[str, Any] | None = None) -> ModelFile:
-    """A fitted model, with its effects if it has any, as `model.toml` will hold it."""
-    recording, plant, layout = problem.recording, problem.plant, problem.model.layout
-    c = model.candidate
-    spread = dict(zip(c.names, np.sqrt(np.diag(c.refit.covariance)), strict=True))
-
-    def number(name: str, value: float, unit: str) -> Value:
-        half = NINETY * float(spread.get(name, 0.0))
-        return Value(float(value), float(value) - half, float(value) + half, unit, name in spread)
-
-    declared = {n: number(n, x, u) for n, x, u in zip(plant.theta_names, c.theta, plant.theta_units, strict=True)}
-    effects = []
-    for name, where in c.active:
-        instance = layout.instances[layout.index(name, where)]
-        numbers = zip(instance.effect.parameters, c.eff[instance.at], strict=True)
-        effects.append(
-            AddedEffect(name, where, {p.name: number(f"{name}/{where}/{p.name}", x, p.unit) for p, x in numbers})
-        )
-    known = {k: float(v) for k, v in recording.known.items()}
-    geometry = {k: float(v) for k, v in recording.geometry.items()}
-    clock = {}
-    if problem.phases(c.active):
-        clock = {t.name: float(s) for t, s in zip(recording.trials, problem.windows.clock, strict=False)}
-    return ModelFile(
-        recording.task, recording.model, recording.angle_zero, geometry, declared, tuple(effects), known, c.names,
-        c.refit.covariance, dict(provenance or {}), trial_clock=clock, library=layout.effects,
-    )  # fmt: skip
 
 
 def write_model(path: str | Path, model: ModelFile) -> ModelFile:

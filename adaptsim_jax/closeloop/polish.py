@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, fitted_plainly, plausible, settled
-from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.view import View, view
 
 ROUNDS = 4  # each from where the last ended

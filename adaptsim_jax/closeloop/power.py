@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.problem import Problem
-from adaptsim_jax.closeloop.search import Settings
 from adaptsim_jax.closeloop.view import View
 
 MATTERS = 0.03  # of the torque's RMS: an effect of this size changes what a controller does

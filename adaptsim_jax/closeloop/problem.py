@@ -17,7 +17,7 @@ from adaptsim_jax.closeloop.noise import NoiseFloor, smooth
 from adaptsim_jax.closeloop.simulate import Model, make_model
 from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.closeloop.windows import Windows, cut_windows
-from adaptsim_jax.models.effects import Effect, Reach
+from adaptsim_jax.models.effect import Effect, Reach
 from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from adaptsim_jax.models.plant import Plant
 

@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.closeloop.ceiling import Ceiling
+from adaptsim_jax.closeloop.earning import Settings
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.power import MATTERS, Power
 from adaptsim_jax.closeloop.problem import Problem, driven
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
-from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.spread import NINETY, reach_over_classes
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.closeloop.view import Ranked, View

@@ -7,7 +7,6 @@ stops) the refits put right. Rivals that stay within the scatter of the windows 
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.leaders import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.pairs import (
     leading_pairs,
@@ -24,7 +24,7 @@ from adaptsim_jax.closeloop.pairs import (
     swapped_plainly,
     with_look_alikes,
 )
-from adaptsim_jax.closeloop.problem import Active, Diverged, Problem
+from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.rivals import (
     Fitted,
     Instance,
@@ -41,26 +41,6 @@ from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
 BLATANT = 0.01  # of the torque: with less force left over the short list will do
 Progress = Callable[[str], None]
-
-
-@dataclass
-class Found:
-    """What the search ended with, and what it saw on the way."""
-
-    base: Fitted
-    final: Fitted
-    ranked: list[Ranked]  # about the declared model
-    rivals: dict[Instance, list[Fitted]] = field(default_factory=dict)  # per accepted effect: the others in its place
-    classes: dict[Instance, list[Instance]] = field(default_factory=dict)
-    tried: list[Fitted] = field(default_factory=list)
-    last: list[Ranked] = field(default_factory=list)  # about the final model
-    view: "View | None" = None  # of the final model
-    leading: Fitted | None = None  # the likeliest set of effects that still explains too little for a name
-
-    @property
-    def added(self) -> Active:
-        """What the search added to the effects that the base model has already."""
-        return tuple(a for a in self.final.active if a not in self.base.active)
 
 
 def search(

@@ -28,7 +28,7 @@ from adaptsim_jax.closeloop.simulate import (
     switched_on,
 )
 from adaptsim_jax.closeloop.windows import Windows
-from adaptsim_jax.models.effects import Reach
+from adaptsim_jax.models.effect import Reach
 
 
 @dataclass(frozen=True)

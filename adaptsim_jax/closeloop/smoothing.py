@@ -23,7 +23,7 @@ from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.score import Scorer
 from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.closeloop.view import View
-from adaptsim_jax.models.effects import Effect
+from adaptsim_jax.models.effect import Effect
 
 SURE = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
 WORTH = 9.0  # gain of a correction to a smoothing that is worth another fit

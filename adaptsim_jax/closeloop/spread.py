@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted
-from adaptsim_jax.closeloop.search import Found
 
 NINETY = 1.6449
 

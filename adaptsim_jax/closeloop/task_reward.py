@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.closeloop.model_file import fitted_model
+from adaptsim_jax.closeloop.mended import fitted_model
 from adaptsim_jax.models.closed_loop import Law, run_loop
 from adaptsim_jax.models.model_file import ModelFile
 from adaptsim_jax.tasks.mended_policy import DT, ROWS, MendedPolicy, World, command, descended, make_world
 
 if TYPE_CHECKING:
+    from adaptsim_jax.closeloop.found import Found
     from adaptsim_jax.closeloop.problem import Problem
-    from adaptsim_jax.closeloop.search import Found
 
 REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
 

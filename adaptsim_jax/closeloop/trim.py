@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.closeloop.classes import class_of
+from adaptsim_jax.closeloop.earning import Settings
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
 from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted
-from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.view import View, view
 
 LEAST_GAIN = 0.97  # held-out error with an effect over without it: above this it is not shown by other trials

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.closeloop.earning import Settings
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.rivals import unexplained
-from adaptsim_jax.closeloop.search import Found, Settings
 from adaptsim_jax.closeloop.trim import confirms
 
 

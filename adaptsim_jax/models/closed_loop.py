@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.models.effects import Effect
+from adaptsim_jax.models.effect import Effect
 from adaptsim_jax.models.stepping import Model, Push, row_step
 
 Law = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]  # (measured [S], past [H, U], t []) -> torque [U] N m

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from adaptsim_jax.models.effects import Effect, Motion, Parameter
+from adaptsim_jax.models.effect import Effect, Motion, Parameter
 from adaptsim_jax.models.effects_force import at_phase, frequencies, no_period
 
 

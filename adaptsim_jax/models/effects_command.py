@@ -7,7 +7,7 @@ Commands are held from their row to the next; what an effect returns is each row
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.models.effects import Effect, Parameter
+from adaptsim_jax.models.effect import Effect, Parameter
 
 
 def _durations(t):

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.models.effects import Dry, Effect, Motion, Parameter, Relaxation
+from adaptsim_jax.models.effect import Dry, Effect, Motion, Parameter, Relaxation
 from adaptsim_jax.models.trig import sin_cos
 
 LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.models.effects import Effect, Parameter
+from adaptsim_jax.models.effect import Effect, Parameter
 
 
 def encoder_offset(p, t, q, v, first):

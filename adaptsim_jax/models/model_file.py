@@ -22,7 +22,8 @@ import numpy as np
 
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models.effects import Effect, Layout, Parameter, catalogue, effect_named
+from adaptsim_jax.models.effect import Effect, Parameter
+from adaptsim_jax.models.effects import Layout, catalogue, effect_named
 from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from adaptsim_jax.models.plant import Plant
 

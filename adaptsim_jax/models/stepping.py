@@ -12,7 +12,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.models.effects import Dry, Layout, Motion, Relaxation
+from adaptsim_jax.models.effect import Dry, Motion, Relaxation
+from adaptsim_jax.models.effects import Layout
 from adaptsim_jax.models.plant import Plant, solve_mass
 
 TOGETHER = 5  # effects that are asked about at once

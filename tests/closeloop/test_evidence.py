@@ -10,11 +10,11 @@ import adaptsim_jax.closeloop
 from adaptsim_jax.closeloop.audit import audit
 from adaptsim_jax.closeloop.ceiling import ceiling
 from adaptsim_jax.closeloop.diagnose import examine, write_models
+from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.evidence import _variable, evidence_of
 from adaptsim_jax.closeloop.model_file import read_model
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.search import Settings
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.models.effects import catalogue
 from tests.generators import make_dataset, write_dataset

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.closeloop import leaders
+from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.leaders import anything
-from adaptsim_jax.closeloop.search import Settings
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models.effects import Effect, Parameter, catalogue
+from adaptsim_jax.models.effect import Effect, Parameter
+from adaptsim_jax.models.effects import catalogue
 from adaptsim_jax.models.model_file import AddedEffect, ModelFile, Value
 from adaptsim_jax.tasks.mended_policy import make_world
 from adaptsim_jax.tasks.pendulum_mended import mended_space

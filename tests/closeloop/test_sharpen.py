@@ -8,11 +8,11 @@ import pytest
 
 from adaptsim_jax.closeloop.audit import audit
 from adaptsim_jax.closeloop.declared import declared, timed
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.rivals import fitted
-from adaptsim_jax.closeloop.search import Found
 from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
 from adaptsim_jax.models.effects import catalogue
 from tests.generators import make_dataset, write_dataset

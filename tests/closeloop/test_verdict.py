@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.lines import Line
-from adaptsim_jax.closeloop.search import Settings
 from adaptsim_jax.closeloop.verdict import Verdict, confirmed, decide, unforced
 
 NAMED = Verdict("explained", "The residual is explained by coulomb at joint 2.", True)

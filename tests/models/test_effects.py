@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models.effects import UNITS, Dry, Effect, Layout, Motion, Parameter, Reach, Relaxation, catalogue
+from adaptsim_jax.models.effect import UNITS, Dry, Effect, Motion, Parameter, Reach, Relaxation
+from adaptsim_jax.models.effects import Layout, catalogue
 
 NAMES = (
     "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay actuator_lag saturation dead_zone "

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.closeloop.rivals import _is_nothing
-from adaptsim_jax.models.effects import Parameter, catalogue
+from adaptsim_jax.models.effect import Parameter
+from adaptsim_jax.models.effects import catalogue
 
 ANGLES = np.linspace(-1.0, 1.0, 201)
 TRIAL = 6.0  # s

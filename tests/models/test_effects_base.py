@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.models.effects import Motion, catalogue, effect_named
+from adaptsim_jax.models.effect import Motion
+from adaptsim_jax.models.effects import catalogue, effect_named
 
 G, H1, H2 = 9.81, 0.3, 0.11  # m/s^2; kg m
 
