@@ -157,7 +157,8 @@ def _beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: V
         without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, best.parts, seen.response)
     except Diverged:  # it cannot be left out
         return best
-    found.tried.append(without)
+    if rest:  # the other member may have gone already, and the declared model is none of the sets tried
+        found.tried.append(without)
     if plausible(without, found.base) and not needed(problem, best, without, found, settings):
         return without
     alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]

@@ -72,3 +72,21 @@ def test_a_look_alike_of_itself_is_meant_at_another_joint():
     alike = lambda best: [r.instance for r in look_alikes(problem, best, ranked, [])]
     assert alike(("gain", "joint1")) == [("gain", "joint2"), ("inertia", "joint1")]
     assert alike(("inertia", "joint2")) == [("gain", "joint2")]
+
+
+def test_the_last_of_a_pair_left_out_is_no_set_that_was_tried(monkeypatch):
+    """The declared model among them ended a diagnosis with an error where the other member had gone before."""
+    point = SimpleNamespace(point=SimpleNamespace(x0=None))
+    best = SimpleNamespace(
+        active=(("backlash", "joint1"),), parts=None, candidate=SimpleNamespace(theta=None, eff=None, refit=point)
+    )
+    made = lambda problem, active, *rest: SimpleNamespace(active=active)
+    monkeypatch.setattr(search, "fitted", made)
+    monkeypatch.setattr(search, "plausible", lambda *a: True)
+    monkeypatch.setattr(search, "needed", lambda *a: False)
+    seen = SimpleNamespace(response=None)
+    for rest in ((), (("bias", "joint2"),)):
+        found = SimpleNamespace(base=None, tried=[])
+        pair = SimpleNamespace(**{**vars(best), "active": best.active + rest})
+        left = search._beside(None, found, pair, best.active[0], seen, Settings(), print)
+        assert left.active == rest and [t.active for t in found.tried] == ([rest] if rest else [])
