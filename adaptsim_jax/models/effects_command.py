@@ -9,6 +9,9 @@ import jax.numpy as jnp
 
 from adaptsim_jax.models.effect import Effect, Parameter
 
+SURE = 1.6449  # standard errors of a 90 % interval
+LEAST_TORQUE = 0.15  # of the command, that a wrong torque constant leaves
+
 
 def _durations(t):
     return jnp.concatenate([jnp.diff(t, axis=0), jnp.zeros_like(t[:1])])
@@ -89,6 +92,16 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
 
 
+def _no_gain(value, error, q, duration) -> str:
+    """With next to no torque the model has another scale, and its forces may be anything."""
+    least = 1.0 + value["gain"] - SURE * error.get("gain", 0.0)
+    return (
+        f"it may leave {100 * max(least, 0.0):.0f} % of the torque, as no motor's constant does"
+        if least < LEAST_TORQUE
+        else ""
+    )
+
+
 BEFORE = Parameter(
     "before", "1", 0.0, 1.0, 0.0, None, optional=True, meaning="torque as a trial begins, over its first command"
 )
@@ -121,6 +134,7 @@ COMMAND = (
         "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
         "the torque constant is off by a share", "driven motion beside free swings",
         ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
+        amiss=_no_gain,
         formula="(1 + gain) command",
     ),
     Effect(
