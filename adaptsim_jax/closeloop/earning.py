@@ -8,6 +8,8 @@ from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 
+NO_CHANCE = 100.0  # of log-likelihood, gained over the declared model
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -71,9 +73,15 @@ def pays(new: Fitted, old: Fitted, settings: Settings) -> bool:
 
 def earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
     """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
-    if not pays(new, old, settings):
+    if not pays(new, old, settings) or unexplained(new, old) > 1.0 - settings.least_fall:
         return False
-    return unexplained(new, old) < 1.0 - settings.least_fall and matters(problem, new, old, base, settings)
+    return matters(problem, new, old, base, settings) or _small_but_all(new, old, base, settings)
+
+
+def _small_but_all(new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
+    """Whether one effect, small as it may be beside the torque, is nearly all that the declared model lacks, and surely no chance."""
+    alone = old is base and len(new.active) - len(base.active) == 1
+    return alone and unexplained(new, base) < settings.clear and new.total - base.total > NO_CHANCE
 
 
 def completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
