@@ -57,7 +57,7 @@ def matters(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: 
     share = felt(problem, new, old)
     astray = np.any(base.moving > np.square(problem.torque_scale))
     beside = np.sqrt(own.sum() / max((old if astray else base).moving.sum(), 1e-300))
-    return share > strict * settings.least_share and beside > strict * settings.least_beside
+    return bool(share > strict * settings.least_share and beside > strict * settings.least_beside)
 
 
 def felt(problem: Problem, new: Fitted, old: Fitted) -> float:
