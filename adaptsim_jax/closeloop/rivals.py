@@ -116,18 +116,26 @@ def _is_nothing(amplitudes, fitted: dict[str, tuple[float, float]]) -> bool:
 
 
 def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
-    """The model refitted under its own residual covariance, again and again until its likelihood settles."""
+    """The model refitted under its own residual covariance, again and again until its likelihood settles. Where nothing likelier
+    is found it stays where it is, with the errors that its own covariance gives: those of the refit before it are of the forces
+    that a worse model left, and may hide any effect."""
     for _ in range(rounds):
         factor = disturbance.whitener(response.lin, model.parts, response.kernels)
-        try:
-            new = _judged(problem, refit_more(problem, model.candidate, factor), model.parts, response)
-        except Diverged:
-            break
-        gain = new.total - model.total
-        model = new if gain > 0 else model
+        new = _again(problem, model, factor, response)
+        gain = -np.inf if new is None else new.total - model.total
+        if new is None or gain <= 0.0:
+            return _again(problem, model, factor, response, iterations=0) or model
+        model = new
         if gain < 1.0:
             break
     return model
+
+
+def _again(problem: Problem, model: Fitted, factor: np.ndarray, response: Response, **more) -> Fitted | None:
+    """The model refitted from where it is, under another covariance; None where that runs away."""
+    with suppress(Diverged):
+        return _judged(problem, refit_more(problem, model.candidate, factor, **more), model.parts, response)
+    return None
 
 
 def fitted_plainly(
