@@ -131,6 +131,7 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
     order = sorted((t for t in trials if t is not None), key=lambda t: -t.merit(settings.price))
     front = [t for t in order if plausible(t, base)][: settings.pairs]
     trials = abreast(lambda t: settled_plainly(problem, t, seen), front)
+    trials += [alone for t in trials if (alone := _without(problem, t, doubtful(t, base), seen)) is not None]
     found.tried += trials
     best = choose(problem, [t for t in trials if plausible(t, base)], base, settings)
     if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
@@ -180,12 +181,21 @@ def _pruned(problem: Problem, found: Found, current: Fitted, trials: list[Fitted
         idle = doubtful(trial, found.base) - {new}
         if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
             continue
-        c = trial.candidate
-        rest = tuple(a for a in trial.active if a not in idle)
-        with suppress(Diverged):
-            out.append(fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, trial.parts, seen.response))
+        out.append(_without(problem, trial, idle, seen))
+    out = [t for t in out if t is not None]
     found.tried += out
     return out
+
+
+def _without(problem: Problem, trial: Fitted, idle: set[Instance], seen: View) -> Fitted | None:
+    """A set refitted without its idle members, for which the others no longer have to make up; None where none is idle, all are, or
+    the rest runs away."""
+    c, rest = trial.candidate, tuple(a for a in trial.active if a not in idle)
+    if not idle or not rest:
+        return None
+    with suppress(Diverged):
+        return fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, trial.parts, seen.response)
+    return None
 
 
 def _refitted(

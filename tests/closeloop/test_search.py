@@ -90,3 +90,15 @@ def test_the_last_of_a_pair_left_out_is_no_set_that_was_tried(monkeypatch):
         pair = SimpleNamespace(**{**vars(best), "active": best.active + rest})
         left = search._beside(None, found, pair, best.active[0], seen, Settings(), print)
         assert left.active == rest and [t.active for t in found.tried] == ([rest] if rest else [])
+
+
+def test_a_set_goes_on_without_its_idle_members(monkeypatch):
+    """Of a pair with a lag of nothing, the play beside it was the cause."""
+    lag, play = ("sensor_lag", "joint2"), ("backlash", "joint2")
+    point = SimpleNamespace(point=SimpleNamespace(x0=None))
+    pair = SimpleNamespace(active=(lag, play), parts=None, candidate=SimpleNamespace(theta=None, eff=None, refit=point))
+    monkeypatch.setattr(search, "fitted", lambda problem, active, *rest: SimpleNamespace(active=active))
+    seen = SimpleNamespace(response=None)
+    assert search._without(None, pair, {lag}, seen).active == (play,)
+    assert search._without(None, pair, set(), seen) is None
+    assert search._without(None, pair, {lag, play}, seen) is None
