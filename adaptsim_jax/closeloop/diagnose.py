@@ -31,6 +31,7 @@ from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
+from adaptsim_jax.closeloop.scales import rescaled
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
 from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, told, unsmoothed
@@ -135,6 +136,7 @@ def examine(
     problem, found = sharpened(problem, found, first)
     found = polished(problem, found, first)
     found, tested = trimmed(problem, found, first, settings)
+    found = rescaled(problem, found, first, settings)
     seen = found.view or first
     after = before
     if found.added:
