@@ -105,9 +105,9 @@ def test_the_bank_is_of_this_engine():
         wins = np.unpackbits(arrays[f"wins_{box}"])[:count].astype(bool)
         params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(count))), about["seeds"][box], box)
         params, actions = params[:count], actions[:count]
-        some = slice(0, 64)
+        some = slice(0, 512)
         again, codes = scooping_bank.simulate(params[some], actions[some], ScoopOptions(), Numerics())
-        # other processors round otherwise
+        # Other processors round otherwise: on one 98.3 % of 2048 end alike, but of the first 64 only 92 %.
         assert np.mean(again.wins == wins[some]) >= 0.95 and np.mean(codes == model.FINE) > 0.95
         each = tuple(jnp.asarray(v, jnp.float32) for v in (params, actions))
         logit = np.asarray(jax.jit(jax.vmap(bank.logit))(*each))
