@@ -152,7 +152,7 @@ def examine(
     verdict = decide(found, before, after, settings, powered(powers), reached, force, beyond)
     say(7, STAGES, "held-out trials, mended model")
     error_after = (tested or held_out(problem, found.final, seen)) if verdict.named else error_before
-    verdict = confirmed(verdict, found, error_before, error_after, after, settings, reached)
+    verdict = confirmed(verdict, found, error_before, error_after, after, settings)
     verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
     if found.added or verdict.name == "structured_unattributed":
         verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)

@@ -9,7 +9,7 @@ from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.rivals import unexplained
-from adaptsim_jax.closeloop.trim import LEAST_GAIN, confirms
+from adaptsim_jax.closeloop.trim import confirms
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,6 @@ BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remai
 BEYOND_FLOOR_STILL = 2.0  # the same where much of the error remains
 LEAST_TRIALS = 5  # that all gain by chance once in 32 times
 LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
-CLEAR_RISE = 100.0  # of a trial's log-likelihood: no scatter of windows makes as much
-HALVED = 0.5  # of the unexplained force, that may remain where only likelihoods can judge
 
 
 def decide(
@@ -89,22 +87,16 @@ def _large(force: np.ndarray) -> str:
 
 
 def confirmed(
-    verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, settings: Settings, flexible: float
+    verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, settings: Settings
 ) -> Verdict:
     """The verdict, unless the mended model simulates held-out trials no better: then no name is given.
 
-    left: the generic dictionary about the mended model; flexible: as of `decide`. Beside a torque that wanders by chance, which no
-    model takes away, a smaller fall of the error will do, if the likelihood rises in every trial and what is left is chance. Where
-    not even forces of any shape lower the error, simulated trials cannot judge (a play beside a wandering torque): a likelihood
-    that rises far in every trial, and half of the unexplained force gone, decide.
+    left: the generic dictionary about the mended model. Beside a torque that wanders by chance, which no model takes away, a smaller
+    fall of the error will do, if the likelihood rises in every trial and what is left is chance.
     """
     if not verdict.named or after.rmse() < LEAST_CONFIRMED * before.rmse():
         return verdict
-    chance = not _predicted(left, settings)
-    if chance and confirms(after, before) and _rises(found, before, 0.0):
-        return verdict
-    blind = flexible > PREDICTED and after.rmse() < before.rmse() / LEAST_GAIN
-    if chance and blind and _rises(found, before, CLEAR_RISE) and unexplained(found.final, found.base) < HALVED:
+    if not _predicted(left, settings) and confirms(after, before) and _everywhere(found, before):
         return verdict
     message = (
         "A candidate fits, but it does not simulate held-out trials better than the declared model; no name is given."
@@ -112,11 +104,11 @@ def confirmed(
     return Verdict("structured_unattributed", message, False)
 
 
-def _rises(found: Found, trials: HeldOut, least: float) -> bool:
-    """Whether the likelihood rises by more than `least` in every trial, of enough of them to be no chance."""
+def _everywhere(found: Found, trials: HeldOut) -> bool:
+    """Whether the likelihood rises in every trial, of enough of them to be no chance."""
     names = np.unique(trials.trial[trials.fold >= 0])
     gain = found.final.likelihood - found.base.likelihood
-    return len(names) >= LEAST_TRIALS and all(gain[trials.trial == k].sum() > least for k in names)
+    return len(names) >= LEAST_TRIALS and all(gain[trials.trial == k].sum() > 0.0 for k in names)
 
 
 def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, floor: float) -> Verdict:
