@@ -6,9 +6,8 @@ import numpy as np
 
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted
+from adaptsim_jax.models.effect import NINETY
 from adaptsim_jax.models.model_file import AddedEffect, ModelFile, Value
-
-NINETY = 1.6449
 
 
 def fitted_model(problem: Problem, model: Fitted, provenance: dict[str, Any] | None = None) -> ModelFile:

@@ -13,9 +13,10 @@ from adaptsim_jax.closeloop.power import MATTERS, Power
 from adaptsim_jax.closeloop.problem import Problem, driven
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
-from adaptsim_jax.closeloop.spread import NINETY, reach_over_classes
+from adaptsim_jax.closeloop.spread import reach_over_classes
 from adaptsim_jax.closeloop.verdict import Verdict
 from adaptsim_jax.closeloop.view import Ranked, View
+from adaptsim_jax.models.effect import NINETY
 
 
 def report_of(

@@ -10,9 +10,9 @@ from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.candidate import Candidate, refit_candidate, refit_more
 from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
 from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, fit_plain
+from adaptsim_jax.models.effect import NINETY
 
 Instance = tuple[str, str]  # (effect, where)
-SURE = 1.6449  # standard errors of a 90 % interval
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _amiss(problem: Problem, candidate: Candidate) -> Iterator[tuple[Instance, s
 def _is_nothing(amplitudes, fitted: dict[str, tuple[float, float]]) -> bool:
     """Whether 90 % intervals of all amplitudes hold the value without effect."""
     known = [(*fitted[p.name], p.off) for p in amplitudes if p.name in fitted]
-    return bool(known) and all(abs(value - off) <= SURE * error for value, error, off in known)
+    return bool(known) and all(abs(value - off) <= NINETY * error for value, error, off in known)
 
 
 def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:

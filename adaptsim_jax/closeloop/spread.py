@@ -11,8 +11,7 @@ import numpy as np
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted
-
-NINETY = 1.6449
+from adaptsim_jax.models.effect import NINETY
 
 
 def class_members(found: Found) -> list[Fitted]:

@@ -25,7 +25,7 @@ def trimmed(problem: Problem, found: Found, first: View, settings: Settings) -> 
     whole = None
     while len(found.added) > 1:
         whole = held_out(problem, found.final, found.view or first) if whole is None else whole
-        without = [(e, w) for e in found.added if (w := _without(problem, found, e)) is not None]
+        without = [(e, w) for e in found.added if (w := _refitted_without(problem, found, e)) is not None]
         for effect, less in sorted(without, key=lambda ew: -ew[1].total):
             seen = view(problem, less)
             other = held_out(problem, less, seen)
@@ -45,7 +45,7 @@ def confirms(with_effect: HeldOut, without: HeldOut) -> bool:
     return bool(with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better))
 
 
-def _without(problem: Problem, found: Found, effect: Instance) -> Fitted | None:
+def _refitted_without(problem: Problem, found: Found, effect: Instance) -> Fitted | None:
     """The final model refitted without one of its effects; None where that runs away."""
     c, seen = found.final.candidate, found.view
     if seen is None:

@@ -14,6 +14,7 @@ import numpy as np
 from adaptsim_jax.errors import BadInput
 
 PLACES = ("command", "force", "measurement")
+NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
 UNITS = {
     "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
     "N m": (1, 0), "N m/rad": (1, 0), "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),

@@ -7,9 +7,8 @@ Commands are held from their row to the next; what an effect returns is each row
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.models.effect import Effect, Parameter
+from adaptsim_jax.models.effect import NINETY, Effect, Parameter
 
-SURE = 1.6449  # standard errors of a 90 % interval
 LEAST_TORQUE = 0.15  # of the command, that a wrong torque constant leaves
 
 
@@ -94,7 +93,7 @@ def _widths(reach, joint):
 
 def _no_gain(value, error, q, duration) -> str:
     """With next to no torque the model has another scale, and its forces may be anything."""
-    least = 1.0 + value["gain"] - SURE * error.get("gain", 0.0)
+    least = 1.0 + value["gain"] - NINETY * error.get("gain", 0.0)
     return (
         f"it may leave {100 * max(least, 0.0):.0f} % of the torque, as no motor's constant does"
         if least < LEAST_TORQUE
