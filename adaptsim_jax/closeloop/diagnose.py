@@ -16,7 +16,7 @@ from adaptsim_jax.closeloop.ceiling import ceiling
 from adaptsim_jax.closeloop.declared import timed
 from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.evidence import evidence_of
-from adaptsim_jax.closeloop.experiment import csv_of, next_experiment
+from adaptsim_jax.closeloop.experiment import CSV, csv_of, next_experiment
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.freed import confounded, freed
 from adaptsim_jax.closeloop.geometry import misdeclared
@@ -222,7 +222,7 @@ def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:
 
 def command_of(recording: Recording, seed: int, exclude: Sequence[str]) -> str:
     """The command that gives the same answer."""
-    words = ["adaptsim", "diagnose", str(recording.path), *(["--seed", str(seed)] if seed else [])]
+    words = ["adaptsim", "diagnose", str(recording.path), "--out", "again", *(["--seed", str(seed)] if seed else [])]
     return shlex.join([*words, *(["--exclude", *exclude] if exclude else [])])
 
 
@@ -236,6 +236,8 @@ def finish(
         from adaptsim_jax.report.diagnosis import write_diagnosis
 
         folder = output_folder(out)
+        for name in ("model.toml", "leading.toml", CSV):  # of an earlier run into the same folder, and of another model
+            (folder / name).unlink(missing_ok=True)
         if result is not None:
             evidence["regressor"] = regressors(result)
             write_models(folder, result, report, recording.path)
@@ -253,5 +255,3 @@ def write_models(folder: Path, result: Diagnosis, report: dict[str, Any], data: 
     if result.leading is not None:
         told["message"] = "Not established: the likeliest set of effects, which explains too little for a name."
         write_model(folder / "leading.toml", fitted_model(result.problem, result.leading, told))
-    else:
-        (folder / "leading.toml").unlink(missing_ok=True)  # of an earlier run into the same folder

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from codecs import BOM_UTF8
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from adaptsim_jax.errors import BadInput
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 MIN_ROWS = 20
+EMPTY = "is empty; remove it or record the trial again"
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ def _read_bytes(path: Path) -> bytes:
 
 def _decode(path: Path) -> str:
     raw = _read_bytes(path)
-    if not raw.strip():
-        raise BadInput(f"{path}: is empty; remove it or record the trial again")
+    if not raw.removeprefix(BOM_UTF8).strip():
+        raise BadInput(f"{path}: {EMPTY}")
     if b"\x00" in raw:
         raise BadInput(f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV")
     try:
@@ -77,6 +79,8 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> Table:
     header_line = text.lstrip().splitlines()[0]
     delimiter = max(DELIMITERS, key=header_line.count)
     rows, lines = _rows(path, text, delimiter)
+    if not rows:
+        raise BadInput(f"{path}: {EMPTY}")
     header = [cell.strip().strip('"') for cell in rows[0]]
     header[0] = header[0].lstrip("# ").strip()
     _check_header(path, header, wanted, rows[0])

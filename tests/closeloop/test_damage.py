@@ -157,3 +157,10 @@ def test_arbitrary_numbers_never_break_the_audit(folder, data):
 def test_the_undamaged_trial_reads(folder):
     (folder / "t.csv").write_bytes(CSV)
     assert read_or_refuse(folder).samples == 60
+
+
+@pytest.mark.parametrize("rest", [b"", b" \n", b"\xef\xbb\xbf", b"\xef\xbb\xbf\n", b",,,,\n", b"\n;;;\n"])
+def test_what_a_spreadsheet_leaves_of_nothing_is_empty(folder, rest):
+    (folder / "t.csv").write_bytes(rest)
+    with pytest.raises(BadInput, match=r"t\.csv: is empty"):
+        read_recording(folder)

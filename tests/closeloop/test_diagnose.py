@@ -1,10 +1,14 @@
 """The whole of `diagnose`, with the whole catalogue, on files: one hidden effect, and none."""
 
+import shlex
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import adaptsim_jax.closeloop
+from adaptsim_jax import cli
 from adaptsim_jax.closeloop.diagnose import command_of, diagnose
 from adaptsim_jax.closeloop.recording import read_recording
 from tests.generators import Spec, make_dataset, make_datasets, write_dataset
@@ -66,5 +70,22 @@ def test_of_two_effects_that_hide_each_other_both_are_named(tmp_path):
 
 def test_the_report_names_the_command_that_repeats_it():
     recording = read_recording(SAMPLE)
-    assert command_of(recording, 0, []) == f"adaptsim diagnose {SAMPLE}"
-    assert command_of(recording, 3, ["spring", "bias"]).endswith(" --seed 3 --exclude spring bias")
+    again = cli.parse(shlex.split(command_of(recording, 0, []))[1:])
+    assert (again.data, again.seed, again.exclude) == (str(SAMPLE), 0, [])
+    again = cli.parse(shlex.split(command_of(recording, 3, ["spring", "bias"]))[1:])
+    assert (again.data, again.seed, again.exclude) == (str(SAMPLE), 3, ["spring", "bias"])
+
+
+def test_what_an_earlier_run_left_in_the_folder_goes(tmp_path):
+    """A recording that contradicts itself has no model; that of the run before is not this report's."""
+    stale = [tmp_path / "out" / name for name in ("model.toml", "leading.toml", "next_experiment.csv")]
+    (tmp_path / "out").mkdir()
+    for file in stale:
+        file.write_text("old")
+    data = shutil.copytree(SAMPLE, tmp_path / "data")
+    for trial in data.glob("*.csv"):
+        rows = np.genfromtxt(trial, delimiter=",", names=True)
+        rows["v1"] *= -1.0
+        np.savetxt(trial, rows, delimiter=",", header=",".join(rows.dtype.names), comments="")
+    assert diagnose(data, out=tmp_path / "out")["verdict"] == "data_fault"
+    assert not any(file.exists() for file in stale)
