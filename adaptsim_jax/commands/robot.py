@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import hashlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from adaptsim_jax.store import RunFolder
 
 EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
@@ -68,9 +71,10 @@ def new(args: argparse.Namespace) -> None:
     folder = Path(args.dir)
     if (folder / SESSION).exists():
         raise BadInput(f"{folder}: holds a session already; go on with 'adaptsim robot next --dir {folder}'")
+    path = str(Path(args.what).resolve())
     table = {
-        "schema": 1, "run": str(Path(args.what).resolve()), "seed": args.seed,
-        "starts": args.starts, "iterations": args.iterations,
+        "schema": 1, "run": path, "seed": args.seed, "starts": args.starts, "iterations": args.iterations,
+        "trained": _identity(_run_of(path)),
     }  # fmt: skip
     session = _session(folder, table)
     trained = session.trained
@@ -161,20 +165,50 @@ def _open(folder: Path) -> Session:
     return _session(folder, table)
 
 
-def _session(folder: Path, table: dict[str, Any]) -> Session:
-    from adaptsim_jax.adapt.asktell import make_ask_tell
-    from adaptsim_jax.adapt.training import load_run
-    from adaptsim_jax.commands.task_parts import ROBOT, robot_part
+def _run_of(path: str) -> RunFolder:
+    """The run at `path`, of a task that robots are for."""
+    from adaptsim_jax.commands.task_parts import ROBOT
     from adaptsim_jax.errors import BadInput
     from adaptsim_jax.store import RunFolder
 
-    run = RunFolder.open(table["run"])
+    run = RunFolder.open(path)
     if run.task not in ROBOT:
         raise BadInput(
-            f"{table['run']}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this version. For "
+            f"{path}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this version. For "
             f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adapt.asktell with recorded trajectories"
         )
+    return run
+
+
+def _identity(run: RunFolder) -> dict[str, Any]:
+    """Which adaptation policy the run holds now: its checkpoint's step and hashes."""
+    from adaptsim_jax.store import read_manifest
+
+    manifest = read_manifest(run.checkpoint)
+    return {name: manifest[name] for name in ("step", "sha256", "config_hash")}
+
+
+def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
+    """BadInput where the run's checkpoint is not the one that the session began with. Older sessions do not say which it was."""
+    from adaptsim_jax.errors import BadInput
+
+    began, now = table.get("trained"), _identity(run)
+    if began is not None and began != now:
+        was = began.get("step") if isinstance(began, dict) else began
+        raise BadInput(
+            f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint of round {was} then, another "
+            f"of round {now['step']} now); put that checkpoint back, or start another session with 'adaptsim robot new'"
+        )
+
+
+def _session(folder: Path, table: dict[str, Any]) -> Session:
+    from adaptsim_jax.adapt.asktell import make_ask_tell
+    from adaptsim_jax.adapt.training import load_run
+    from adaptsim_jax.commands.task_parts import robot_part
+
+    run = _run_of(table["run"])
     trained = load_run(run)
+    _check_same(run, table, folder)  # after the load, so that what was loaded is what is checked
     phase1 = trained.phase1
     weights, sizes = trained.state.learner.target, {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")}
     loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -187,8 +188,6 @@ def write_trial(path, gain, target=(1.8, 0.3, 1.5, 1.5)):
 
 
 def test_a_session_with_a_robot(straight, tmp_path, capsys):
-    import tomllib
-
     folder = tmp_path / "robot"
     assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
     scores = []
@@ -210,8 +209,6 @@ def test_a_session_with_a_robot(straight, tmp_path, capsys):
 def test_what_a_session_refuses(straight, tmp_path, capsys):
     folder = tmp_path / "robot"
     assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
-    import tomllib
-
     write_trial(tmp_path / "a.csv", tomllib.loads((folder / "policy.toml").read_text())["policy"]["gain"])
     assert robot("record", tmp_path / "a.csv", "--dir", folder) == 0
     (tmp_path / "bad.csv").write_text("time,q1\n0,0\n")
@@ -231,6 +228,39 @@ def test_what_a_session_refuses(straight, tmp_path, capsys):
         assert contents(folder) == before
     assert robot("next", "--dir", tmp_path / "nothing") == 2
     assert "no session here" in capsys.readouterr().err
+
+
+def test_a_session_keeps_the_policy_it_began_with(straight, tmp_path, capsys):
+    """A run trained anew in the same folder is another adaptation policy."""
+    run, folder = tmp_path / "run", tmp_path / "robot"
+    shutil.copytree(straight, run)
+    assert robot("new", run, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
+    gain = tomllib.loads((folder / "policy.toml").read_text())["policy"]["gain"]
+    write_trial(tmp_path / "a.csv", gain)
+    shutil.rmtree(run)
+    assert main(train(run, "--seed", "4", *SET)) == 0
+    capsys.readouterr()
+    before = contents(folder)
+    for arguments in (("next",), ("record", tmp_path / "a.csv")):
+        assert robot(*arguments, "--dir", folder) == 2
+        error = capsys.readouterr().err
+        assert f"{run}: was trained on, or anew, since the session" in error and error.count("\n") == 1
+    assert contents(folder) == before
+    shutil.rmtree(run)
+    shutil.copytree(straight, run)
+    assert robot("record", tmp_path / "a.csv", "--dir", folder) == 0
+
+
+def test_a_session_that_does_not_say_its_policy_goes_on(straight, tmp_path, monkeypatch):
+    """As sessions were written before they kept it."""
+    from adaptsim_jax.commands import robot as command
+
+    folder = tmp_path / "robot"
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "_identity", lambda run: None)  # TOML has no null: the key is left out
+        assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
+    assert "trained" not in (folder / "robot.toml").read_text()
+    assert robot("next", "--dir", folder) == 0
 
 
 def test_ctrl_c_while_training_can_be_resumed(straight, tmp_path):
