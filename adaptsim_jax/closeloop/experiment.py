@@ -15,11 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.closeloop.excitation import library
-from adaptsim_jax.closeloop.fit import Settings as FitSettings
-from adaptsim_jax.closeloop.fit import fit
+from adaptsim_jax.closeloop.fit import FitSettings, fit
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.power import COMMON, MATTERS, Power
-from adaptsim_jax.closeloop.problem import Active, Problem, driven
+from adaptsim_jax.closeloop.problem import Active, Problem, any_torque
 from adaptsim_jax.closeloop.rivals import Fitted
 from adaptsim_jax.closeloop.windows import Windows, cut_windows
 from adaptsim_jax.control.lqr import lqr_gain
@@ -87,7 +86,7 @@ def csv_of(time: np.ndarray, torque: np.ndarray) -> bytes:
 
 def next_experiment(problem: Problem, found: Found, named: bool, powers: list[Power], seed: int = 0) -> Plan | None:
     """The command that best parts what the diagnosis left open, or None where there is nothing to part or no safe way."""
-    if not driven(problem.recording):  # nothing says how much torque moves this rig
+    if not any_torque(problem.recording):  # nothing says how much torque moves this rig
         return None
     ours, rival = _pair(problem, found, named, powers)
     if rival is None:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.closeloop.fit_problem import Point, Problem
+from adaptsim_jax.closeloop.fit_problem import FitPoint, FitProblem
 from adaptsim_jax.closeloop.fit_result import FitResult, fit_result
 from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure, trajectory
 from adaptsim_jax.closeloop.windows import Windows
@@ -21,7 +21,7 @@ ROOM = (4, 8, 12, 20)  # effect parameters that a compiled fit has room for: thr
 Array = Any  # of JAX in a trace, of NumPy outside
 
 
-class Settings(NamedTuple):
+class FitSettings(NamedTuple):
     """Traced settings of a fit. `huber` is in weighted residual units (infinite: plain least squares)."""
 
     iterations: jax.Array | int = 20
@@ -48,7 +48,7 @@ def fit(
     fixed: tuple[str, ...] = (),
     prior: Prior | None = None,
     trial_weight: np.ndarray | None = None,
-    settings: Settings | None = None,
+    settings: FitSettings | None = None,
 ) -> FitResult:
     """Fit theta, the parameters of the masked-in effects and all initial states, in float64.
 
@@ -58,7 +58,7 @@ def fit(
     """
     with jax.enable_x64(True):
         problem, start = _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial_weight)
-        point, info = _solve(model, problem, start, settings or Settings())
+        point, info = _solve(model, problem, start, settings or FitSettings())
         return fit_result(model, problem, jax.tree.map(np.asarray, point), jax.tree.map(np.asarray, info))
 
 
@@ -77,7 +77,7 @@ def _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial
     prior = prior or Prior(np.zeros(len(free) + layout.size), np.zeros(len(free) + layout.size))
     pick = lambda a, b, spare: np.concatenate([a, np.where(active >= 0, np.append(b, spare)[active], spare)])
     trials = windows.trials
-    problem = Problem(
+    problem = FitProblem(
         windows, np.asarray(mask, bool), free, active,
         pick(np.asarray(plant.low), low, -np.inf), pick(np.asarray(plant.high), high, np.inf),
         np.ones(trials) if trial_weight is None else np.append(trial_weight, np.zeros(trials - len(trial_weight))),
@@ -91,7 +91,7 @@ def _problem(model, mask, windows, theta0, eff0, x0, bounds, fixed, prior, trial
     )
 
 
-def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
+def _linearise(model: Model, problem: FitProblem, theta, eff, x0, huber) -> FitPoint:
     """Residual, its derivatives by forward mode, and their inner products per window."""
     windows, sizes = problem.windows, (len(theta), len(problem.active), x0.shape[0])
     weight = jnp.asarray(windows.weight).transpose(1, 2, 0)
@@ -117,15 +117,15 @@ def _linearise(model: Model, problem: Problem, theta, eff, x0, huber) -> Point:
     window_cost = jnp.where(size <= huber, 0.5 * jnp.square(residual), rho).sum((0, 1))
     z = jnp.concatenate([theta, eff[problem.active]])
     prior = 0.5 * jnp.sum(problem.prior_precision * jnp.square(z - problem.prior_mean))
-    return Point(theta, eff, x0, residual, jac, gram, window_cost, _total(problem, window_cost) + prior)
+    return FitPoint(theta, eff, x0, residual, jac, gram, window_cost, _total(problem, window_cost) + prior)
 
 
-def _total(problem: Problem, window_cost):
+def _total(problem: FitProblem, window_cost):
     """Weighted cost. Left-out trials count a little, lest their initial states run away unseen."""
     return jnp.sum(jnp.maximum(problem.trial_weight, 1e-6)[problem.windows.trial] * window_cost)
 
 
-def _tangents(problem: Problem, theta, eff, x0):
+def _tangents(problem: FitProblem, theta, eff, x0):
     """One-hot tangents `[P + A + S, ...]` of theta, eff and the initial states."""
     p, a, s = len(theta), len(problem.active), x0.shape[0]
     total = p + a + s
@@ -136,7 +136,7 @@ def _tangents(problem: Problem, theta, eff, x0):
     return dtheta, deff, dx0
 
 
-def _reduced(problem: Problem, point: Point, damping):
+def _reduced(problem: FitProblem, point: FitPoint, damping):
     """Normal equations of the shared parameters with initial states eliminated, and what gives those back."""
     g, s = len(problem.low), point.x0.shape[0]
     gram = point.gram
@@ -156,7 +156,7 @@ def _reduced(problem: Problem, point: Point, damping):
     return schur, back
 
 
-def _step(problem: Problem, point: Point, damping):
+def _step(problem: FitProblem, point: FitPoint, damping):
     """Damped Gauss-Newton step of (shared `[G]`, x0 `[S, W]`); parameters pushed against a bound stay there."""
     g, p = len(problem.low), len(point.theta)
     schur, back = _reduced(problem, point, damping)
@@ -186,13 +186,13 @@ def _solve_scaled(hess, slope, live, damping):
 
 
 class _Loop(NamedTuple):
-    point: Point
+    point: FitPoint
     damping: jax.Array
     iteration: jax.Array
     code: jax.Array  # -1 while running
 
 
-def _nowhere(problem: Problem, theta, eff, x0) -> Point:
+def _nowhere(problem: FitProblem, theta, eff, x0) -> FitPoint:
     """A point of infinite cost from which the first step is zero: so the loop linearises in one place only, which
     halves the compile time."""
     length, channels = problem.windows.measured.shape[1:]
@@ -200,11 +200,11 @@ def _nowhere(problem: Problem, theta, eff, x0) -> Point:
     empty = lambda *shape: jnp.zeros(shape, x0.dtype)
     jac, gram = empty(count, length, channels, windows), empty(windows, count + 1, count + 1)
     cost = jnp.asarray(jnp.inf, x0.dtype)
-    return Point(theta, eff, x0, empty(length, channels, windows), jac, gram, empty(windows), cost)
+    return FitPoint(theta, eff, x0, empty(length, channels, windows), jac, gram, empty(windows), cost)
 
 
 @jax.jit
-def _solve(model: Model, problem: Problem, start, settings: Settings):
+def _solve(model: Model, problem: FitProblem, start, settings: FitSettings):
     """Levenberg-Marquardt. A trial point is linearised at once, as most steps are taken."""
 
     def body(loop: _Loop) -> _Loop:

@@ -7,7 +7,7 @@ from adaptsim_jax.closeloop.windows import Windows
 Array = Any  # of JAX in a trace, of NumPy outside
 
 
-class Problem(NamedTuple):
+class FitProblem(NamedTuple):
     """What a fit holds fixed. free `[P]` marks fitted theta; active `[A]` indexes eff (-1: unused slot)."""
 
     windows: Windows
@@ -21,7 +21,7 @@ class Problem(NamedTuple):
     prior_precision: Array
 
 
-class Point(NamedTuple):
+class FitPoint(NamedTuple):
     """Where a fit stands, and the linearisation there: `jac [C-1, L+1, Y, W]` and the Gram matrices `[W, C, C]` of
     `[J_theta | J_active | J_x0 | r]`, all in standard deviations."""
 

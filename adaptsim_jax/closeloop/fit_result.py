@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.closeloop.fit_problem import Point, Problem
+from adaptsim_jax.closeloop.fit_problem import FitPoint, FitProblem
 from adaptsim_jax.closeloop.simulate import Model
 
 CODES = ("converged", "reached the iteration limit", "no step lowers the cost", "diverged: cost is not finite")
@@ -45,7 +45,7 @@ class FitResult:
         return self.code in (0, 1, 2)
 
 
-def fit_result(model: Model, problem: Problem, point: Point, info) -> FitResult:
+def fit_result(model: Model, problem: FitProblem, point: FitPoint, info) -> FitResult:
     """The solver's last point and its `(schur [W, G, G + 1], iterations, code)`, all of NumPy, as a FitResult."""
     schur, iterations, code = info
     g = len(problem.low)

@@ -9,7 +9,7 @@ import numpy as np
 from adaptsim_jax.closeloop.atoms import gravity_torque, make_reach
 from adaptsim_jax.closeloop.audit import Audit
 from adaptsim_jax.closeloop.clocks import clock_of
-from adaptsim_jax.closeloop.fit import Settings, fit
+from adaptsim_jax.closeloop.fit import FitSettings, fit
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.meta import check_known
 from adaptsim_jax.closeloop.model_file import declared_model
@@ -66,7 +66,7 @@ class Problem:
     @property
     def torque_rms(self) -> np.ndarray:
         """RMS of the recorded torque per joint `[n]` N m; of gravity's, where none was applied."""
-        if not driven(self.recording):
+        if not any_torque(self.recording):
             return np.sqrt(np.mean(gravity_torque(self.plant, self.theta0, self.windows) ** 2, axis=0))
         return np.sqrt(np.mean(np.concatenate([t.torque for t in self.recording.trials]) ** 2, axis=0))
 
@@ -103,7 +103,7 @@ def prepare(
     given = declared_model(recording, effects)
     motions = [smooth(t, noise) for t in recording.trials]
     plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
-    plant = plant if driven(recording) else plant.unscaled()
+    plant = plant if any_torque(recording) else plant.unscaled()
     check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
     regress = plant.averaged_theta if averaged else plant.initial_theta
     theta0 = regress([(t.time, q, v, t.torque) for t, (q, v) in zip(recording.trials, motions, strict=True)])
@@ -120,7 +120,7 @@ def prepare(
     return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged, base, eff0)
 
 
-def driven(recording: Recording) -> bool:
+def any_torque(recording: Recording) -> bool:
     """Whether any torque acts at all."""
     return any(np.any(t.torque) for t in recording.trials)
 
@@ -171,7 +171,7 @@ def initial_states(problem: Problem, active: Active, theta: np.ndarray, eff: np.
     fixed = (*problem.plant.theta_names, *("/".join(n) for n in problem.model.layout.names()))
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
-        bounds=problem.bounds, fixed=fixed, settings=Settings(iterations=12, tolerance=1e-3, huber=1e3),
+        bounds=problem.bounds, fixed=fixed, settings=FitSettings(iterations=12, tolerance=1e-3, huber=1e3),
     )  # fmt: skip
 
 
@@ -207,7 +207,7 @@ def declared_fit(
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows,
         problem.theta0 if start is None else start.theta, eff0, None if start is None else start.x0,
-        bounds=problem.bounds, settings=Settings(iterations=30, huber=1e3),
+        bounds=problem.bounds, settings=FitSettings(iterations=30, huber=1e3),
     )  # fmt: skip
 
 
@@ -215,7 +215,7 @@ def fit_plain(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarr
     """Least-squares fit of a model with effects, sensors being the only noise."""
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
-        bounds=problem.bounds, settings=Settings(iterations=25, tolerance=1e-3, huber=1e3),
+        bounds=problem.bounds, settings=FitSettings(iterations=25, tolerance=1e-3, huber=1e3),
     )  # fmt: skip
 
 
@@ -224,5 +224,5 @@ def at_point(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarra
     mask = problem.model.layout.mask(list(active))
     return fit(
         problem.model, mask, problem.windows, theta, eff, x0,
-        bounds=problem.bounds, settings=Settings(iterations=0),
+        bounds=problem.bounds, settings=FitSettings(iterations=0),
     )  # fmt: skip

@@ -10,7 +10,7 @@ from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.leftover import Leftover
 from adaptsim_jax.closeloop.power import MATTERS, Power
-from adaptsim_jax.closeloop.problem import Problem, driven
+from adaptsim_jax.closeloop.problem import Problem, any_torque
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
 from adaptsim_jax.closeloop.spread import reach_over_classes
@@ -225,7 +225,7 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
 
 
 def _not_established(problem: Problem, found: Found, verdict: Verdict, powers: list[Power]) -> list[str]:
-    lines = [] if driven(problem.recording) else [_unscaled(problem)]
+    lines = [] if any_torque(problem.recording) else [_unscaled(problem)]
     hidden = [
         n
         for n, p in problem.plant.physical(found.base.candidate.theta, problem.recording.known).items()
