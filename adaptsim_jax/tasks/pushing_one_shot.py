@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import config as configs
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
 from adaptsim_jax.models import pushing as model
-from adaptsim_jax.models.backends.pushing import make_backend
+from adaptsim_jax.models.backends.pushing import make_backend, settings_of
 from adaptsim_jax.models.pushing import PushOptions
 from adaptsim_jax.tasks import pushing as task
 from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
@@ -25,15 +26,15 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     """The push with `config` for the comparison. Contexts are goals `[2]` m, outcomes the bottle's places `[6, 2]` m."""
     made, naf = task.make_pushing(config), task.make_pushing_naf(config)
     options = PushOptions(friction=config.friction, duration=config.duration)
-    space, twin = made.space, task.TWINS[config.coefficients]
+    space = made.space
     learner = make_goal_learner(
         naf, _everywhere(space, task.make_simulator(config)), config.training, task.naf_rates(config)
     )
     trials = lambda goals, actions, points: Trials(goals, actions, points[:, -1])
     policies = naf_policies(naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials)
 
-    def world(backend, **settings):
-        own: dict[str, Any] = {"coefficients": twin} if backend == "planar" else {}
+    def world(backend, /, **settings):
+        own = {"coefficients": config.coefficients} if backend == "planar" else {}
         return pushing_world(backend, options, **(own | settings))
 
     def oracle(world, params):
@@ -67,16 +68,18 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     )
 
 
-def pushing_world(backend: str, options: PushOptions = model.PAPER, bottle: str = "paper", **settings: Any) -> World:
+def pushing_world(backend: str, options: PushOptions = model.PAPER, /, bottle: str = "paper", **settings: Any) -> World:
     """The push in `backend` (planar, native, mjx, drake). Pushes that fail give not-a-number, hence reward 0.
 
     bottle: `heavy` and `light` are the stand-ins whose mass and inertia no parameter models (not in planar). coefficients:
     of planar, `drake` for its twin of Drake. Others are the engine's own, see `make_backend`.
     """
-    if bottle not in BOTTLES:
+    if bottle not in list(BOTTLES):  # a list, for a table has no hash
         raise BadInput(f"pushing, bottle = {bottle!r}: unknown; use one of {', '.join(BOTTLES)}")
-    if settings.get("coefficients") in task.TWINS:
-        settings["coefficients"] = task.TWINS[settings["coefficients"]]
+    for name in settings:
+        configs.pick(f"setting of {backend}", name, ("bottle", *settings_of(backend)))
+    if isinstance(twin := settings.get("coefficients"), str):
+        settings["coefficients"] = task.TWINS[configs.pick("coefficients", twin, task.TWINS)]
     body = BOTTLES[bottle]
     chosen = PushOptions(options.friction, options.duration, body.mass, body.com, body.inertia)
     simulate = make_backend(backend, chosen, **settings).simulate

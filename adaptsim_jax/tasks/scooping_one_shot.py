@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import config as configs
 from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models.backends import scooping as backends
@@ -50,7 +51,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
         worth=lambda seen, context: seen[0],
-        world=lambda backend, **settings: scooping_world(backend, options, config.numerics, **settings),
+        world=lambda backend, /, **settings: scooping_world(backend, options, config.numerics, **settings),
         oracle=lambda world, params: best_shared_action(world, params, tests),
         engine="hydro",
         simulator="hydroelastic engine (JAX)",
@@ -66,11 +67,12 @@ def scooping_world(
     backend: str,
     options: ScoopOptions,
     numerics: Numerics = Numerics(),  # noqa: B008
+    /,
     **settings: Any,
 ) -> World:
     """Scooping in `backend` (`backends.NAMES`). Trials that fail give not-a-number, hence reward 0."""
-    own = {"numerics": numerics} if backend == "hydro" else {}
-    simulate = backends.make_backend(backend, options, **own, **settings).simulate
+    own = {"numerics": configs.to_table(numerics)} if backend == "hydro" else {}
+    simulate = backends.make_backend(backend, options, **configs.over(own, settings)).simulate
     rows = np.maximum(np.round(np.array(model.SEEN_AT) / backends.ROW).astype(int) - 1, 0)
     execute = jax.jit(jax.vmap(lambda a, c: task.executed(a, c, options)))
 

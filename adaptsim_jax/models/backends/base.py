@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+from adaptsim_jax import config
+from adaptsim_jax.errors import BadInput
 
 Array = Any
+S = TypeVar("S")
 
 
 class Trajectory(NamedTuple):
@@ -23,3 +27,16 @@ class Backend(NamedTuple):
 
     name: str
     simulate: Callable[[Array, Array, Array], Trajectory]
+
+
+def own_settings(engine: str, kind: type[S], settings: dict[str, Any]) -> S:
+    """An engine's own `settings` as its record `kind`, whose defaults stand for what is left out; tables become records.
+
+    BadInput names an unknown key or a value of another type.
+    """
+    made = config.from_table(kind, settings, f"backend {engine}")
+    for name in ("threads", "batch"):
+        count = getattr(made, name, None)
+        if count is not None and count < 1:
+            raise BadInput(f"backend {engine}, {name} = {count}: give at least 1, or leave it out")
+    return made

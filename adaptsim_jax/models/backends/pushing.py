@@ -7,7 +7,8 @@ the bottle's place m, and `state [B, T, 13]` the bottle's pose and velocity in r
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,43 +16,49 @@ import numpy as np
 
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import pushing, pushing_planar
+from adaptsim_jax.models.backends import pushing_drake as drake
+from adaptsim_jax.models.backends import pushing_mjx as mjx
+from adaptsim_jax.models.backends import pushing_native as native
 from adaptsim_jax.models.backends import pushing_scene as scene
-from adaptsim_jax.models.backends.base import Backend
+from adaptsim_jax.models.backends.base import Backend, own_settings
 from adaptsim_jax.models.pushing import PAPER, PushOptions
 
 NAMES = ("native", "mjx", "planar", "drake")
 
 
-def make_backend(name: str, options: PushOptions = PAPER, **settings: Any) -> Backend:
-    """A backend for `options`; BadInput where the name is unknown, the engine absent, or it cannot do the options.
+class PlanarSettings(NamedTuple):
+    """coefficients: what calibration sets."""
 
-    `settings` are the engine's own: `elasticity` of native and mjx, `coefficients` of planar, `dt` and `contact` of drake.
+    coefficients: pushing_planar.PlanarCoefficients = pushing_planar.DEFAULT
+
+
+def make_backend(name: str, options: PushOptions = PAPER, /, **settings: Any) -> Backend:
+    """A backend for `options`; BadInput where the name is unknown, the engine absent, or it cannot do the options or settings.
+
+    `settings` are the engine's own, see `settings_of`; records may be given as tables.
     """
-    makers = {"native": _native, "mjx": _mjx, "planar": _planar, "drake": _drake}
-    if name not in makers:
-        raise BadInput(f"backend '{name}' is unknown; use one of {', '.join(makers)}")
-    return Backend(name, makers[name](pushing.check_options(options), **settings))
+    kind, make = _engine(name)
+    return Backend(name, make(pushing.check_options(options), *own_settings(name, kind, settings)))
 
 
-def _native(options: PushOptions, **settings: Any):
-    from adaptsim_jax.models.backends.pushing_native import make_native
-
-    return make_native(options, **{"elasticity": pushing.ELASTICITY, **settings})
-
-
-def _mjx(options: PushOptions, **settings: Any):
-    from adaptsim_jax.models.backends.pushing_mjx import make_mjx
-
-    return make_mjx(options, **{"elasticity": pushing.ELASTICITY, **settings})
+def settings_of(name: str) -> tuple[str, ...]:
+    """What settings the engine called `name` has of its own."""
+    return _engine(name)[0]._fields
 
 
-def _drake(options: PushOptions, **settings: Any):
-    from adaptsim_jax.models.backends.pushing_drake import make_drake
+def _engine(name: str) -> tuple[Any, Callable]:
+    engines = {
+        "native": (native.Settings, native.make_native),
+        "mjx": (mjx.Settings, mjx.make_mjx),
+        "planar": (PlanarSettings, _planar),
+        "drake": (drake.Settings, drake.make_drake),
+    }
+    if name not in engines:
+        raise BadInput(f"backend '{name}' is unknown; use one of {', '.join(engines)}")
+    return engines[name]
 
-    return make_drake(options, **settings)
 
-
-def _planar(options: PushOptions, coefficients: pushing_planar.PlanarCoefficients = pushing_planar.DEFAULT):
+def _planar(options: PushOptions, coefficients: pushing_planar.PlanarCoefficients):
     pushing_planar.check_options(options)
 
     @jax.jit

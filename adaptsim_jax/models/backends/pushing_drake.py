@@ -6,7 +6,7 @@ import importlib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,7 +30,14 @@ class DrakeContact:
     resolution: float = 0.01  # m, of the bottle's pressure field
 
 
-def make_drake(options: PushOptions, contact: DrakeContact = DrakeContact(), threads: int | None = None):
+class Settings(NamedTuple):
+    """contact: numerics; threads: cores to run on (None: all)."""
+
+    contact: DrakeContact = DrakeContact()
+    threads: int | None = None
+
+
+def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None):
     """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput where Drake is absent."""
     try:
         drake: Any = importlib.import_module("pydrake.all")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,14 @@ from adaptsim_jax.models.pushing import ElasticityMap, PushOptions
 Array = Any
 
 
-def make_mjx(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005):
+class Settings(NamedTuple):
+    """elasticity: of plate and bottle; dt: s."""
+
+    elasticity: ElasticityMap = pushing.ELASTICITY
+    dt: float = 0.005
+
+
+def make_mjx(options: PushOptions, elasticity: ElasticityMap, dt: float):
     """`simulate` of the MJCF scene in MJX; in the precision that JAX is set to."""
     run = jax.jit(jax.vmap(make_push(options, elasticity, dt)))
 

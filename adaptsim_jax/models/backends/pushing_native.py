@@ -7,7 +7,7 @@ import importlib
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,15 @@ BLOCK = 100
 AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
-def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005, threads: int | None = None):
+class Settings(NamedTuple):
+    """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all)."""
+
+    elasticity: ElasticityMap = pushing.ELASTICITY
+    dt: float = 0.005
+    threads: int | None = None
+
+
+def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, threads: int | None):
     """`simulate` of the MJCF scene by `mujoco.rollout` on `threads` cores (all); float64. One batch runs at a time."""
     engines = [_Engine(options, elasticity, dt) for _ in range(threads or os.cpu_count() or 1)]
     lock = threading.Lock()

@@ -93,7 +93,13 @@ def _held_where_fallen(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def model(options: PushOptions, dt: float, drawn: bool = False) -> Any:
-    """The compiled `mujoco.MjModel` of the shipped scene, with the bottle of `options`; what is only seen, if `drawn`."""
+    """The compiled `mujoco.MjModel` of the shipped scene, with the bottle of `options`; what is only seen, if `drawn`.
+
+    BadInput where rows cannot be cut out of steps of `dt` s.
+    """
+    every = round(options.row / dt) if dt > 0 else 0
+    if every < 1 or abs(options.row / dt - every) > 1e-6:
+        raise BadInput(f"pushing in MuJoCo, dt = {dt} s must divide the row of {options.row} s; use 0.005")
     mujoco: Any = importlib.import_module("mujoco")
     text = resources.files("adaptsim_jax.models.scenes").joinpath("pushing.xml").read_text()
     spec = mujoco.MjSpec.from_string(text)

@@ -7,7 +7,8 @@ x, z m and pitch rad. Codes are `scooping.MESSAGES`; states are finite whatever 
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ import numpy as np
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models import scooping_hydro as hydro
-from adaptsim_jax.models.backends.base import Backend, Trajectory
+from adaptsim_jax.models.backends.base import Backend, Trajectory, own_settings
 from adaptsim_jax.models.scooping import ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
 
@@ -26,36 +27,39 @@ STATE = 6
 BATCH = 64  # trials side by side on a CPU: more do not fit into its cache
 
 
-def make_backend(name: str, options: ScoopOptions = ScoopOptions(), **settings: Any) -> Backend:  # noqa: B008
+class HydroSettings(NamedTuple):
+    """numerics: what makes up the simulator besides physics."""
+
+    numerics: Numerics = Numerics()
+
+
+def make_backend(name: str, options: ScoopOptions = ScoopOptions(), /, **settings: Any) -> Backend:  # noqa: B008
     """A backend for `options`; BadInput where the name is unknown, the engine absent, or a setting makes no sense.
 
-    `settings` are the engine's own: `numerics` of hydro, `contact` and `threads` of drake, `dt` of mjx and native.
+    `settings` are the engine's own: of hydro `HydroSettings`, of others `Settings` in their module; records may be given as tables.
     """
-    makers = {"hydro": _hydro, "drake": _drake, "mjx": _mjx, "native": _native}
-    if name not in makers:
-        raise BadInput(f"backend '{name}' is unknown; use one of {', '.join(makers)}")
-    return Backend(name, makers[name](model.check_options(options), **settings))
+    kind, make = _engine(name)
+    return Backend(name, make(model.check_options(options), *own_settings(name, kind, settings)))
 
 
-def _drake(options: ScoopOptions, **settings: Any):
-    from adaptsim_jax.models.backends.scooping_drake import make_drake
+def _engine(name: str) -> tuple[Any, Callable]:
+    # these modules need this one
+    from adaptsim_jax.models.backends import scooping_drake as drake
+    from adaptsim_jax.models.backends import scooping_mjx as mjx
+    from adaptsim_jax.models.backends import scooping_native as native
 
-    return make_drake(options, **settings)
+    engines = {
+        "hydro": (HydroSettings, _hydro),
+        "drake": (drake.Settings, drake.make_drake),
+        "mjx": (mjx.Settings, mjx.make_mjx),
+        "native": (native.Settings, native.make_native),
+    }
+    if name not in engines:
+        raise BadInput(f"backend '{name}' is unknown; use one of {', '.join(engines)}")
+    return engines[name]
 
 
-def _mjx(options: ScoopOptions, **settings: Any):
-    from adaptsim_jax.models.backends.scooping_mjx import make_mjx
-
-    return make_mjx(options, **settings)
-
-
-def _native(options: ScoopOptions, **settings: Any):
-    from adaptsim_jax.models.backends.scooping_native import make_native
-
-    return make_native(options, **settings)
-
-
-def _hydro(options: ScoopOptions, numerics: Numerics = Numerics()):  # noqa: B008
+def _hydro(options: ScoopOptions, numerics: Numerics):
     hydro.check_numerics(numerics)
     every = round(ROW / numerics.dt)
     if abs(ROW / numerics.dt - every) > 1e-6:

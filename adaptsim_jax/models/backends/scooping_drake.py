@@ -10,7 +10,7 @@ import importlib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +38,14 @@ class DrakeContact:
     resolution: float = 0.01
 
 
-def make_drake(options: ScoopOptions, contact: DrakeContact = DrakeContact(), threads: int | None = None):
+class Settings(NamedTuple):
+    """contact: numerics; threads: cores to run on (None: all)."""
+
+    contact: DrakeContact = DrakeContact()
+    threads: int | None = None
+
+
+def make_drake(options: ScoopOptions, contact: DrakeContact, threads: int | None):
     """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput where Drake is absent."""
     try:
         drake: Any = importlib.import_module("pydrake.all")

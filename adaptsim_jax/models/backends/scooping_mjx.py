@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,14 @@ from adaptsim_jax.models.scooping import ScoopOptions
 Array = Any
 
 
-def make_mjx(options: ScoopOptions, dt: float = scene.DT, batch: int = backend.BATCH):
+class Settings(NamedTuple):
+    """dt: s; batch: trials side by side."""
+
+    dt: float = scene.DT
+    batch: int = backend.BATCH
+
+
+def make_mjx(options: ScoopOptions, dt: float, batch: int):
     """`simulate` of the MJCF scene in MJX, `batch` trials side by side; in the precision that JAX is set to."""
     run = jax.jit(jax.vmap(make_scoop(options, dt)))
 

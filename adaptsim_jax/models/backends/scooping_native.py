@@ -6,7 +6,7 @@ import copy
 import importlib
 import os
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +21,14 @@ BATCH = 128
 """Samples of a call; each needs a model of its own."""
 
 
-def make_native(options: ScoopOptions, dt: float = scene.DT, threads: int | None = None):
+class Settings(NamedTuple):
+    """dt: s; threads: cores to run on (None: all)."""
+
+    dt: float = scene.DT
+    threads: int | None = None
+
+
+def make_native(options: ScoopOptions, dt: float, threads: int | None):
     """`simulate` by `mujoco.rollout` on `threads` cores (all). One batch runs at a time."""
     engine, lock = _Engine(options, dt, threads or os.cpu_count() or 1), threading.Lock()
 

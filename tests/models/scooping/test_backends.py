@@ -101,6 +101,16 @@ def test_bad_backends_are_refused(name, says):
         backends.make_backend(name, **settings.get(name, {}))
 
 
+def test_settings_may_be_given_as_a_table():
+    """What the table leaves out is as it is by default."""
+    params, actions = model.draw(2, 2)
+    start, given = np.zeros((2, 2)), {"dt": 0.005}
+    ours, other = (backends.make_backend("hydro", **s).simulate for s in ({}, {"numerics": given}))
+    record = backends.make_backend("hydro", numerics=Numerics(dt=0.005)).simulate(params, actions, start).state
+    np.testing.assert_array_equal(other(params, actions, start).state, record)
+    assert not np.array_equal(ours(params, actions, start).state, record)
+
+
 def test_a_batch_of_the_wrong_shape_is_refused(ours):
     with pytest.raises(BadInput, match="commands"):
         ours(np.zeros((2, 4)), np.zeros((2, 2)), np.zeros((2, 2)))
