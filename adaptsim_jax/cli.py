@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import difflib
 import errno
 import importlib
 import os
@@ -18,7 +17,7 @@ from typing import NoReturn
 
 from adaptsim_jax import __version__, compile_cache
 from adaptsim_jax.commands import SUMMARIES, common
-from adaptsim_jax.config import suggest
+from adaptsim_jax.config import nearest, suggest
 from adaptsim_jax.errors import BadInput
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
@@ -122,8 +121,8 @@ def _command(name: str, module) -> Parser:
 
 def _unknown_argument(parser: Parser, word: str) -> str:
     options = [option for action in parser._actions for option in action.option_strings]
-    near = difflib.get_close_matches(word.partition("=")[0], options, n=1, cutoff=0.5)
-    mend = f"did you mean '{near[0]}'?" if near else f"see '{parser.prog} --help'"
+    near = nearest(word.partition("=")[0], options)
+    mend = f"did you mean '{near}'?" if near else f"see '{parser.prog} --help'"
     return f"unknown argument '{word}'; {mend}"
 
 

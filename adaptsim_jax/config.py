@@ -15,15 +15,23 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.given import brief, finite
 
 T = TypeVar("T")
 
 
+def nearest(name: str, known: typing.Iterable[str]) -> str | None:
+    """The known name that `name` is most like, upper and lower case alike; None where none is."""
+    by_case = {other.lower(): other for other in known}
+    near = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
+    return by_case[near[0]] if near else None
+
+
 def suggest(name: str, known: typing.Iterable[str]) -> str:
-    """'; did you mean ...?' or '; known: ...': the mend for a name that is not known."""
+    """'did you mean ...?' or 'known: ...': the mend for a name that is not known."""
     known = list(known)
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known) or 'none'}"
+    near = nearest(name, known)
+    return f"did you mean '{near}'?" if near else f"known: {', '.join(known) or 'none'}"
 
 
 def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
@@ -37,18 +45,23 @@ def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
 # ---------------------------------------------------------------- TOML
 
 
-def read(path: str | Path) -> dict[str, Any]:
-    """The table in a TOML file; BadInput with the line where it is not TOML."""
+def read(path: str | Path, missing: str = "no such file; check the name") -> dict[str, Any]:
+    """The table in a TOML file; BadInput with the line where it is not TOML. missing: what is said where there is no file."""
     try:
-        return tomllib.loads(Path(path).read_bytes().decode())
+        return tomllib.loads(
+            Path(path).read_bytes().decode("utf-8-sig")
+        )  # editors on Windows put a mark before the text
     except FileNotFoundError:
-        raise BadInput(f"{path}: no such file; check the name") from None
+        raise BadInput(f"{path}: {missing}") from None
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); name a readable TOML file") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"{path}: not text in UTF-8; write it as TOML") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInput(f"{path}: not TOML ({' '.join(str(error).split())}); mend that line") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not text in UTF-8 (byte {error.start}); save it as UTF-8") from None
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # not only TOMLDecodeError: dates and digits fail in Python's own words
+        raise BadInput(f"{path}: not TOML ({' '.join(str(error).split())[:160]}); mend that line") from None
 
 
 def write(path: str | Path, table: dict[str, Any]) -> None:
@@ -173,19 +186,21 @@ def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
     if origin is typing.Literal:
         if value in typing.get_args(hint):
             return value
-        raise BadInput(f"{where}: key '{key}' is {value!r}; one of {list(typing.get_args(hint))} is wanted")
+        raise BadInput(f"{where}: key '{key}' is {brief(value)}; one of {list(typing.get_args(hint))} is wanted")
     if origin in (types.UnionType, typing.Union):
         return _first_fit(typing.get_args(hint), value, where, key)
     if origin in (tuple, list) and isinstance(value, list | tuple):
         return _sequence(hint, value, where, key)
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        if (number := finite(value)) is None:
+            raise BadInput(f"{where}: key '{key}' is {brief(value)}; a finite number is wanted")
+        return number
     if hint is Any or (isinstance(hint, type) and type(value) is hint):
         return value
     if origin is dict and isinstance(value, dict):
         return value
     name = getattr(hint, "__name__", str(hint))
-    raise BadInput(f"{where}: key '{key}' is {value!r}; a value of type {name} is wanted")
+    raise BadInput(f"{where}: key '{key}' is {brief(value)}; a value of type {name} is wanted")
 
 
 def _first_fit(hints: tuple[Any, ...], value: Any, where: str, key: str) -> Any:
@@ -199,7 +214,7 @@ def _first_fit(hints: tuple[Any, ...], value: Any, where: str, key: str) -> Any:
             return _typed(hint, value, where, key)
         except BadInput as this:
             error = this
-    raise error or BadInput(f"{where}: key '{key}' is {value!r}; leave it out")
+    raise error or BadInput(f"{where}: key '{key}' is {brief(value)}; leave it out")
 
 
 def _sequence(hint: Any, value: Any, where: str, key: str) -> Any:
@@ -221,18 +236,34 @@ def with_settings(config: T, settings: typing.Sequence[str]) -> T:
         key, equals, text = setting.partition("=")
         if not equals:
             raise BadInput(f"--set {setting}: no '='; write --set key=value")
-        try:
-            value = tomllib.loads(f"v = {text}")["v"]
-        except tomllib.TOMLDecodeError:
-            value = text  # a bare word is a string
-        target = table
         *parents, last = key.strip().split(".")
-        for parent in parents:
-            target = target.get(parent)
-            if not isinstance(target, dict):
-                raise BadInput(f"--set {setting}: unknown key '{parent}'; {suggest(parent, table)}")
-        target[last] = value
+        _level(table, type(config), parents, f"--set {setting}")[last] = _parsed(text)
     return from_table(type(config), table, "--set")
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return tomllib.loads(f"v = {text}")["v"]
+    except (ValueError, RecursionError):
+        return text  # a bare word is a string
+
+
+def _level(table: dict[str, Any], hint: Any, parents: typing.Sequence[str], where: str) -> dict[str, Any]:
+    """The nested table that `parents` lead to. In a field of any keys (`dict`) it is made where it is missing; whoever reads that
+    field checks the keys."""
+    path = ""
+    for name in parents:
+        path += name
+        if _is_record(hint):
+            if name not in table:
+                raise BadInput(f"{where}: unknown key '{path}'; {suggest(name, table)}")
+            hint = typing.get_type_hints(hint)[name]
+        elif typing.get_origin(hint) is dict:
+            table.setdefault(name, {})
+        table, path = table[name], f"{path}."
+        if not isinstance(table, dict):
+            raise BadInput(f"{where}: '{path[:-1]}' is no table; write --set {path[:-1]}=VALUE")
+    return table
 
 
 # ---------------------------------------------------------------- comparing

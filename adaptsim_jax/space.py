@@ -7,14 +7,15 @@ maps extrapolate, they never clamp.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.config import suggest
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.given import brief, finite
 
 Scale = Literal["linear", "log", "categorical"]
 
@@ -126,29 +127,28 @@ class Space:
         """Named physical values to an array `[D]`, each checked: all names there, none unknown, physically possible."""
         for name in settings:
             if name not in self.names:
-                near = get_close_matches(name, self.names, 1)
-                hint = f"did you mean {near[0]!r}?" if near else f"the names are {', '.join(self.names)}"
-                raise BadInput(f"{where}: unknown parameter {name!r}; {hint}")
+                raise BadInput(f"{where}: unknown parameter {name!r}; {suggest(name, self.names)}")
         return np.array([self._checked(p, settings, where) for p in self.parameters])
 
     @staticmethod
     def _checked(p: Parameter, settings: Mapping[str, float], where: str) -> float:
         if p.name not in settings:
             raise BadInput(f"{where}: parameter {p.name!r} is missing; add it, in {p.unit or 'its own unit'}")
-        value = settings[p.name]
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise BadInput(f"{where}: {p.name} = {value!r} is not a finite number; give one in {p.unit or 'its unit'}")
+        value = finite(settings[p.name])
+        if value is None:
+            given = brief(settings[p.name])
+            raise BadInput(f"{where}: {p.name} = {given} is not a finite number; give one in {p.unit or 'its unit'}")
         if not p.physical_low <= value <= p.physical_high:
             raise BadInput(
                 f"{where}: {p.name} = {value} {p.unit} is outside its physical range "
                 f"[{p.physical_low:g}, {p.physical_high:g}]; mend the value or its unit"
             )
-        return float(value)
+        return value
 
     def with_range(self, name: str, low: float, high: float) -> "Space":
         """The same box with another range for one parameter."""
         if name not in self.names:
-            raise BadInput(f"unknown parameter {name!r}; the names are {', '.join(self.names)}")
+            raise BadInput(f"unknown parameter {name!r}; {suggest(name, self.names)}")
         return Space(tuple(replace(p, low=low, high=high) if p.name == name else p for p in self.parameters))
 
 

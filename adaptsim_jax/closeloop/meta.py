@@ -1,13 +1,14 @@
 """The schema of `meta.toml`: what a person declares about a recording, checked key by key."""
 
-import difflib
 import math
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.config import read
+from adaptsim_jax.config import suggest as nearest
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.given import brief, finite
 
 MODELS = ("linearized", "rigid_body")
 ANGLE_ZEROS = ("upright", "hanging")
@@ -63,33 +64,10 @@ class Meta:
     notes: tuple[str, ...] = ()
 
 
-def nearest(name: str, valid: tuple[str, ...]) -> str:
-    """`did you mean 'X'?` where one is near, else the list of all valid names."""
-    by_case = {v.lower(): v for v in valid}
-    close = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
-    return f"did you mean {by_case[close[0]]!r}?" if close else f"valid are {', '.join(valid)}"
-
-
-def load_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file. Raises `BadInput` with the file and, for a syntax error, its line."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: missing; write one with task, model and angle_zero") from None
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror}); check the path and its permissions") from None
-    except UnicodeDecodeError as e:
-        raise BadInput(f"{path}: is not UTF-8 text (byte {e.start}); save it as UTF-8") from None
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as e:
-        why = " ".join(str(e).split())[:160]
-        raise BadInput(f"{path}: is not valid TOML: {why}; mend that line") from None
-
-
 def read_meta(path: str | Path) -> Meta:
     """Read and check a `meta.toml`. Raises `BadInput` naming the file and the key."""
     path = Path(path)
-    raw = load_toml(path)
+    raw = read(path, "missing; write one with task, model and angle_zero")
     for key in raw:
         if key not in KEYS:
             raise BadInput(f"{path}: unknown key {key!r}; {nearest(key, KEYS)}")
@@ -102,7 +80,7 @@ def read_meta(path: str | Path) -> Meta:
     for key in TEXT_KEYS:
         _choice(path, raw, key, None)
     model, model_file = _model(path, raw)
-    given = load_toml(Path(model_file)).get("geometry", {}) if model_file else {}
+    given = read(model_file).get("geometry", {}) if model_file else {}
     geometry, notes = _geometry(path, given | raw.get("geometry", {}) if isinstance(given, dict) else {}, model)
     return Meta(
         task=_choice(path, raw, "task", ("pendulum",)) or "",
@@ -141,26 +119,18 @@ def _choice(path: Path, raw: dict, key: str, valid: tuple[str, ...] | None) -> s
         return None
     value = raw[key]
     if not isinstance(value, str):
-        raise BadInput(f"{path}: {key} must be text in quotes, not {_brief(value)}")
+        raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
     if valid is not None and value not in valid:
-        raise BadInput(f"{path}: {key} = {_brief(value)} is unknown; {nearest(value, valid)}")
+        raise BadInput(f"{path}: {key} = {brief(value)} is unknown; {nearest(value, valid)}")
     return value
-
-
-def _brief(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _number(path: Path, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise BadInput(f"{path}: {key} must be a number, not {_brief(value)}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise BadInput(f"{path}: {key} = {_brief(value)} is not finite; give the value in SI units")
+        raise BadInput(f"{path}: {key} must be a number, not {brief(value)}")
+    number = finite(value)
+    if number is None:
+        raise BadInput(f"{path}: {key} = {brief(value)} is not finite; give the value in SI units")
     return number
 
 
@@ -175,9 +145,9 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
     where = (path.parent / file).resolve()
     if not where.is_file():
         raise BadInput(f"{path}: model file {file!r} does not exist beside it; give its path relative to the folder")
-    base = value or load_toml(where).get("model")
+    base = value or read(where).get("model")
     if not isinstance(base, str) or base not in MODELS:
-        raise BadInput(f"{where}: model = {_brief(base)} is unknown; it must be one of {', '.join(MODELS)}")
+        raise BadInput(f"{where}: model = {brief(base)} is unknown; it must be one of {', '.join(MODELS)}")
     return base, str(where)
 
 
@@ -217,7 +187,7 @@ def _noise(path: Path, raw: dict) -> dict[str, float]:
 
 def _joints(path: Path, raw: Any) -> tuple[int, ...]:
     if not isinstance(raw, list) or any(isinstance(j, bool) or j not in (1, 2) for j in raw):
-        raise BadInput(f"{path}: unactuated must be a list of joint numbers such as [1], not {_brief(raw)}")
+        raise BadInput(f"{path}: unactuated must be a list of joint numbers such as [1], not {brief(raw)}")
     return tuple(sorted(set(raw)))
 
 
@@ -249,10 +219,10 @@ def _scales(path: Path, raw: dict) -> dict[str, float]:
 def _unit(path: Path, key: str, value: Any) -> str:
     """The unit that a line of `[units]` names, by its short name."""
     if not isinstance(value, str):
-        raise BadInput(f"{path}: units.{key} must be text in quotes, not {_brief(value)}")
+        raise BadInput(f"{path}: units.{key} must be text in quotes, not {brief(value)}")
     table = UNITS[key if key in UNITS else GROUPS[key.rstrip("12")]]
     words = "".join(c for c in value if c not in " *.·").split("/")
     name = "/".join(SPELLED.get(w, w) for w in words)
     if name not in table:
-        raise BadInput(f"{path}: units.{key} = {_brief(value)} is unknown; {nearest(name, tuple(table))}")
+        raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {nearest(name, tuple(table))}")
     return name

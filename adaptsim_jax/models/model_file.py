@@ -22,6 +22,7 @@ import numpy as np
 
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.given import brief, finite
 from adaptsim_jax.models.effect import Effect, Parameter
 from adaptsim_jax.models.effects import Layout, catalogue, effect_named
 from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
@@ -152,9 +153,10 @@ def _text(where: str, table: Mapping, key: str) -> str:
 
 
 def _number(where: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise BadInput(f"{where}: {key} = {value!r} must be a finite number; give one in its unit")
-    return float(value)
+    number = finite(value)
+    if number is None:
+        raise BadInput(f"{where}: {key} = {brief(value)} must be a finite number; give one in its unit")
+    return number
 
 
 def _numbers(where: str, table: Mapping, key: str) -> dict[str, float]:
@@ -245,7 +247,7 @@ def _covariance(where: str, table: Mapping) -> tuple[tuple[str, ...], np.ndarray
     names = table.get("names", [])
     try:
         matrix = np.asarray(table.get("matrix", []), float).reshape(len(names), len(names))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadInput(f"{where}: [covariance] must have a row and a column for each of its names; {RENEW}") from None
     if not np.all(np.isfinite(matrix)) or not all(isinstance(n, str) for n in names):
         raise BadInput(f"{where}: [covariance] must hold finite numbers under names; {RENEW}")

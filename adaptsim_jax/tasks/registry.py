@@ -5,6 +5,7 @@ from typing import Any
 
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.given import brief, finite
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.one_shot import OneShot
 from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
@@ -34,9 +35,10 @@ def _mended(name: str, options: dict[str, Any], where: str) -> Task:
         raise BadInput(
             f"{where}: 'model' is no mended model of task '{name}'; use `adaptsim train {name} --model FILE`"
         )
-    if isinstance(reward_gain, bool) or not isinstance(reward_gain, int | float) or reward_gain <= 0:
-        raise BadInput(f"{where}: reward_gain = {reward_gain!r} must be a positive number; leave it out for 10")
-    return make_mended_pendulum(model_of(given, f"{where}, model"), float(reward_gain))
+    gain = finite(reward_gain)
+    if gain is None or gain <= 0:
+        raise BadInput(f"{where}: reward_gain = {brief(reward_gain)} must be a positive number; leave it out for 10")
+    return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 
 
 def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> Task:

@@ -57,6 +57,8 @@ BAD = (
     ('model = "rigid_body"', 'model = "bendy"', "bendy"),
     ('angle_zero = "hanging"', 'angle_zero = "left"', "angle_zero"),
     ("l1 = 0.3", "l1 = nan", "geometry.l1"),
+    ("l1 = 0.3", f"l1 = {10**400}", "geometry.l1"),
+    ("[declared.p3]\nvalue = 0.03", f"[declared.p3]\nvalue = {10**30}\n# ", "declared.p3"),
     ("[declared.p3]\nvalue = 0.03", "[declared.p3]\nvalue = -0.03\n# ", "declared.p3"),
     ("[declared.h1]", "[declared.h9]", "h9"),
     ('unit = "kg m^2"', 'unit = "g mm^2"', "declared.p1.unit"),

@@ -142,6 +142,7 @@ META_FAULTS = [
     (META.replace("l1 = 0.3", "l1 = -0.3"), "geometry.l1 = -0.3"),
     (META.replace("l1 = 0.3", 'l1 = "0.3"'), "geometry.l1 must be a number"),
     (META.replace("l1 = 0.3", "l1 = nan"), "geometry.l1 = nan is not finite"),
+    (META.replace("l1 = 0.3", f"l1 = 0x{'f' * 9000}"), "geometry.l1 = a number of thousands of digits is not finite"),
     (META.replace("l1 = 0.3", "L1 = 0.3"), "did you mean 'l1'"),
     (META.replace("l1 = 0.3", "l1 = = 0.3"), "line 6"),
     (META + "[noise]\nq3 = 1\n", "unknown key 'q3' in [noise]"),

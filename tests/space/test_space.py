@@ -93,6 +93,8 @@ def test_space_is_static_under_jit_and_ranges_can_be_moved():
         ({"m": float("nan"), "e": 1e5, "g": 1}, "not a finite number"),
         ({"m": "1.5", "e": 1e5, "g": 1}, "not a finite number"),
         ({"m": True, "e": 1e5, "g": 1}, "not a finite number"),
+        ({"m": -(10**30), "e": 1e5, "g": 1}, "outside its physical range"),
+        ({"m": 10**400, "e": 1e5, "g": 1}, "not a finite number"),
     ],
 )
 def test_bad_values_say_the_mend_in_one_line(given, says):

@@ -33,6 +33,7 @@ class Settings:
     box: tuple[float, float] = (0.0, 1.0)
     sizes: Sizes = field(default_factory=Sizes)
     hyper: Hyper = field(default_factory=Hyper)
+    options: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,10 @@ def test_round_trip():
         ({"task": "p", "sizes": {"act": "gelu"}}, "key 'sizes.act' is 'gelu'; one of"),
         ({"task": "p", "hyper": {"rte": 1}}, "unknown key 'hyper.rte'; did you mean 'rate'?"),
         ({"task": "p", "sizes": 3}, "key 'sizes' is 3"),
+        ({"task": "p", "delta": float("nan")}, "key 'delta' is nan; a finite number is wanted"),
+        ({"task": "p", "hyper": {"tau": float("inf")}}, "key 'hyper.tau' is inf; a finite number"),
+        ({"task": "p", "delta": 10**400}, "key 'delta' is 1000.*; a finite number is wanted"),
+        ({"task": 16**9000}, "key 'task' is a number of thousands of digits; a value of type str"),
     ],
 )
 def test_wrong_keys(table, says):
@@ -82,10 +87,40 @@ def test_settings_from_the_command_line():
         ("rounds", "write --set key=value"),
         ("round=3", "did you mean 'rounds'"),
         ("hypr.rate=3", "unknown key 'hypr'; did you mean 'hyper'"),
-        ("rounds.x=3", "unknown key 'rounds'"),
+        ("rounds.x=3", "'rounds' is no table; write --set rounds=VALUE"),
+        ("sizes.hiden.x=3", "unknown key 'sizes.hiden'; did you mean 'hidden'"),
+        ("rounds=" + "9" * 5000, "key 'rounds' is '999.*; a value of type int"),
     ):
         with pytest.raises(BadInput, match=says):
             config.with_settings(start, [setting])
+
+
+def test_settings_reach_into_a_table_of_any_keys():
+    start = Settings("push", options={"trials": 3})
+    new = config.with_settings(start, ["options.training.block=300", "options.training.wide.a=x"])
+    assert new.options == {"trials": 3, "training": {"block": 300, "wide": {"a": "x"}}}
+    assert start.options == {"trials": 3}
+    with pytest.raises(BadInput, match=r"'options\.trials' is no table; write --set options\.trials=VALUE"):
+        config.with_settings(start, ["options.trials.x=3"])
+
+
+def test_the_nearest_name_is_found_whatever_its_case():
+    assert config.suggest("RAD", ["rad", "deg"]) == "did you mean 'rad'?"
+    assert config.suggest("x", ["rad", "deg"]) == "known: rad, deg"
+    assert config.suggest("x", []) == "known: none"
+
+
+def test_a_mark_before_the_text_is_no_part_of_it(tmp_path):
+    (tmp_path / "c.toml").write_bytes(b"\xef\xbb\xbfa = 1\n")
+    assert config.read(tmp_path / "c.toml") == {"a": 1}
+
+
+@pytest.mark.parametrize("text", ["a = " + "1" * 5000, "a = " + "[" * 3000, "a = 1979-13-01"])
+def test_what_python_cannot_parse_is_one_line(tmp_path, text):
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(BadInput, match=r"c\.toml: not TOML") as caught:
+        config.read(tmp_path / "c.toml")
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300 + len(str(tmp_path))
 
 
 _text = st.text(st.characters(codec="utf-8"), max_size=8)

@@ -105,6 +105,9 @@ def test_bad_options_and_targets_are_told():
         make_task("pendulum", {"model": 3})
     with pytest.raises(BadInput, match="missing"):
         make_task("pendulum", {"model": {"task": "pendulum", "schema": 1}})
+    for gain in (float("nan"), 0, 10**400):
+        with pytest.raises(BadInput, match=r"reward_gain = .* must be a positive number"):
+            make_task("pendulum", {"model": {"task": "pendulum"}, "reward_gain": gain})
     rigid = ModelFile(
         "pendulum", "rigid_body", "hanging", {"l1": 0.3, "g": 9.81}, {"p1": Value(0.1, 0.1, 0.1, "kg m^2")}
     )

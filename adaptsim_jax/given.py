@@ -1,0 +1,26 @@
+"""What a person gave, in a file or on the command line: whether it is a number that can be used, and how to show it in a message."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+
+def finite(value: Any) -> float | None:
+    """`value` as a float; None where it is no number (booleans are none), not finite, or an integer beyond every float."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def brief(value: Any) -> str:
+    """`value` as it was written, cut at 60 characters."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than some thousand digits
+        return "a number of thousands of digits"
+    return text if len(text) <= 60 else text[:57] + "..."
