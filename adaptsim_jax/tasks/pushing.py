@@ -263,6 +263,10 @@ def _checked(config: PushingConfig) -> PushOptions:
             "pushing, visits = deployed: only corrected actions differ from E's own, and f tells them by the gap; set correct "
             "and show_gap"
         )
+    if config.show_gap and not config.pretrain:
+        raise BadInput(
+            "pushing, show_gap: only a policy made with pretrain = true knows the mean of E that the gap is to; set it"
+        )
     if config.refine and not config.pretrain:
         raise BadInput(
             "pushing, refine: only a policy made with pretrain = true knows the mean of E to try a push at; set it"

@@ -159,7 +159,13 @@ def test_settings_are_physical_and_only_what_the_paper_bolds_is_outside():
 
 @pytest.mark.parametrize(
     "options, says",
-    [({"trails": 3}, "trials"), ({"trials": 0}, "trials = 0"), ({"friction": "x"}, "clean"), ({"model": {}}, "model")],
+    [
+        ({"trails": 3}, "trials"),
+        ({"trials": 0}, "trials = 0"),
+        ({"friction": "x"}, "clean"),
+        ({"model": {}}, "model"),
+        ({"show_gap": True}, "show_gap: only a policy made with pretrain"),
+    ],
 )
 def test_bad_options_are_refused(options, says):
     with pytest.raises(BadInput, match=says):
