@@ -76,20 +76,46 @@ class Phase1Hyper:
     terminal: float = 0.0
 
 
+SIZES = ("trajectories", "parallel", "horizon", "updates", "batch", "capacity", "archive")
+POSITIVE = (
+    "delta", "shrink", "gain", "epsilon_share", "learner.learning_rate", "learner.tau", "learner.max_grad_norm",
+)  # fmt: skip
+SHARES = (
+    "delta", "soft", "far", "epsilon_start", "epsilon_end", "epsilon_share", "rate_end", "independent", "inside",
+    "terminal", "learner.discount", "learner.tau",
+)  # fmt: skip
+
+
 def check(config: Phase1Config, task: Task) -> None:
     """Raises BadInput where the sizes do not fit each other or the task."""
+    for name in SIZES:
+        if getattr(config, name) < 1:
+            raise BadInput(f"phase1.{name} = {getattr(config, name)}: give at least 1")
+    if config.warmup < 0:
+        raise BadInput(f"phase1.warmup = {config.warmup}: give a number of rounds, 0 for none")
     if config.reuse.threshold > 0 and task.train_many is None:
         raise BadInput(f"task '{task.name}' trains each policy anew at no cost; set phase1.reuse.threshold to 0")
-    if config.trajectories % config.parallel or config.parallel < 1:
+    if config.trajectories % config.parallel:
         raise BadInput(
             f"{config.trajectories} trajectories do not divide into rounds of {config.parallel}; "
-            f"use {config.parallel * max(1, round(config.trajectories / max(config.parallel, 1)))}"
+            f"use {config.parallel * max(1, round(config.trajectories / config.parallel))}"
         )
     if not 0.0 <= config.guided <= 1.0:
-        raise BadInput(f"Phase 1: guided = {config.guided} is a share of trajectories; give 0 to 1")
-    if min(config.horizon, config.updates, config.batch) < 1 or config.warmup < 0:
-        raise BadInput(f"Phase 1 sizes must be positive, got {config}")
+        raise BadInput(f"phase1.guided = {config.guided} is a share of trajectories; give 0 to 1")
     ring.check_capacity(config.capacity, config.parallel * config.horizon)
     ring.check_capacity(config.archive, config.parallel * config.horizon)
     if config.reuse.threshold > 0:
         reuse.check(config.reuse, config.parallel)
+
+
+def check_hyper(hyper: Phase1Hyper) -> None:
+    """Raises BadInput where a value makes no sense. Values must be concrete: not traced, and no sweep of several."""
+    for key in (*POSITIVE, *SHARES, "obs_noise"):
+        holder = hyper.learner if key.startswith("learner.") else hyper
+        value = getattr(holder, key.removeprefix("learner."))
+        if key in POSITIVE and not value > 0:
+            raise BadInput(f"hyper.{key} = {value}: give a positive number")
+        if key in SHARES and not value <= 1:
+            raise BadInput(f"hyper.{key} = {value}: give at most 1")
+        if not value >= 0:
+            raise BadInput(f"hyper.{key} = {value}: give at least 0")

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax import config as configs
 from adaptsim_jax.adapt.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State, make_phase1
+from adaptsim_jax.adapt.phase1_config import check_hyper
 from adaptsim_jax.adapt.phase2 import Phase2Result, adapt, draw_starts
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.store import RunFolder
@@ -28,6 +29,11 @@ class TrainConfig:
     task: dict[str, Any] = field(default_factory=dict)
     phase1: Phase1Config = field(default_factory=Phase1Config)
     hyper: Phase1Hyper = field(default_factory=Phase1Hyper)
+
+    def __post_init__(self):
+        if not 0 <= self.seed < 2**32:
+            raise BadInput(f"seed = {self.seed}: give a whole number from 0 to {2**32 - 1}")
+        check_hyper(self.hyper)
 
 
 class Trained(NamedTuple):

@@ -1,6 +1,6 @@
 """Phase 1 on a toy whose best answer is known: it learns, compiles once, and does not depend on how it is cut."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import chex
 import jax
@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.adapt.phase1 import Phase1Config, Phase1Hyper, make_phase1, shape_reward
-from adaptsim_jax.adapt.phase2 import adapt, best_of, draw_starts
+from adaptsim_jax.adapt.phase1_config import POSITIVE, SHARES
+from adaptsim_jax.adapt.phase2 import adapt, best_of, best_visit, draw_starts
 from adaptsim_jax.adapt.presets import paper_pendulum
-from adaptsim_jax.adapt.training import archive_size, traced
+from adaptsim_jax.adapt.training import TrainConfig, archive_size, traced
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQHyper
 from tests.adapt.toy import make_toy
@@ -142,15 +143,55 @@ def test_best_of_skips_what_diverged():
     np.testing.assert_array_equal(result.mean, history.mean[1, 2])
 
 
+def test_the_first_visit_stands_for_none_that_is_finite():
+    assert tuple(map(int, best_visit(jnp.array([[0.1, 0.4, jnp.nan], [jnp.inf, 0.3, 0.2]])))) == (0, 1)
+    assert tuple(map(int, best_visit(np.full((2, 3), np.nan)))) == (0, 0)
+
+
 @pytest.mark.parametrize(
     ("change", "mend"),
     [
         ({"trajectories": 65}, "use 60"),
         ({"capacity": 100}, "use 80"),
         ({"archive": 50}, "use 40"),
-        ({"batch": 0}, "positive"),
+        ({"batch": 0}, r"phase1\.batch = 0: give at least 1"),
+        ({"parallel": 0}, r"phase1\.parallel = 0: give at least 1"),
+        ({"trajectories": 0}, r"phase1\.trajectories = 0: give at least 1"),
+        ({"trajectories": -10}, r"phase1\.trajectories = -10: give at least 1"),
+        ({"warmup": -1}, r"phase1\.warmup = -1"),
     ],
 )
 def test_sizes_that_do_not_fit_are_refused(change, mend):
     with pytest.raises(BadInput, match=mend):
         make_phase1(make_toy(), replace(SMALL, **change))
+
+
+@pytest.mark.parametrize(
+    ("change", "mend"),
+    [
+        ({"epsilon_share": 0.0}, r"hyper\.epsilon_share = 0.0: give a positive number"),
+        ({"delta": -0.1}, r"hyper\.delta = -0.1: give a positive number"),
+        ({"delta": 1.5}, r"hyper\.delta = 1.5: give at most 1"),
+        ({"rate_end": -1.0}, r"hyper\.rate_end = -1.0: give at least 0"),
+        ({"obs_noise": -1.0}, r"hyper\.obs_noise = -1.0: give at least 0"),
+        ({"inside": float("nan")}, r"hyper\.inside = nan"),
+        ({"learner": BDQHyper(discount=1.5)}, r"hyper\.learner\.discount = 1.5: give at most 1"),
+        ({"learner": BDQHyper(learning_rate=0.0)}, r"hyper\.learner\.learning_rate = 0.0: give a positive number"),
+    ],
+)
+def test_rates_that_make_no_sense_are_refused(change, mend):
+    with pytest.raises(BadInput, match=mend):
+        TrainConfig(hyper=replace(Phase1Hyper(), **change))
+
+
+def test_every_rate_is_checked_but_the_threshold_of_the_reward():
+    """Any threshold makes sense: rewards may be of any size below 1."""
+    checked = {name.removeprefix("learner.") for name in (*POSITIVE, *SHARES, "obs_noise")}
+    names = {f.name for f in fields(Phase1Hyper)} - {"learner"} | {f.name for f in fields(BDQHyper)}
+    assert names - checked == {"threshold"}
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_a_seed_that_would_stand_for_another_is_refused(seed):
+    with pytest.raises(BadInput, match=f"seed = {seed}: give a whole number"):
+        TrainConfig(seed=seed)
