@@ -18,16 +18,17 @@ import numpy as np
 from adaptsim_jax import config as configs
 from adaptsim_jax.adapt.phase1 import Phase1Config
 from adaptsim_jax.adapt.phase2 import Phase2Result
+from adaptsim_jax.adapt.presets import default_config
 from adaptsim_jax.adapt.training import TrainConfig, Trained, adapt_run, train_run
 from adaptsim_jax.baselines.compare import compare, find_bounds, visiting_rows
-from adaptsim_jax.baselines.methods import CompareConfig, Visits
+from adaptsim_jax.baselines.methods import CompareConfig, Visits, default_comparison
 from adaptsim_jax.baselines.problem import pendulum_problem
 from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.closeloop.diagnose import diagnose
 from adaptsim_jax.files import output_folder, write_json
 from adaptsim_jax.progress import Report, silent
-from adaptsim_jax.store import RunFolder
+from adaptsim_jax.store import CONFIG, RunFolder
 
 TASK, TARGET = "pendulum", "ood-1"
 BASELINES = ("sysid_bayes", "sysid_point", "udr", "best_in_omega")
@@ -102,7 +103,9 @@ def _stages(progress: Report) -> Callable[[str], Report]:
 def _adapt(out: Path, train: TrainConfig, config: DemoConfig, index: int, say: Callable[[str], Report]) -> Adapted:
     """Phase 1 into a run folder (or from one), and Phase 2 in the target."""
     path = out / "runs" / f"seed-{train.seed}"
-    start = RunFolder.resume if path.exists() else RunFolder.create
+    start = (
+        RunFolder.resume if (path / CONFIG).exists() else RunFolder.create
+    )  # a kill may leave a folder and nothing in it
     folder = start(path, configs.to_table(train), task=TASK)
     report = say("train")
     trained = train_run(train, folder, lambda done, total, note="": report(index + done / total, config.seeds, note))
@@ -131,12 +134,26 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, s
 
 
 def _commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
-    """What a person types for the same, a step at a time."""
-    run = shlex.quote(str(out / "runs" / f"seed-{seed}"))
-    sizes = f"--set phase1.trajectories={config.train.phase1.trajectories}"
+    """What a person types for the same, a step at a time, into folders beside the tour's own.
+
+    One difference: `compare` draws other starts from S_E than `adapt`, so its row of AdaptSim is near the tour's and not the same.
+    """
+    run, comparison, diagnosis = (shlex.quote(str(out / "again" / name)) for name in ("run", "comparison", "diagnosis"))
+    sizes = {"starts": config.starts, "iterations": config.iterations}
+    asked = replace(default_comparison(TASK), train=config.train, sysid=config.sysid, **sizes)
+    methods = ",".join(name.replace("_", "-") for name in ("adaptsim", *BASELINES))
     return {
-        "train": f"adaptsim train {TASK} --run {run} --seed {seed} {sizes}",
-        "adapt": f"adaptsim adapt {run} --target {TARGET} --seed {seed}",
-        "compare": f"adaptsim compare {TASK} --settings {TARGET} --seeds {config.seeds} --out comparison",
-        "diagnose": f"adaptsim diagnose {shlex.quote(str(SAMPLE))} --out diagnosis",
+        "train": f"adaptsim train {TASK} --run {run} --seed {seed}{_changes(config.train, default_config(TASK), 'seed')}",
+        "adapt": f"adaptsim adapt {run} --target {TARGET} --seed {seed} --starts {config.starts} --iterations {config.iterations}",
+        "compare": f"adaptsim compare {TASK} --out {comparison} --seed {seed} --seeds {config.seeds} --settings {TARGET} "
+        f"--methods {methods}{_changes(asked, default_comparison(TASK))}",
+        "diagnose": f"adaptsim diagnose {shlex.quote(str(SAMPLE))} --out {diagnosis} --seed {seed}",
     }
+
+
+def _changes(config: Any, default: Any, *but: str) -> str:
+    """` --set key=value` for each key, `but` some, in which `config` is not as `default`."""
+    before, after = (configs.flatten(configs.to_table(one)) for one in (default, config))
+    changed = [key for key in after if key not in but and after[key] != before.get(key)]
+    texts = [f"{key}={configs.dumps({'v': after[key]}).removeprefix('v = ').strip()}" for key in changed]
+    return "".join(f" --set {shlex.quote(text)}" for text in texts)

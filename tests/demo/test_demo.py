@@ -2,7 +2,10 @@
 
 import json
 import re
+import shlex
+from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +14,9 @@ from adaptsim_jax import demo as module
 from adaptsim_jax.adapt.phase1 import Phase1Config
 from adaptsim_jax.adapt.training import TrainConfig, load_run
 from adaptsim_jax.baselines.mdn import FitConfig
+from adaptsim_jax.baselines.methods import CompareConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig
-from adaptsim_jax.cli import main
+from adaptsim_jax.cli import main, parse
 from adaptsim_jax.commands.demo import _show
 from adaptsim_jax.demo import DemoConfig, demo
 from adaptsim_jax.errors import BadInput
@@ -117,9 +121,38 @@ def test_a_tour_again_takes_the_runs_up(tour, monkeypatch, diagnosis):
     assert np.array_equal(again.adapted[0].result.mean, found.adapted[0].result.mean)
 
 
-def test_other_sizes_in_the_same_folder_are_refused(tour):
-    from dataclasses import replace
+def test_a_tour_killed_before_its_first_config_is_taken_up(tmp_path, monkeypatch):
+    """`RunFolder.create` makes the folder first; a kill then leaves it empty."""
 
+    def train(config, folder, progress):
+        raise KeyboardInterrupt
+
+    (tmp_path / "runs" / "seed-5").mkdir(parents=True)
+    monkeypatch.setattr(module, "train_run", train)
+    for _ in range(2):  # first in the empty folder, then in the one that has its config
+        with pytest.raises(KeyboardInterrupt):
+            demo(tmp_path, 5, config=SIZES)
+        assert RunFolder.open(tmp_path / "runs" / "seed-5").config["seed"] == 5
+
+
+@pytest.mark.parametrize("sizes", [DemoConfig(), SIZES])
+def test_its_commands_ask_for_the_same(tmp_path, sizes):
+    from adaptsim_jax.commands import compare as compare_command
+    from adaptsim_jax.commands import train as train_command
+
+    args = {k: parse(shlex.split(line)[1:]) for k, line in module._commands(tmp_path, 5, sizes).items()}
+    assert train_command.config_of({}, args["train"]) == replace(sizes.train, seed=5)
+    assert args["adapt"].folder == args["train"].folder and args["adapt"].target == "ood-1"
+    assert (args["adapt"].starts, args["adapt"].iterations, args["adapt"].seed) == (sizes.starts, sizes.iterations, 5)
+    asked = compare_command.config_of(args["compare"])
+    wanted = {name: getattr(sizes, name) for name in ("seeds", "starts", "iterations", "train", "sysid")}
+    assert asked == CompareConfig(("adaptsim", *module.BASELINES), ("ood-1",), seed=5, **wanted)
+    assert args["diagnose"].data == str(module.SAMPLE) and args["diagnose"].seed == 5
+    for folder in (args["train"].folder, args["compare"].out, args["diagnose"].out):
+        assert tmp_path / "runs" not in Path(folder).parents and Path(folder).is_relative_to(tmp_path / "again")
+
+
+def test_other_sizes_in_the_same_folder_are_refused(tour):
     other = replace(SIZES, train=replace(SIZES.train, every=7))
     with pytest.raises(BadInput, match="every: 20 there, 7 asked"):
         demo(tour[0], 5, config=other)
