@@ -67,10 +67,16 @@ def adapt(
     return best_of(history)
 
 
+def best_visit(score: Any) -> tuple[jax.Array, jax.Array]:
+    """`(start, visit)`, each `[]`, of the highest finite raw return of `score [N, I + 1]`; the first visit where none is finite."""
+    finite = jnp.where(jnp.isfinite(score), score, -jnp.inf)
+    start, visit = jnp.unravel_index(jnp.argmax(finite), finite.shape)
+    return start, visit
+
+
 def best_of(history: Episode) -> Phase2Result:
     """The visit with the highest finite raw return over all starts and iterations of `history: [N, I + 1, ...]`."""
-    score = jnp.where(jnp.isfinite(history.score), history.score, -jnp.inf)
-    best = jnp.argmax(score.reshape(-1))
-    pick = lambda x: x.reshape(-1, *x.shape[2:])[best]
+    start, visit = best_visit(history.score)
+    pick = lambda x: x[start, visit]
     policy = jax.tree.map(pick, history.policy)
     return Phase2Result(policy, pick(history.mean), pick(history.score), pick(history.reward), history)

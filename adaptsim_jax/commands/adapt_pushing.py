@@ -48,15 +48,16 @@ def show(
 ) -> list[str]:
     """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
     from adaptsim_jax import config
+    from adaptsim_jax.adapt.phase2 import best_visit
     from adaptsim_jax.report import figures as look
     from adaptsim_jax.report import figures_pushing as draw
     from adaptsim_jax.tasks.pushing import PushingConfig
 
     task, made = trained.phase1.task, config.from_table(PushingConfig, options, found["run"])
-    start, best = np.unravel_index(np.nanargmax(np.asarray(result.history.score)), result.history.score.shape)
+    start, best = map(int, best_visit(result.history.score))
     target = np.array(list(found["target"]["params"].values()))
-    goals, actions, tracks, rewards = _pushes(made, result, int(start), target)
-    shown = picked(len(tracks), int(best))
+    goals, actions, tracks, rewards = _pushes(made, result, start, target)
+    shown = picked(len(tracks), best)
     panels = [[[draw.Push(goals[g], tracks[i, g], rewards[i, g])] for i in shown] for g in range(len(goals))]
     params = np.asarray(task.space.physical(result.history.mean[start]))
     figure = draw.pushes_over_iterations(
@@ -69,10 +70,10 @@ def show(
     )
     lines = [f"written: {look.save(figure, out / 'pushes.png')}"]
     if result.policy.told is not None:
-        made_so_far = len(result.policy.told.used)
+        made_so_far = int(np.sum(result.policy.told.used))
         lines.insert(0, f"actions are corrected by the pushes made before, the best policy's by all {made_so_far}")
     if video:
-        visits = [(0, "first"), (int(best), "best")] if best else [(0, "best")]
+        visits = [(0, "first"), (best, "best")] if best else [(0, "best")]
         takes = [(f"iteration {i} ({word})", actions[i, g], goals[g]) for g in range(len(goals)) for i, word in visits]
         lines.append(_film(made, target, takes, out))
     return lines

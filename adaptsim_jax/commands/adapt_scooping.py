@@ -47,12 +47,12 @@ def as_deployed(arena: Any, batch: Any, found: Any) -> Any:
     import jax.numpy as jnp
 
     from adaptsim_jax.adapt.episode import Episode
-    from adaptsim_jax.adapt.phase2 import Phase2Result
+    from adaptsim_jax.adapt.phase2 import Phase2Result, best_visit
 
     told = [found.memory.deployed(policies, i) for i, policies in enumerate(found.policies)]
     policies = jax.tree.map(lambda *x: jnp.stack(x, 1), *told)
     history = Episode(found.means, policies, found.obs, found.scores, found.rewards, found.actions[:, :-1])
-    start, visit = np.unravel_index(found.scores.argmax(), found.scores.shape)
+    start, visit = map(int, best_visit(found.scores))
     last = jax.tree.map(lambda x: x[start], found.memory.deployed(found.policies[visit]))
     reward = arena.score(batch.where[:1], jax.tree.map(lambda x: x[None], last))[0]
     return Phase2Result(last, found.means[start, visit], found.scores[start, visit], reward, history)
@@ -63,6 +63,7 @@ def show(
 ) -> list[str]:
     """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
     from adaptsim_jax import config
+    from adaptsim_jax.adapt.phase2 import best_visit
     from adaptsim_jax.report import figures as look
     from adaptsim_jax.report.figures_pushing import axes_of
     from adaptsim_jax.report.figures_scooping import scoops_over_iterations
@@ -70,10 +71,10 @@ def show(
 
     task, made = trained.phase1.task, config.from_table(ScoopingConfig, options, found["run"])
     reward = np.asarray(result.history.reward)
-    start, best = np.unravel_index(np.nanargmax(reward), reward.shape)
+    start, best = map(int, best_visit(result.history.score))
     target = np.array(list(found["target"]["params"].values()))
-    clips = clips_of(made, result, int(start), target)
-    shown = picked(len(clips), int(best))
+    clips = clips_of(made, result, start, target)
+    shown = picked(len(clips), best)
     heads = [f"iteration {i}" + (" (best)" if i == best else "") for i in shown]
     figure = scoops_over_iterations(
         [clips[i] for i in shown],
@@ -91,7 +92,7 @@ def show(
     if video:
         from adaptsim_jax.report.scoop_video import write_scoop_video
 
-        visits = [0, int(best)] if best else [0]
+        visits = [0, best] if best else [0]
         path, how = write_scoop_video([clips[i] for i in visits], out)
         lines.append(f"written: {path}, {how}")
     return lines

@@ -1,16 +1,21 @@
 """Scoops drawn and filmed: the right thing in the right place, with OpenGL or without."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from adaptsim_jax.commands import adapt_scooping
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import push_video, scoop_video
+from adaptsim_jax.report import figures_scooping, push_video, scoop_video
 from adaptsim_jax.report.figures_pushing import Axis
 from adaptsim_jax.report.figures_scooping import scoops_over_iterations
 from adaptsim_jax.report.scoop_video import ScoopClip, drawn_frames, outlines, write_scoop_video
+from adaptsim_jax.tasks.scooping_config import scooping_space
 
 PARAMS = np.array([0.3, 5e4, 1.0, 0.02])
+AXES = [Axis("mu", 0.25, 0.4), Axis("e", 1e4, 5e5, True), Axis("g", 0, 1), Axis("h", 0.015, 0.025)]
 
 
 def clip(params=PARAMS, rows=41, success=True):
@@ -72,10 +77,25 @@ def test_scenes_load_in_mujoco_and_are_where_the_drawing_is():
         np.testing.assert_allclose(along, drawn / np.linalg.norm(drawn), atol=1e-6)
 
 
+def test_the_best_visit_is_the_one_that_is_deployed(tmp_path, monkeypatch):
+    """The highest raw return, not the highest reward, as in `result.json`."""
+    drawn = []
+    figure = scoops_over_iterations([clip()], [""], [0.0], np.tile(PARAMS, (3, 1)), AXES)
+    monkeypatch.setattr(figures_scooping, "scoops_over_iterations", lambda *given, **_: drawn.append(given) or figure)
+    monkeypatch.setattr(adapt_scooping, "clips_of", lambda made, result, start, target: [start] * 3)
+    score, reward = np.array([[0.5, np.nan, 0.5], [0.0, 1.0, 0.5]]), np.array([[0.9, 0.2, 0.1], [0.3, 0.4, 0.5]])
+    history = SimpleNamespace(score=score, reward=reward, mean=np.full((2, 3, 4), 0.5, np.float32))
+    result = SimpleNamespace(history=history, policy=SimpleNamespace(told=None))
+    task = SimpleNamespace(space=scooping_space(), name="scooping")
+    found = {"run": "run", "target": {"params": dict(zip("abcd", PARAMS, strict=True))}}
+    trained = SimpleNamespace(phase1=SimpleNamespace(task=task))
+    adapt_scooping.show(trained, {}, found, result, tmp_path, False)
+    assert drawn[0][:3] == ([1, 1, 1], ["iteration 0", "iteration 1 (best)", "iteration 2"], [0.3, 0.4, 0.5])
+
+
 def test_the_figure_of_iterations(tmp_path):
-    axes = [Axis("mu", 0.25, 0.4), Axis("e", 1e4, 5e5, True), Axis("g", 0, 1), Axis("h", 0.015, 0.025)]
     figure = scoops_over_iterations(
-        [clip(), clip(success=False)], ["iteration 0", "iteration 3 (best)"], [0.17, 1.0], np.tile(PARAMS, (4, 1)), axes,
+        [clip(), clip(success=False)], ["iteration 0", "iteration 3 (best)"], [0.17, 1.0], np.tile(PARAMS, (4, 1)), AXES,
         target=PARAMS.tolist(),
     )  # fmt: skip
     path = look.save(figure, tmp_path / "scoops.png")
