@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, NullLocator
 
+from adaptsim_jax.models.pushing import PATCH_SIDE, PATCH_X, RADIUS, START
 from adaptsim_jax.report import figures as look
 
 BOTTLE, GOAL, PATCH, TARGET = "#0072B2", "#D49A00", "#c3cad3", "#8b0000"
-START, RADIUS, PATCH_X, PATCH_SIDE, FAR = (0.56, 0.0), 0.03, 0.75, 0.10, 0.2
 ACROSS, NEAR, REACH = (-0.22, 0.22), 0.5, (1.12, 1.5)  # m: what of the table is shown, and how far at least and at most
 SYMBOLS = {
     "pushing": {"mu": "μ table", "e": "e (Pa)", "mu_p": "μ patch", "y_p": "patch y (m)"},
@@ -66,7 +66,8 @@ def pushes_over_iterations(
     the number of the first of `params`.
     """
     rows, across = len(panels), max(len(row) for row in panels)
-    farthest = max(np.max(np.asarray(push.track)[:, 0]) for row in panels for pushes in row for push in pushes)
+    ahead = np.concatenate([np.asarray(push.track)[:, 0] for row in panels for pushes in row for push in pushes])
+    farthest = ahead[np.isfinite(ahead)].max(initial=NEAR)  # a push that failed has no track
     along = (NEAR, float(np.clip(farthest + 0.05, *REACH)))
     height = 1.12 * (along[1] - along[0]) / (ACROSS[1] - ACROSS[0]) + 0.35
     figure = Figure(figsize=(1.12 * across + 2.9, max(height * rows + 0.1, 3.3)), layout="constrained")

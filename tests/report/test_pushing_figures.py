@@ -54,6 +54,15 @@ def test_a_table_top_shows_each_push_where_it_was():
     assert lines[0].lines[0].get_xdata().tolist() == [3, 4, 5, 6]
 
 
+def test_a_push_that_failed_has_no_track_and_is_no_failure_of_the_figure(tmp_path):
+    lost, fine = np.full((20, 2), np.nan), np.stack([np.linspace(0.56, 1.2, 20), np.zeros(20)], -1)
+    for tracks, farthest in (([lost], draw.REACH[0]), ([lost, fine], 1.25)):
+        panels = [[[draw.Push((0.85, 0.02), track, 0.0) for track in tracks]]]
+        figure = draw.pushes_over_iterations(panels, [["iteration 0"]], PARAMS, AXES)
+        assert figure.axes[0].get_ylim()[1] == pytest.approx(farthest)
+        figure.savefig(tmp_path / "pushes.png")
+
+
 def test_parameters_of_each_method_and_seed_are_dots_and_methods_without_any_are_left_out():
     found = np.array([[0.1, 1e4, 0.5, 0.0], [0.2, 1e6, 0.6, 0.1]])
     rows = [
