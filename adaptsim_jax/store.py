@@ -16,7 +16,7 @@ from typing import Any
 
 from adaptsim_jax import __version__, config
 from adaptsim_jax.errors import BadInput
-from adaptsim_jax.files import output_errors, output_folder, write_bytes, write_json
+from adaptsim_jax.files import output_errors, output_folder, without_nan, write_bytes, write_json
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -216,8 +216,8 @@ class RunFolder:
         return (self.checkpoint / MANIFEST).exists()
 
     def append_metrics(self, rows: list[dict[str, Any]]) -> None:
-        """Append one JSON line a row and sync them; call it before `save`, which records the length."""
-        text = "".join(json.dumps(row) + "\n" for row in rows)
+        """Append one JSON line a row, null for what is not finite, and sync them; call it before `save`, which records the length."""
+        text = "".join(json.dumps(without_nan(row), allow_nan=False) + "\n" for row in rows)
         with output_errors(self.metrics), open(self.metrics, "ab") as file:
             file.write(text.encode())
             file.flush()

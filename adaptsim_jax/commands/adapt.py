@@ -64,8 +64,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> dict[str, Any]:
-    """What Phase 2 found, as plain data: the best policy, where it came from, and every trial."""
+    """What Phase 2 found, as plain data: the best policy, where it came from, and every trial; None for what is not finite."""
     import numpy as np
+
+    from adaptsim_jax.files import without_nan
 
     names = task.space.names
     physical = np.asarray(task.space.physical(result.history.mean))
@@ -80,7 +82,7 @@ def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Name
             "reward": number(result.reward),
             "score": number(result.score),
             "params": dict(zip(names, np.asarray(task.space.physical(result.mean)).tolist(), strict=True)),
-            "policy": policy_table(result.policy),
+            "policy": without_nan(policy_table(result.policy)),
         },
         "final": [number(row[-1]) for row in reward],
         "trials": int(reward.size),

@@ -1,20 +1,25 @@
 """What is deployed after an adaptation in a simulated target, where `correct` is on: policies with the pushes made before."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.adapt.episode import Episode
 from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.pushing import PushingConfig, PushingPolicy
 from adaptsim_jax.tasks.pushing_simulator import make_simulator
 from adaptsim_jax.tasks.pushing_told import Told
 
+if TYPE_CHECKING:
+    from adaptsim_jax.adapt.episode import Episode
+
 
 def deployed(history: Episode, target: jax.Array, config: PushingConfig) -> tuple[PushingPolicy, Told]:
     """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the pushes that all N starts made
-    before its iteration; and all of these pushes.
+    before its iteration; and all of these pushes. Those that failed (their places are not finite) do not count.
 
     Goals are read back from what was observed, so they must be shown. Pure.
     """
@@ -30,8 +35,9 @@ def deployed(history: Episode, target: jax.Array, config: PushingConfig) -> tupl
 
     actions, places = jax.vmap(jax.vmap(pushed))(history.policy, history.obs)
     made = jnp.broadcast_to(jnp.arange(turns)[None, :, None], (N, turns, config.trajectories)).reshape(-1)
-    every = Told(actions.reshape(-1, 2), places.reshape(-1, 2), jnp.ones(len(made), bool))
-    at = lambda i: every._replace(used=made < i)
+    places = places.reshape(-1, 2)
+    every = Told(actions.reshape(-1, 2), places, jnp.isfinite(places).all(-1))
+    at = lambda i: every._replace(used=every.used & (made < i))
     told = jax.vmap(lambda _: jax.vmap(at)(jnp.arange(turns)))(jnp.arange(N))
     return history.policy._replace(told=told), every
 

@@ -99,7 +99,8 @@ def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
 
 
 def _remember(policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array) -> PushingPolicy:
-    return policy._replace(told=Told(actions, points[:, -1], used))
+    places = points[:, -1]
+    return policy._replace(told=Told(actions, places, used & jnp.isfinite(places).all(-1)))
 
 
 def _everywhere(space: Any, simulate: Any) -> GoalProblem:

@@ -43,6 +43,14 @@ def test_killed_before_the_first_checkpoint(tmp_path):
     assert run.read_metrics() == []
 
 
+def test_a_number_that_is_not_finite_is_null(tmp_path):
+    """Strict JSON, which other readers take."""
+    run = new_run(tmp_path)
+    run.append_metrics([{"step": 0, "reward": float("nan"), "loss": float("inf")}])
+    assert run.metrics.read_text() == '{"step": 0, "reward": null, "loss": null}\n'
+    assert run.read_metrics() == [{"step": 0, "reward": None, "loss": None}]
+
+
 def test_metrics_that_were_cut_are_refused(tmp_path):
     run = new_run(tmp_path)
     run.append_metrics(rows(0, 4))

@@ -1,5 +1,6 @@
 """Actions corrected by what the target's own pushes showed."""
 
+import json
 from dataclasses import replace
 
 import jax
@@ -7,11 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.adapt.episode import Episode
 from adaptsim_jax.baselines.arena import Arena, Trials, lanes
 from adaptsim_jax.baselines.memory import Memory
+from adaptsim_jax.commands.adapt import policy_table
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.files import without_nan
 from adaptsim_jax.models import pushing_planar as planar
-from adaptsim_jax.tasks import pushing
+from adaptsim_jax.tasks import pushing, pushing_deployed
 from adaptsim_jax.tasks.pushing import PushingConfig
 from adaptsim_jax.tasks.pushing_goals import sector_goals
 from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
@@ -112,6 +116,28 @@ def test_a_corrected_policy_earns_more_in_a_target_that_its_mean_of_e_does_not_e
         memory.add(arena.visit(batch.at(i), batch.where, policies).trials)
     mended = arena.score(batch.where, memory.deployed(policies))
     assert (1.0 - mended) < 0.4 * (1.0 - plain)  # by gaps over the actions alone: 0.885 and 0.974
+
+
+def test_pushes_that_fail_in_the_target_do_not_count_and_are_null_in_a_file(monkeypatch):
+    config = PushingConfig(pretrain=True, refine=1, correct=True, tests=2, hidden=(8,), trajectories=4)
+    fails = lambda params, action: jnp.where(action[1] > 0, jnp.nan, jnp.full((1, 2), 0.8))
+    monkeypatch.setattr(pushing_deployed, "make_simulator", lambda config: fails)
+    blank = pushing.make_pushing(config).init_policy(jax.random.key(0))
+    policies = jax.tree.map(lambda x: jnp.broadcast_to(x, (1, 2, *x.shape)), blank)
+    goals = jnp.array([[0.0, 0.9], [0.0, -0.9], [0.5, 0.9], [0.5, -0.9]])  # to the left and to the right
+    seen = jnp.concatenate([jnp.zeros((4, 6, 2)), goals[:, None]], 1).reshape(-1)
+    obs = jnp.broadcast_to(jnp.concatenate([jnp.zeros(4), seen]), (1, 2, 4 + seen.size))
+    history = Episode(
+        jnp.full((1, 2, 4), 0.5), policies, obs, jnp.zeros((1, 2)), jnp.zeros((1, 2)), jnp.zeros((1, 1, 4))
+    )
+    target = jnp.array([0.12, 3e5, 0.3, 0.0])
+    made, every = pushing_deployed.deployed(history, target, config)
+    failed = np.asarray(every.actions[:, 1] > 0)
+    assert 0 < failed.sum() < 8
+    np.testing.assert_array_equal(every.used, ~failed)
+    np.testing.assert_array_equal(made.told.used[0, 1], ~failed & (np.arange(8) < 4))
+    text = json.dumps(without_nan(policy_table(blank._replace(told=every))), allow_nan=False)
+    assert text.count("null") == 2 * failed.sum()
 
 
 def test_correction_without_refining_is_refused():
