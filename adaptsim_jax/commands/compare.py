@@ -14,8 +14,9 @@ EXAMPLES = """
 """
 METHODS = (
     "pendulum: adaptsim, adaptsim-state, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, gradient, udr, "
-    "best-in-omega; pushing: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle"
+    "best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle"
 )
+ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,9 +27,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=positive, metavar="N", help="seeds of each method (pendulum 20, else 10)")
     parser.add_argument("--methods", metavar="A,B", help=f"default: all. {METHODS}")
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
-    parser.add_argument(
-        "--target", metavar="ENGINE", help="pushing: where targets are run: planar, native, mjx or drake"
-    )
+    parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
     parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
     parser.add_argument(
         "--set",

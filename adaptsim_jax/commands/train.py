@@ -26,7 +26,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
-    start.add_argument("--preset", metavar="NAME", help="a config by name: paper-pendulum or paper-pushing")
+    names = "paper-pendulum; of the push: paper-pushing, native-pushing"
+    start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
     parser.add_argument(
         "--set",
         action="append",

@@ -1,4 +1,4 @@
-"""Every command line that the README and the `--help` texts show is one that the program takes."""
+"""Every command line that the README, `docs/*.md` and the `--help` texts show is one that the program takes."""
 
 import importlib
 import re
@@ -7,20 +7,27 @@ from pathlib import Path
 
 import pytest
 
+from adaptsim_jax.adapt.presets import PRESETS
+from adaptsim_jax.baselines.methods import LEARNED_METHODS, METHODS
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.models.backends import pushing, scooping
 
 ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def lines(text):
-    """The `adaptsim` commands in `text`, without the words of explanation behind them (two blanks or more)."""
-    found = re.findall(r"^ +adaptsim (\S.*)$", text, flags=re.M)
+    """The `adaptsim` commands in `text`, on lines that are indented or begin with `$`; without the words of explanation behind them
+    (two blanks or more)."""
+    whole = re.sub(r" *\\\n *", " ", text)
+    found = re.findall(r"^(?: +|\$ )adaptsim (\S.*)$", whole, flags=re.M)
     return [re.split(r"\s{2,}| > ", line)[0] for line in found]
 
 
 def examples():
-    yield from ((f"{name}.md", line) for name in ("README",) for line in lines((ROOT / f"{name}.md").read_text()))
+    for path in PAGES:
+        yield from ((path.name, line) for line in lines(path.read_text()))
     for name in SUMMARIES:
         module = importlib.import_module(f"adaptsim_jax.commands.{name}")
         yield from ((name, line) for line in lines(module.EXAMPLES))
@@ -42,7 +49,7 @@ def check_config(command, args):
     if command == "compare":
         compare.config_of(args)
     else:
-        train._check(train.config_of({}, args), args)
+        train._check(train.config_of(train._start_table(args), args), args)
 
 
 def test_there_are_examples_of_every_command():
@@ -51,6 +58,19 @@ def test_there_are_examples_of_every_command():
     for name in SUMMARIES:
         own = [line.split()[0] for where, line in examples() if where == name]
         assert own and set(own) == {name}
+
+
+def test_commands_of_several_lines_and_of_sessions_are_found():
+    text = (
+        "    adaptsim train pendulum --run a \\\n      --seed 3     as it was\n\n$ adaptsim robot next\nadaptsim: no\n"
+    )
+    assert lines(text) == ["train pendulum --run a --seed 3", "robot next"]
+
+
+def test_presets_that_documents_name_exist_and_are_no_files():
+    for path in PAGES:
+        for option, name in re.findall(r"--(preset|config) ([\w./-]+)", path.read_text()):
+            assert (name in PRESETS) == (option == "preset"), f"{path.name}: --{option} {name}"
 
 
 def test_commands_in_documents_exist():
@@ -65,3 +85,31 @@ def test_files_that_documents_name_exist():
     for path in [*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
         for name in re.findall(rf'[`("]((?:{folders})/[\w./-]+\.(?:py|md|png))\b', path.read_text()):
             assert (ROOT / name).exists(), f"{path.name} names {name}"
+
+
+@pytest.fixture
+def help_of(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "2000")  # argparse breaks lines also within a name
+
+    def text(command):
+        with pytest.raises(SystemExit):
+            parse([command, "--help"])
+        return capsys.readouterr().out
+
+    return text
+
+
+def test_help_names_every_preset(help_of):
+    shown = help_of("train")
+    assert all(name in shown for name in PRESETS)
+
+
+def test_help_names_every_method_and_engine_of_each_task(help_of):
+    """The lists stand in the command as text, because its module must not import JAX."""
+    shown = help_of("compare")
+    spelled = lambda names: ", ".join(name.replace("_", "-") for name in names)
+    assert f"pendulum: {spelled(METHODS)};" in shown
+    assert f"pushing and scooping: {spelled(LEARNED_METHODS)}" in shown
+    for task, engines in (("pushing", pushing.NAMES), ("scooping", scooping.NAMES)):
+        listed = re.search(rf"{task}: ([a-z, ]+ or [a-z]+)", shown)
+        assert listed and set(re.split(", | or ", listed[1])) == set(engines)
