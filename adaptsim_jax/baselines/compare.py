@@ -15,11 +15,10 @@ from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
 from adaptsim_jax.baselines.compare_learned import compare_learned
 from adaptsim_jax.baselines.methods import METHODS, VISITING, CompareConfig, Run, Visits
 from adaptsim_jax.baselines.problem import Problem, costs, discrepancy, pendulum_problem
-from adaptsim_jax.baselines.summary import normalised, row
+from adaptsim_jax.baselines.summary import normalised, physical, row
 from adaptsim_jax.baselines.udr import Udr, udr
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.progress import silent
-from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.registry import make_one_shot, make_task
 
 SCHEMA = 1
@@ -36,18 +35,23 @@ class Bounds(NamedTuple):
     own: np.ndarray
 
 
-def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callable = silent) -> dict[str, Any]:  # noqa: B008
-    """All of `config.methods` in all of `config.settings`: the table of results.json (`docs/results.md`).
+def compare(
+    task: str,
+    config: CompareConfig = CompareConfig(),  # noqa: B008
+    progress: Callable = silent,
+    command: str | None = None,
+) -> dict[str, Any]:
+    """All of `config.methods` in all of `config.settings`: the table of results.json, whose rows are `summary.row`'s.
 
-    `progress(done, total, note)` is called as methods advance. Costs are recomputed in double precision from the means
-    of E that a method visited, by one code for all methods.
+    `progress(done, total, note)` is called as methods advance; `command` is what made the table, where a command line did. Costs are
+    recomputed in double precision from the means of E that a method visited, by one code for all methods.
     """
     made = make_task(task, config.train.task)
     names = [configs.pick("setting", s, made.settings) for s in config.settings] or list(made.settings)
     if task not in PROBLEMS:
         one = make_one_shot(task, config.train.task)
         rows, about = compare_learned(one, names, config, progress)
-        return stamped(task, config) | about | {"rows": rows}
+        return stamped(task, config, command) | about | {"rows": rows}
     methods = _exact_methods(task, config)
     targets = np.array([made.space.values(made.settings[name], name) for name in names])
     problem = PROBLEMS[task](made.space)
@@ -67,7 +71,7 @@ def compare(task: str, config: CompareConfig = CompareConfig(), progress: Callab
         else:
             rows += bound_rows(method, names, bounds, config.seeds)
         report(1, 1)
-    return _results(task, names, targets, config, bounds, rows)
+    return stamped(task, config, command) | _about(names, targets, bounds) | {"rows": rows}
 
 
 def _exact_methods(task: str, config: CompareConfig) -> list[str]:
@@ -107,18 +111,13 @@ def visiting_rows(
         apart = discrepancy(problem, best[None], targets[i : i + 1])[0]
         extras = {
             "discrepancy": {"mean": apart.mean(), "median": np.median(apart), "per_seed": apart},
-            "best_params": _physical(problem.space, best),
-            "final_params": _physical(problem.space, final.reshape(-1, final.shape[-1])),
+            "best_params": physical(problem.space, best),
+            "final_params": physical(problem.space, final.reshape(-1, final.shape[-1])),
             "cost_ratio": {"best_mean": (best_over(cost[i]).min(axis=1) / bounds.upper[i]).mean()},
             "failed": int(np.sum(~np.isfinite(cost[i]))),
         }
         out.append(row(method, name, curves[i], oracle=oracle[i], target_trials=visits.target_trials, **extras))
     return out
-
-
-def _physical(space: Space, means: np.ndarray) -> np.ndarray:
-    """Physical values of `means [..., D]`, in single precision."""
-    return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
 
 
 def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:
@@ -137,8 +136,8 @@ def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> lis
     ]
 
 
-def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
-    return stamped(task, config) | {
+def _about(names: list[str], targets: np.ndarray, bounds: Bounds) -> dict[str, Any]:
+    return {
         "simulator": "exact propagation of the linearized model (JAX)",
         "target_backend": "exact propagation of the linearized model (JAX, double precision)",
         "settings": {
@@ -151,11 +150,10 @@ def _results(task, names, targets, config, bounds, rows) -> dict[str, Any]:
             }
             for i, (name, target) in enumerate(zip(names, targets, strict=True))
         },
-        "rows": rows,
     }
 
 
-def stamped(task: str, config: CompareConfig) -> dict[str, Any]:
+def stamped(task: str, config: CompareConfig, command: str | None = None) -> dict[str, Any]:
     """What every results.json begins with."""
     versions = {name: metadata.version(name) for name in ("adaptsim_jax", "jax", "flax", "numpy", "scipy")}
     return {
@@ -163,7 +161,7 @@ def stamped(task: str, config: CompareConfig) -> dict[str, Any]:
         "task": task,
         "seeds": config.seeds,
         "seed": config.seed,
-        "command": " ".join(["adaptsim", *sys.argv[1:]]),
+        "command": command,
         "versions": versions | {"python": sys.version.split()[0]},
         "iterations": config.iterations,
         "starts": config.starts,

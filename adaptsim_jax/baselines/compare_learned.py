@@ -7,7 +7,6 @@ between UDR and the best of Omega. The oracle is what the best action for each t
 from collections.abc import Callable
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.arena import Arena
@@ -15,7 +14,7 @@ from adaptsim_jax.baselines.bayesopt import bayesopt
 from adaptsim_jax.baselines.direct import learn_in_target, udr, udr_target
 from adaptsim_jax.baselines.learned import Bout, Trip, adaptsim, sysid_bayes, sysid_point
 from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig
-from adaptsim_jax.baselines.summary import row
+from adaptsim_jax.baselines.summary import physical, row
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, World
@@ -86,14 +85,10 @@ def trip_rows(
             best = trip.rewards[i].reshape(S, -1).argmax(1)
             flat = trip.means[i].reshape(S, -1, space.dim)[np.arange(S), best]
             last = trip.means[i][:, :, -1].reshape(-1, space.dim)
-            extras |= {"best_params": _physical(space, flat), "final_params": _physical(space, last)}
+            extras |= {"best_params": physical(space, flat), "final_params": physical(space, last)}
         curves = trip.rewards[i].max(axis=1)
         out.append(row(method, name, curves, oracle=oracle[i], target_trials=int(trip.spent[-1]), **extras))
     return out
-
-
-def _physical(space: Any, means: np.ndarray) -> np.ndarray:
-    return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
 
 
 def about(one: OneShot, world: World, names: list[str], targets: np.ndarray, oracle: np.ndarray) -> dict[str, Any]:

@@ -2,7 +2,10 @@
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
+
+from adaptsim_jax.space import Space
 
 FAILED = 1e30  # stands for an infinitely bad reward, so that quantiles stay defined; shown as None
 
@@ -63,6 +66,11 @@ def row(
         },
     }
     return plain({**out, **extras})
+
+
+def physical(space: Space, means: np.ndarray) -> np.ndarray:
+    """Physical values of `means [..., D]`, in single precision."""
+    return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
 
 
 def plain(value: Any) -> Any:

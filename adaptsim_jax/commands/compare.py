@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+import sys
 from typing import Any
 
 EXAMPLES = """
@@ -49,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     asked = config_of(args)
     with output(args.out) as out, progress(f"compare {args.task}") as report:
-        results = compare(args.task, asked, report)
+        results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]))
         paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
     print(table(results))
     for path in paths:

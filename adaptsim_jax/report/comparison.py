@@ -42,7 +42,7 @@ def table(results: Mapping[str, Any]) -> str:
         *_discrepancies(rows, across),
         *_failures(rows),
         f"Target rollouts for one target: {_trials(rows, methods)}.",
-        f"Command: `{results['command']}`",
+        *([f"Command: `{results['command']}`"] if results["command"] else []),
     ]
     return "\n\n".join(parts) + "\n"
 

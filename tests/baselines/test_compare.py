@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from adaptsim_jax.adapt.phase1 import Phase1Config
 from adaptsim_jax.adapt.training import TrainConfig
 from adaptsim_jax.baselines.adaptsim_row import best_over
-from adaptsim_jax.baselines.compare import compare
+from adaptsim_jax.baselines.compare import compare, stamped
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.methods import METHODS, CompareConfig
 from adaptsim_jax.baselines.summary import bootstrap_interval, normalised, plain, row
@@ -129,6 +130,12 @@ def test_plain_is_json():
         "b": [3, None],
         "c": [[1.0]],
     }
+
+
+def test_the_command_is_what_the_caller_says(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["pytest", "--token=secret"])
+    assert stamped("pendulum", TINY)["command"] is None
+    assert stamped("pendulum", TINY, "adaptsim compare pendulum --out 'my results'")["command"].endswith("'my results'")
 
 
 def test_every_method_is_reachable_by_name():

@@ -65,6 +65,11 @@ def test_table_tells_failures_and_trials(results):
     assert "| UDR | 0.00 [0.00, 0.00]" in text
 
 
+def test_a_table_that_no_command_line_made_names_none(results):
+    assert "Command: `adaptsim compare <pendulum> & more`" in table(results)
+    assert "Command" not in table(results | {"command": None})
+
+
 def test_everything_is_written_and_again(results, tmp_path):
     first = write_comparison(results, tmp_path)
     assert [p.name for p in first] == [p.name for p in write_comparison(results, tmp_path)]
