@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import compile_cache
+from adaptsim_jax.files import atomic_file
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models.scooping import MESSAGES, ScoopOptions
 from adaptsim_jax.models.scooping_hydro import Numerics
@@ -42,7 +43,8 @@ def trials_of(box: str, count: int, keep: Path, options: ScoopOptions, numerics:
                 begin = time.process_time()
                 made, code = scooping_bank.simulate(params[some], actions[some], options, numerics)
                 spent = time.process_time() - begin
-                np.savez(path, wins=made.wins, places=made.places.astype(np.float32), code=code, cpu=spent)
+                with atomic_file(path) as file:
+                    np.savez(file, wins=made.wins, places=made.places.astype(np.float32), code=code, cpu=spent)
             with np.load(path) as found:
                 parts.append(Trials(params[some], actions[some], found["wins"], found["places"]))
                 codes.append(found["code"])
@@ -79,7 +81,8 @@ def add_near(parts: dict[str, Trials], lots: int, keep: Path, options: ScoopOpti
         if not path.exists():
             params, actions = near_points(fit(parts, seed=lot, passes=30).bank, lot, options)
             made, _ = scooping_bank.simulate(params.astype(np.float32), actions.astype(np.float32), options, numerics)
-            np.savez(path, **made._asdict())
+            with atomic_file(path) as file:
+                np.savez(file, **made._asdict())
         with np.load(path) as found:
             new = Trials(*(found[name] for name in Trials._fields))
         print(f"near, lot {lot}: succeeded: {new.wins.mean():.3f}", flush=True)

@@ -11,6 +11,7 @@
 """
 
 import argparse
+import shlex
 import sys
 import time
 from dataclasses import replace
@@ -26,7 +27,7 @@ from adaptsim_jax.baselines.compare import stamped
 from adaptsim_jax.baselines.compare_learned import RUNS, about, trip_rows
 from adaptsim_jax.baselines.learned import Bout, Trip
 from adaptsim_jax.baselines.methods import default_comparison
-from adaptsim_jax.files import output_folder
+from adaptsim_jax.files import atomic_file, output_folder, without_nan
 from adaptsim_jax.models.backends.pushing_served import served_seconds
 from adaptsim_jax.report.comparison import table, write_comparison
 from adaptsim_jax.tasks.registry import make_one_shot
@@ -44,7 +45,8 @@ def run_some(out: Path, method: str, seeds: list[int], config, one, world, targe
         means = {} if trip.means is None else {"means": trip.means[:, i : i + 1]}
         counts = {"failed": arena.failed * (i == 0), "made": arena.made * (i == 0)}  # of all, told once
         rewards = trip.rewards[:, i : i + 1]
-        np.savez(path_of(out, method, seed), rewards=rewards, spent=trip.spent, cpu=cpu, **counts, **means)
+        with atomic_file(path_of(out, method, seed)) as file:
+            np.savez(file, rewards=rewards, spent=trip.spent, cpu=cpu, **counts, **means)
         print(f"{method}, seed {seed}: {rewards.max((2, 3))[:, 0].round(3)}, {cpu:.0f} s of CPU time", flush=True)
 
 
@@ -69,17 +71,10 @@ def oracle_of(out: Path, one, world, targets: np.ndarray, without: bool) -> np.n
     if not kept.exists() and without:
         return np.full(len(targets), np.nan)
     if not kept.exists():
-        np.save(kept, np.array([np.mean(one.oracle(world, target)) for target in targets]))
+        oracle = np.array([np.mean(one.oracle(world, target)) for target in targets])
+        with atomic_file(kept) as file:
+            np.save(file, oracle)
     return np.load(kept)
-
-
-def without_nan(value):
-    """`value` with None where a float is not a number, for JSON has no such number."""
-    if isinstance(value, dict):
-        return {k: without_nan(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(v) for v in value]
-    return None if isinstance(value, float) and value != value else value
 
 
 def main() -> None:
@@ -139,8 +134,8 @@ def main() -> None:
                 run_some(out, method, missing, config, one, world, targets, cache)
                 jax.clear_caches()
     rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one.task.space)]
-    command = {"command": " ".join(["python experiments/table1_pushing.py", *sys.argv[1:]])}
-    results = stamped(args.task, config) | command | about(one, world, args.settings, targets, oracle) | {"rows": rows}
+    command = shlex.join(["python", "experiments/table1_pushing.py", *sys.argv[1:]])
+    results = stamped(args.task, config, command) | about(one, world, args.settings, targets, oracle) | {"rows": rows}
     results = without_nan(results) if args.no_oracle else results
     write_comparison(results, out)
     print(table(results))

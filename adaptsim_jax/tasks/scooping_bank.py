@@ -23,6 +23,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.files import atomic_file
 from adaptsim_jax.models import scooping as model
 from adaptsim_jax.models import scooping_hydro as hydro
 from adaptsim_jax.models.scooping import ScoopOptions
@@ -148,7 +149,8 @@ def save_bank(
         points = np.concatenate([parts[name].params, parts[name].actions], 1)
         arrays[f"points_{name}"] = points.astype(np.float32)
     about = {"identity": identity(options, numerics), "clearance": options.clearance} | about
-    np.savez_compressed(path, about=np.array(json.dumps(about)), **arrays)
+    with atomic_file(path) as file:
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
 
 
 @cache

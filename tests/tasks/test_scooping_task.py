@@ -1,6 +1,9 @@
 """Scooping as a task: what it observes and rewards, the bank, and Phase 1 and 2 on it."""
 
+import errno
+import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +24,8 @@ from adaptsim_jax.tasks import scooping, scooping_bank
 from adaptsim_jax.tasks.registry import make_task
 from adaptsim_jax.tasks.scooping import ScoopingConfig, make_scooping
 from adaptsim_jax.tasks.scooping_bank_fit import fit
+from experiments import scooping_bank as bank_experiment
+from experiments import table1_pushing
 
 SHORT = ScoopingConfig(
     trials=60, tests=2, hidden=(16,), training=GoalConfig(block=20, updates=5, batch=16, capacity=60, candidates=4)
@@ -146,6 +151,31 @@ def test_a_bank_of_other_options_is_refused():
         make_scooping(replace(simulated, correct=True))
     direct = make_scooping(simulated)
     assert direct.name == "scooping" and direct.rehearse is None
+
+
+def test_files_that_stand_for_finished_work_are_whole_or_not_there(tmp_path, monkeypatch):
+    """Of the bank, of a chunk of it and of a table's oracle: where writing stops in the middle, nothing is taken for done."""
+
+    def full(file, *_, **__):
+        file = file if hasattr(file, "write") else open(file, "wb")
+        file.write(b"half of it")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for name in ("save", "savez", "savez_compressed"):
+        monkeypatch.setattr(np, name, full)
+    made = scooping_bank.Trials(np.zeros((1, 4)), np.zeros((1, 3)), np.zeros(1, bool), np.zeros((1, 8)))
+    monkeypatch.setattr(scooping_bank, "simulate", lambda *_: (made, np.zeros(1, int)))
+    one = SimpleNamespace(oracle=lambda world, target: np.ones(2))
+    for write in (
+        lambda: scooping_bank.save_bank(
+            tmp_path / "bank.npz", scooping_bank.Bank((), ()), {"omega": made}, {}, ScoopOptions(), Numerics()
+        ),
+        lambda: bank_experiment.trials_of("omega", 1, tmp_path, ScoopOptions(), Numerics()),
+        lambda: table1_pushing.oracle_of(tmp_path, one, None, np.zeros((1, 4)), False),
+    ):
+        with pytest.raises(BadInput, match="no space left"):
+            write()
+        assert not list(tmp_path.iterdir())
 
 
 def test_rehearsals_look_like_trials():
