@@ -10,6 +10,7 @@ import numpy as np
 from adaptsim_jax.adapt.episode import Episode
 from adaptsim_jax.adapt.phase1 import Archive, Phase1, Phase1Hyper, Phase1Info
 from adaptsim_jax.adapt.phase2 import adapt, draw_starts
+from adaptsim_jax.adapt.training import archive_size
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.progress import silent
 
@@ -67,7 +68,7 @@ def train_many(
 
 def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: int) -> Archive:
     """`[S, count, ...]`: for each run `count` members of its own S_E, drawn with its own seed."""
-    used = min(phase1.config.archive, phase1.config.trajectories * phase1.config.horizon)
+    used = archive_size(phase1, phase1.config.rounds)
 
     def one(seed, archive):
         return draw_starts(jax.random.fold_in(jax.random.key(seed), 1), archive, used, count)
