@@ -11,4 +11,4 @@ SUMMARIES = {
     "parity": "physics backends against each other over random samples",
     "doctor": "versions, devices, backends that work here, compile-cache folder",
 }
-TASKS = ("pendulum", "pushing", "scooping")
+TASKS = ("pendulum", "pushing", "scooping")  # of `tasks.registry`, which loads JAX

@@ -25,11 +25,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Final-state differences of the backends over random parameters, commands and starts."""
-    from adaptsim_jax import config
-    from adaptsim_jax.commands import TASKS
+    from adaptsim_jax.commands.common import check_task
     from adaptsim_jax.progress import progress
 
-    config.pick("task", args.task, TASKS)
+    check_task(args.task)
     from adaptsim_jax.models.backends.parity import parity
 
     with progress(f"parity {args.task}") as report:

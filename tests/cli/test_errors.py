@@ -11,7 +11,10 @@ import pytest
 
 from adaptsim_jax import cli
 from adaptsim_jax.cli import main
+from adaptsim_jax.commands import TASKS
+from adaptsim_jax.commands.common import check_task
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.tasks import registry
 
 
 def refused(capsys, *arguments):
@@ -29,6 +32,7 @@ def refused(capsys, *arguments):
         (["xyz"], "unknown command 'xyz'; known: demo, train"),
         (["--seed", "3", "train"], "'--seed' stands before the command; write 'adaptsim COMMAND --seed'"),
         (["effects", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
+        (["parity", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
         (["effects", "pushing"], "effects of task 'pushing' are not in this version yet; there are those of: pendulum"),
         (
             ["effects", "scooping"],
@@ -43,6 +47,13 @@ def refused(capsys, *arguments):
 )
 def test_words_that_are_not_known(capsys, arguments, says):
     assert says in refused(capsys, *arguments)
+
+
+def test_the_tasks_that_commands_know_are_those_that_there_are():
+    """Commands name them before they load JAX."""
+    assert set(TASKS) == set(registry.TASKS)
+    for task in TASKS:
+        assert check_task(task) == task
 
 
 def test_help_and_version(capsys):
