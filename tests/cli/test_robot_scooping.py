@@ -61,7 +61,6 @@ def test_a_session_from_start_to_best_policy(run, tmp_path, capsys):
     assert "all 2 iterations are told; best return 0.5" in said and "corrected by the 4 scoops told" in said
     act = read_policy(folder / "best.toml")
     pitch, rate, distance = act([0.01, 0.0])
-    assert 0.034 < pitch < 0.18 and abs(rate) <= 0.2 and 0.005 <= distance <= 0.0201
     # the scoop that won is the likeliest to win again, or near to it, wherever the piece lies
     probed = np.loadtxt(folder / "actions.csv", delimiter=",", skiprows=1)[1, 3:]
     np.testing.assert_allclose(act(np.zeros((3, 2))), np.tile([pitch, rate, distance], (3, 1)))
