@@ -10,6 +10,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.checks import Finding
 from adaptsim_jax.closeloop.trial import Recording, Trial
+from adaptsim_jax.models.constants import GRAVITY
 
 MOST_ROWS = 4000
 
@@ -77,7 +78,7 @@ def gravity_fit(recording: Recording, scale: float = 1.0) -> tuple[np.ndarray, n
 
 def check_angle_zero(recording: Recording) -> list[Finding]:
     """Warn where gravity pushes the other way than the declared `angle_zero` says (rigid-body model only)."""
-    if recording.model != "rigid_body" or recording.geometry.get("g", 9.81) == 0:
+    if recording.model != "rigid_body" or recording.geometry.get("g", GRAVITY) == 0:
         return []
     theta, t_value, r2 = gravity_fit(recording)
     sign = 1.0 if recording.angle_zero == "hanging" else -1.0

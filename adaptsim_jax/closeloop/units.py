@@ -8,6 +8,7 @@ from adaptsim_jax.closeloop.consistency import velocity_agreement
 from adaptsim_jax.closeloop.plausible import gravity_fit
 from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models.constants import GRAVITY
 
 SLOWEST = 0.25
 """Sampling interval in s beyond which a pendulum's motion is not sampled at all."""
@@ -84,7 +85,7 @@ def _degrees(recording: Recording) -> bool:
     reach = float(np.median([_reach(t) for t in recording.trials]))
     speed = float(np.median([_top_speed(t) for t in recording.trials]))
     length = min(recording.geometry.get("l1", 0.3), recording.geometry.get("l2", 0.3))
-    gravity = max(recording.geometry.get("g", 9.81), 1.0)
+    gravity = max(recording.geometry.get("g", GRAVITY), 1.0)
     implausible = reach > 10 and speed > FAST * math.sqrt(gravity / length)
     if recording.model != "rigid_body" or reach < 5:
         return implausible

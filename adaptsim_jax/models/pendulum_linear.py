@@ -17,10 +17,10 @@ from jax import lax
 
 from adaptsim_jax.control.lqr import LqrGain, lqr_gain
 from adaptsim_jax.control.small_matrix import batch_last, eye_like, mm, mv, norm, transpose
+from adaptsim_jax.models.constants import GRAVITY
 
 Array = Any
 
-GRAVITY = 9.81  # m/s^2
 HORIZON = 2.5  # s
 SAMPLES = 1000  # equispaced over the horizon, both ends included
 START = (-np.pi, 0.0, 0.0, 0.0)  # hanging straight down

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models.constants import GRAVITY
 from adaptsim_jax.models.plant import Physical, Plant
 from adaptsim_jax.models.trig import sin_cos
 
@@ -116,7 +117,7 @@ def make_pendulum_plant(
         low, high = np.array([1e-3, 1e-3, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3])
         functions = (_linear_mass, _linear_push, _linear_gravity, _linear_push, _linear_declared)
         sound = None  # positive masses are enough
-        constants = {"g": np.asarray(float(geometry.get("g", 9.81)))}
+        constants = {"g": np.asarray(float(geometry.get("g", GRAVITY)))}
     elif model == "rigid_body":
         if angle_zero not in ("upright", "hanging"):
             raise BadInput(f"meta.toml: angle_zero {angle_zero!r} is unknown; use 'upright' or 'hanging'")
@@ -128,7 +129,7 @@ def make_pendulum_plant(
         functions = (_rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push, _rigid_declared)
         sound = _rigid_sound
         sign = 1.0 if angle_zero == "hanging" else -1.0
-        constants = {"l1": geometry["l1"], "g": geometry.get("g", 9.81), "gravity_sign": sign}
+        constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
         constants = {k: np.asarray(float(v)) for k, v in constants.items()}
     else:
         raise BadInput(f"meta.toml: model {model!r} is unknown; use 'linearized' or 'rigid_body'")

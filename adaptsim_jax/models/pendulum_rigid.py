@@ -27,6 +27,7 @@ import numpy as np
 from jax import lax
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models.constants import GRAVITY
 
 Array = Any
 
@@ -40,7 +41,7 @@ class Geometry:
     """What base-parameter dynamics must know besides theta: `l1` m, `gravity` m/s^2, `coupling` kg m^2."""
 
     l1: Any
-    gravity: Any = 9.81
+    gravity: Any = GRAVITY
     coupling: Any = 0.0
     angle_zero: str = "hanging"
 
@@ -70,7 +71,7 @@ class RigidPendulum:
     damping: Array
     rotor_inertia: Array = field(default_factory=lambda: np.zeros(2))
     gear: Array = field(default_factory=lambda: np.ones(2))
-    gravity: Any = 9.81
+    gravity: Any = GRAVITY
     angle_zero: str = "hanging"
 
 
@@ -90,7 +91,7 @@ def rigid_pendulum(
     damping: Sequence[float] = (0.0, 0.0),
     rotor_inertia: Sequence[float] = (0.0, 0.0),
     gear: Sequence[float] = (1.0, 1.0),
-    gravity: float = 9.81,
+    gravity: float = GRAVITY,
     angle_zero: str = "hanging",
 ) -> RigidPendulum:
     """A checked `RigidPendulum`; raises `BadInput` naming the parameter that is not physical."""

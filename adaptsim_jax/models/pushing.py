@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models.constants import GRAVITY
 
 Array = Any
 
@@ -29,12 +30,11 @@ PHYSICAL_HIGH = (2.0, 1e7, 2.0, 1.0)
 ACTION_LOW = (0.4, -0.3)
 ACTION_HIGH = (0.8, 0.3)
 
-GRAVITY = 9.81
 START = (0.56, 0.0)
 """Where the bottle stands before a push, m."""
 RADIUS, HEIGHT = 0.03, 0.10
 SOLE_RATE, SOLE_DAMPING = 80.0, 1.0
-SOLE_SAG = 9.81 / (2 * SOLE_RATE**2)
+SOLE_SAG = GRAVITY / (2 * SOLE_RATE**2)
 SOLE_DELAY = 2 * SOLE_DAMPING / SOLE_RATE
 """The ground's spring under the bottle (see scenes/pushing.xml): rad/s and ratio, depth at rest m, damping by stiffness s."""
 PATCH_X, PATCH_SIDE, PATCH_EDGE = 0.75, 0.10, 0.002

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.models.constants import GRAVITY as GRAVITY
 
 Array = Any
 
 PARAMETERS = ("mu", "e", "g", "h")
 """Friction of piece with table and blade, hydroelastic modulus Pa, shape (see `SHAPES`), height m."""
-SHAPES = ("ellipsoid", "cylinder", "box")
+SHAPES = ("ellipsoid", "cylinder", "box")  # as MuJoCo calls them
 ELLIPSOID, CYLINDER, BOX = range(3)
 LOW = (0.25, 1e4, 0.0, 0.015)
 HIGH = (0.40, 5e5, 1.0, 0.025)
@@ -32,7 +33,6 @@ PHYSICAL_HIGH = (1.5, 1e7, 2.0, 0.04)
 ACTION_LOW = (math.radians(2.0), -0.2, 0.005)
 ACTION_HIGH = (math.radians(10.0), 0.2, 0.02)
 
-GRAVITY = 9.81
 RADIUS, DENSITY = 0.015, 1000.0
 """Half the width of every piece m, its density kg/m^3."""
 NECK_FRICTION = 0.15

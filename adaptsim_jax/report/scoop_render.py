@@ -19,7 +19,6 @@ from adaptsim_jax.report.scoop_video import FPS, ScoopClip, shown, verdict
 from adaptsim_jax.report.video_file import write_video
 
 CAMERA = {"azimuth": 112.0, "elevation": -16.0, "distance": 0.24, "lookat": (-0.03, 0.0, 0.022)}
-TYPES = ("ellipsoid", "cylinder", "box")
 
 
 def main(clips: str, film: str) -> None:
@@ -44,7 +43,7 @@ def scene(params: Any) -> str:
 <material name="table" texture="t" texrepeat="25 25" texuniform="true"/></asset>
 <worldbody><light pos="0 -0.5 1" dir="0.2 0.4 -1" directional="true" diffuse="0.45 0.45 0.45" specular="0 0 0"/>
 <geom type="plane" size="1 1 0.01" material="table" {look}/>
-<body name="piece" mocap="true"><geom type="{TYPES[shape]}" size="{size}" rgba="0.05 0.45 0.70 1" {look}/></body>
+<body name="piece" mocap="true"><geom type="{model.SHAPES[shape]}" size="{size}" rgba="0.05 0.45 0.70 1" {look}/></body>
 <body name="tip" mocap="true">
 <geom type="box" size="{hx} {model.BLADE_HALF_WIDTH} {hz}" pos="{bx} 0 {bz}" rgba="0.71 0.32 0.18 1" {look}/>
 <geom type="box" size="{kx} {model.NECK_HALF_WIDTH} {kz}" pos="{nx} 0 {nz}" quat="{c} 0 {s} 0" rgba="0.71 0.32 0.18 1" {look}/>

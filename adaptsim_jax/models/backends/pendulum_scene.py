@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.models.constants import GRAVITY as GRAVITY
+
 PARAMETERS = ("m1", "m2", "l1", "l2", "c1", "c2", "I1", "I2", "b1", "b2")
 """Masses kg, lengths and centres of mass m, inertias about the centres kg m^2, viscous damping N m s/rad."""
-GRAVITY = 9.81
 
 
 def scene(params: np.ndarray, dt: float, integrator: str = "RK4") -> str:
