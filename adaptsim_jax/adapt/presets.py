@@ -143,12 +143,6 @@ def pushing_native() -> TrainConfig:
     return replace(base, every=1, task=task, phase1=phase1)
 
 
-def comparison_config(task: str) -> TrainConfig:
-    """What AdaptSim's row of `adaptsim compare TASK` is trained with for every seed. What is deployed in the push and in scooping is
-    corrected by the target's own trials, of SysID and BayesOpt likewise."""
-    return default_config(task)
-
-
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
     """`table` over the task's default config, key by key. A run's own config is whole and stays as it is."""
     if {f.name for f in fields(TrainConfig)} <= set(table):

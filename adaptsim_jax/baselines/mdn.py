@@ -94,11 +94,6 @@ def moments(mixture: Mixture) -> tuple[jax.Array, jax.Array]:
     return mean, within + jnp.einsum("k,ki,kj->ij", weights, offset, offset)
 
 
-def heaviest_mean(mixture: Mixture) -> jax.Array:
-    """Mean `[D]` of the component with the largest weight."""
-    return mixture.means[jnp.argmax(mixture.log_weights)]
-
-
 class Fit(NamedTuple):
     """A fitted network and what a diagnostic needs: losses on the held-out part `[checks]`, and the best of them."""
 

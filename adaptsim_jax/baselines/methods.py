@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import config as configs
-from adaptsim_jax.adapt.presets import comparison_config
+from adaptsim_jax.adapt.presets import default_config
 from adaptsim_jax.adapt.training import TrainConfig
 from adaptsim_jax.baselines import gradient, mdn
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
@@ -57,8 +57,10 @@ class CompareConfig:
 
 
 def default_comparison(task: str) -> CompareConfig:
-    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have."""
-    train = comparison_config(task)
+    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have, and for AdaptSim's row
+    what `adaptsim train` would take. What is deployed in the push and in scooping is corrected by the target's own trials, of SysID
+    and BayesOpt likewise."""
+    train = default_config(task)
     plain = CompareConfig(train=train, iterations=train.phase1.horizon)
     return plain if task == "pendulum" else replace(plain, seeds=10, sysid=LEARNED_SYSID)
 

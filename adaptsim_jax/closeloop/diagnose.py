@@ -157,8 +157,8 @@ def examine(
     if found.added or verdict.name == "structured_unattributed":
         verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)
         verdict = misdeclared(verdict, problem, base, effects, settings.explained)
-    parts = (problem, found, before, after, error_before, error_after, powers, verdict, first)
-    report, evidence = report_of(*parts, settings, np.random.default_rng(seed))
+    errors, rng = (error_before, error_after), np.random.default_rng(seed)
+    report, evidence = report_of(problem, found, after, *errors, powers, verdict, settings, rng)
     add_ceiling(report["error"], flexible)
     leading = None if verdict.named else found.leading or (found.final if found.added else None)
     if leading is not None:
@@ -168,7 +168,7 @@ def examine(
     evidence["audit"] = findings(checked)
     if problem.recording.smoothing:
         evidence["audit"].append({"severity": "info", "where": "", "message": told(problem.recording)})
-    return Diagnosis(*parts, report, evidence, leading)
+    return Diagnosis(problem, found, before, after, *errors, powers, verdict, first, report, evidence, leading)
 
 
 def add_follow_up(result: Diagnosis, seed: int, say: Progress) -> None:

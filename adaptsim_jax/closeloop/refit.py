@@ -6,7 +6,7 @@ which wanders costs what it should and no more. The linearisation is a callable;
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -140,8 +140,3 @@ def _covariance(z, white: Whitened, low, high, free, keep) -> tuple[np.ndarray, 
     wider = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-300), 1.0))
     out[np.ix_(live, live)] = inverse * wider[:, None] * wider
     return out, stuck
-
-
-def replace_factor(result: Refit, factor: np.ndarray) -> Refit:
-    """The same point seen through another residual covariance."""
-    return replace(result, white=whiten(result.linearised, factor))

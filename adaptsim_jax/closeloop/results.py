@@ -15,13 +15,13 @@ from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 from adaptsim_jax.closeloop.schema import new_report
 from adaptsim_jax.closeloop.spread import reach_over_classes
 from adaptsim_jax.closeloop.verdict import Verdict
-from adaptsim_jax.closeloop.view import Ranked, View
+from adaptsim_jax.closeloop.view import Ranked
 from adaptsim_jax.models.effect import NINETY
 
 
 def report_of(
-    problem: Problem, found: Found, before: Leftover, after: Leftover, error_before: HeldOut, error_after: HeldOut,
-    powers: list[Power], verdict: Verdict, first: View, settings: Settings, rng: np.random.Generator,
+    problem: Problem, found: Found, after: Leftover, error_before: HeldOut, error_after: HeldOut,
+    powers: list[Power], verdict: Verdict, settings: Settings, rng: np.random.Generator,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """The report and the arrays behind its figures."""
     recording = problem.recording
@@ -31,7 +31,7 @@ def report_of(
     report = new_report(
         recording.task, recording.model, verdict.name, verdict.message, data,
         effects=[_effect(problem, found, e) for e in found.added] if verdict.named else [],
-        error=_error(problem, found, error_before, error_after if verdict.named else error_before, rng),
+        error=_error(problem, error_before, error_after if verdict.named else error_before, rng),
         candidates=_candidates(found, verdict, settings),
         declared={"before": _declared(problem, found.base), "after": _declared(problem, last)},
         not_established=_not_established(problem, found, verdict, powers),
@@ -114,7 +114,7 @@ def floor_of(problem: Problem) -> float:
     )
 
 
-def _error(problem: Problem, found: Found, before: HeldOut, after: HeldOut | None, rng) -> dict[str, Any]:
+def _error(problem: Problem, before: HeldOut, after: HeldOut | None, rng) -> dict[str, Any]:
     noise = problem.noise.std
     channels = problem.plant.outputs[: before.squared.shape[1]]
     per_channel = {}

@@ -100,7 +100,7 @@ def check(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_report(path: str | Path) -> dict[str, Any]:
-    """A checked report from a file. Raises BadInput where it is missing, torn or of another schema."""
+    """A checked report from a file, for programs that read reports. Raises BadInput where it is missing, torn or of another schema."""
     try:
         return check(json.loads(Path(path).read_text(encoding="utf-8")))
     except OSError as error:

@@ -74,7 +74,7 @@ def signatures(
     with jax.enable_x64(True):
         args = jax.tree.map(jnp.asarray, (windows, result.theta, result.eff, result.mask, result.x0))
         path, motion = _path(model, *args)
-        change = _changes(model, *args[:4], motion, sensed) if sensed.effects else ()
+        change = _changes(model, args[0], *args[2:4], motion, sensed) if sensed.effects else ()
     path = Path(*(np.asarray(z) for z in path))
     none = np.zeros((*path.impulse.shape[:2], 0), np.float32)
     shown = [none, *(np.moveaxis(c, 0, -1) for c in sensed.trim(change))]
@@ -138,7 +138,7 @@ def _rows(model: Model, windows: Windows, theta, eff, mask, motion, columns: Col
 
 
 @jax.jit
-def _changes(model: Model, windows: Windows, theta, eff, mask, motion, columns: Columns):
+def _changes(model: Model, windows: Windows, eff, mask, motion, columns: Columns):
     return measured_change(model, model.layout.masked(eff, mask), mask, windows, *motion, columns, _weight(windows))
 
 

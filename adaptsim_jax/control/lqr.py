@@ -1,4 +1,5 @@
-"""Infinite-horizon linear quadratic regulators on top of the Riccati solvers."""
+"""Infinite-horizon linear quadratic regulators on top of the Riccati solvers, of continuous and of sampled systems (of the latter
+for users; the tasks here have the former)."""
 
 from typing import Any, NamedTuple
 

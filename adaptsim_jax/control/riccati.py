@@ -36,7 +36,8 @@ _MESSAGES = {
 
 
 class RiccatiSolution(NamedTuple):
-    """`P: [n, n]` symmetric; `residual: []` relative to the equation's terms; `code: []` int32, 0 is good."""
+    """`P: [n, n]` symmetric; `residual: []` relative to the equation's terms; `code: []` int32, 0 is good, see
+    `riccati_message`."""
 
     P: Array
     residual: Array

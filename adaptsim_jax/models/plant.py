@@ -53,10 +53,6 @@ class Plant:
     sound: Callable | None = None  # (constants, theta) -> theta with which the model can be simulated at all
 
     @property
-    def state_dim(self) -> int:
-        return 2 * self.joint_dim
-
-    @property
     def joints(self) -> tuple[str, ...]:
         return tuple(f"joint{i + 1}" for i in range(self.joint_dim))
 

@@ -7,8 +7,8 @@ import numpy as np
 from adaptsim_jax.errors import BadInput
 
 
-def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray, what: str) -> None:
-    """BadInput at the first row of `numbers [T]` that is none of the trials `asked [N]`; `what` a trial is called."""
+def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:
+    """BadInput at the first row of `numbers [T]` that is none of the trials `asked [N]`."""
     for i in np.flatnonzero(~np.isin(numbers, asked))[:1]:
         now, number = " and ".join(map(str, asked)), numbers[i]
         if number != np.round(number):

@@ -24,7 +24,6 @@ SETTINGS = {
     "ood-3": {"m1": 1.2, "m2": 1.8, "b1": 10.0, "b2": 10.0},
     "ood-4": {"m1": 0.4, "m2": 2.6, "b1": 1.0, "b2": 2.0},
 }
-_LINEAR_Q = 20.0  # angles beyond this many times their spread are compressed; see `_squash`
 
 
 @dataclass(frozen=True)

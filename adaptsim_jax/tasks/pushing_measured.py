@@ -131,7 +131,7 @@ def measured_trajectory(
         if name not in columns:
             raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s and m)")
     numbers, rows = columns["trial"], {int(n): np.flatnonzero(columns["trial"] == n) for n in pushes.numbers}
-    check_numbers(numbers, at, pushes.numbers, "push")
+    check_numbers(numbers, at, pushes.numbers)
     check_unit(columns, at, FAR, "push")
     for number, found in rows.items():
         if not len(found):

@@ -98,7 +98,7 @@ def measured_trajectory(
     for name in COLUMNS:
         if name not in columns:
             raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s, m, 0 or 1)")
-    check_numbers(columns["trial"], at, scoops.numbers, "scoop")
+    check_numbers(columns["trial"], at, scoops.numbers)
     check_unit(columns, at, FAR, "scoop")
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
         raise BadInput(f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, else 0")
