@@ -8,7 +8,7 @@ from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
 
-NO_CHANCE = 100.0  # of log-likelihood, gained over the declared model
+NO_CHANCE = 100.0  # of log-likelihood, gained by an effect
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,13 @@ class Settings:
 
 
 def choose(problem: Problem, trials: list[Fitted], base: Fitted, settings: Settings) -> Fitted | None:
-    """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter."""
+    """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter, and would be named if
+    that one would."""
     if not trials:
         return None
     best = max(trials, key=lambda t: t.merit(settings.price))
-    simpler = [t for t in trials if t.size < best.size]
+    named = earns(problem, best, base, base, settings)
+    simpler = [t for t in trials if t.size < best.size and (not named or earns(problem, t, base, base, settings))]
     enough = [t for t in simpler if not matters(problem, best, t, base, settings, 0.2)]
     return max(enough, key=lambda t: t.merit(settings.price), default=best)
 
@@ -79,9 +81,11 @@ def earns(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Se
 
 
 def _small_but_all(new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
-    """Whether one effect, small as it may be beside the torque, is nearly all that the declared model lacks, and surely no chance."""
-    alone = old is base and len(new.active) - len(base.active) == 1
-    return alone and unexplained(new, base) < settings.clear and new.total - base.total > NO_CHANCE
+    """Whether one effect or two, small as they may be beside the torque, are nearly all that the declared model lacks, and surely
+    no chance."""
+    count = len(new.active) - len(base.active)
+    sure = new.total - base.total > NO_CHANCE * count
+    return old is base and count <= 2 and sure and unexplained(new, base) < settings.clear
 
 
 def completes(problem: Problem, new: Fitted, old: Fitted, base: Fitted, settings: Settings) -> bool:
@@ -102,5 +106,7 @@ def needed(problem: Problem, new: Fitted, without: Fitted, found: Found, setting
     alone = len(new.active) - len(found.final.active) == 1
     if alone:
         return earns(problem, new, without, found.base, settings)
-    falls = unexplained(new, without) < 1.0 - 0.5 * settings.least_fall
-    return falls and pays(new, without, settings) and matters(problem, new, without, found.base, settings)
+    if unexplained(new, without) > 1.0 - 0.5 * settings.least_fall or not pays(new, without, settings):
+        return False
+    small = _small_but_all(new, found.base, found.base, settings) and new.total - without.total > NO_CHANCE
+    return small or matters(problem, new, without, found.base, settings)

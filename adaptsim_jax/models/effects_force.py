@@ -255,7 +255,7 @@ FORCE = (
         "hard_stop", "force",
         (
             Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
-            Parameter("angle", "rad", -20.0, 20.0, 1.5, None),
+            Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
             Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True, meaning="1: stops motion upwards, -1: downwards"),
             Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True, meaning="energy lost in proportion to depth"),
             Parameter("damping", "s", 0.0, 0.5, 0.0, None, optional=True, meaning="a dashpot beside the spring, over its stiffness"),

@@ -1,39 +1,57 @@
-"""What an effect must earn: likelihood for its price, and a torque that matters or all that is missing."""
+"""When a simpler effect will do, and when effects that are small beside the torque count all the same."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from adaptsim_jax.closeloop.earning import Settings, earns
+from adaptsim_jax.closeloop.earning import Settings, choose, earns, needed
 
+SETTINGS = Settings()
 PROBLEM = SimpleNamespace(torque_scale=np.array([1.0, 1.0]))
+COULOMB, STRIBECK, BIAS = ("coulomb", "joint1"), ("stribeck", "joint1"), ("bias", "joint1")
 
 
-def model(active, force, total):
-    """A fitted model that leaves `force` [N m] of a joint's 1 N m unexplained."""
-    return SimpleNamespace(active=active, size=6 + len(active), total=total, moving=np.array([force**2, 0.0]))
+def model(*active, total=0.0, size=4, force=1.0):
+    """A fitted model that leaves `force` N m of unexplained torque at joint 1."""
+    merit = lambda price: total - price * size
+    return SimpleNamespace(active=active, total=total, size=size, moving=np.array([force**2, 0.0]), merit=merit)
 
 
-@pytest.mark.parametrize(
-    ("force", "left", "gain", "expected"),
-    [
-        (0.05, 0.01, 30.0, True),
-        (0.05, 0.01, 9.0, False),  # not likelier by its price
-        (0.05, 0.049, 30.0, False),  # leaves the force as it was
-        (0.003, 0.0001, 30.0, False),  # too small to matter
-        (0.003, 0.0001, 300.0, True),  # as small, but all that is missing, and no chance
-        (0.003, 0.001, 300.0, False),  # no chance, but a third is left
-    ],
-)
-def test_what_a_first_effect_must_earn(force, left, gain, expected):
-    base = model((), force, 0.0)
-    assert earns(PROBLEM, model((("sensor_lag", "joint1"),), left, gain), base, base, Settings()) is expected
+def frictions(scale: float):
+    """A declared model, dry friction that leaves a fifth of what is unexplained, and Stribeck's that leaves a fifteenth."""
+    base = model(force=scale)
+    simple = model(COULOMB, total=470.0, size=5, force=0.2 * scale)
+    return base, simple, model(STRIBECK, total=700.0, size=7, force=0.06 * scale)
 
 
-def test_a_small_second_effect_or_a_small_pair_must_matter():
-    base = model((), 0.003, 0.0)
-    first = model((("bias", "joint1"),), 0.002, 150.0)
-    both = model((("bias", "joint1"), ("spring", "joint2")), 0.0001, 900.0)
-    assert not earns(PROBLEM, both, first, base, Settings())
-    assert not earns(PROBLEM, both, base, base, Settings())
+def test_a_simpler_effect_will_do_where_it_leaves_nothing_that_matters():
+    base = model(force=0.1)
+    simple = model(COULOMB, total=900.0, size=5, force=0.0012)
+    wider = model(STRIBECK, total=930.0, size=7, force=0.001)
+    assert choose(PROBLEM, [simple, wider], base, SETTINGS) is simple
+
+
+def test_a_simpler_effect_that_would_not_be_named_is_no_stand_in():
+    base, simple, wider = frictions(0.003)  # of the torque: too little to matter by itself
+    assert earns(PROBLEM, wider, base, base, SETTINGS) and not earns(PROBLEM, simple, base, base, SETTINGS)
+    assert choose(PROBLEM, [simple, wider], base, SETTINGS) is wider
+
+
+@pytest.mark.parametrize(("total", "left", "count", "expected"), [
+    (700.0, 0.001, 2, True), (150.0, 0.001, 2, False), (700.0, 0.2, 2, False), (700.0, 0.001, 3, False), (150.0, 0.001, 1, True),
+])  # fmt: skip
+def test_small_effects_count_where_they_are_nearly_all_and_no_chance(total, left, count, expected):
+    base = model(force=0.003)
+    active = (COULOMB, BIAS, ("drag", "joint2"))[:count]
+    new = model(*active, total=total, size=4 + count, force=left * 0.003)
+    assert earns(PROBLEM, new, base, base, SETTINGS) is expected
+
+
+@pytest.mark.parametrize(("without", "expected"), [(350.0, True), (640.0, False)])
+def test_of_two_small_effects_each_must_be_no_chance(without, expected):
+    base = model(force=0.003)
+    pair = model(COULOMB, BIAS, total=700.0, size=6, force=3e-6)
+    less = model(COULOMB, total=without, size=5, force=0.002)
+    found = SimpleNamespace(base=base, final=base)
+    assert needed(PROBLEM, pair, less, found, SETTINGS) is expected
