@@ -119,7 +119,8 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, s
     """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the target."""
     sizes = {"seeds": config.seeds, "starts": config.starts, "iterations": config.iterations, "sysid": config.sysid}
     say("baselines")(0, 1)
-    results = compare(TASK, CompareConfig(BASELINES, (TARGET,), seed=seed, **sizes), say("baselines"))
+    command = shlex.join(["adaptsim", "demo", "--out", str(out), "--seed", str(seed)])
+    results = compare(TASK, CompareConfig(BASELINES, (TARGET,), seed=seed, **sizes), say("baselines"), command)
     say("reward map")(0, 1)
     task = adapted[0].trained.phase1.task
     problem = pendulum_problem(task.space)

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.config import read
-from adaptsim_jax.config import suggest as nearest
+from adaptsim_jax.config import read, suggest
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.given import brief, finite
 
@@ -70,7 +69,7 @@ def read_meta(path: str | Path) -> Meta:
     raw = read(path, "missing; write one with task, model and angle_zero")
     for key in raw:
         if key not in KEYS:
-            raise BadInput(f"{path}: unknown key {key!r}; {nearest(key, KEYS)}")
+            raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")
     for key in REQUIRED:
         if key not in raw:
             raise BadInput(f"{path}: key {key!r} is missing; add {key} = {_example(key)}")
@@ -102,7 +101,7 @@ def check_known(path: str, known: dict[str, float], names: tuple[str, ...]) -> N
     """Raise `BadInput` where `[known]` names a parameter that the model has not ."""
     for key in known:
         if key not in names:
-            raise BadInput(f"{path}/meta.toml: [known] {key!r} is no parameter of the model; {nearest(key, names)}")
+            raise BadInput(f"{path}/meta.toml: [known] {key!r} is no parameter of the model; {suggest(key, names)}")
 
 
 def _example(key: str) -> str:
@@ -121,7 +120,7 @@ def _choice(path: Path, raw: dict, key: str, valid: tuple[str, ...] | None) -> s
     if not isinstance(value, str):
         raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
     if valid is not None and value not in valid:
-        raise BadInput(f"{path}: {key} = {brief(value)} is unknown; {nearest(value, valid)}")
+        raise BadInput(f"{path}: {key} = {brief(value)} is unknown; {suggest(value, valid)}")
     return value
 
 
@@ -155,7 +154,7 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
     valid = ("l1", "l2", "g")
     for key in raw:
         if key not in valid:
-            raise BadInput(f"{path}: unknown key {key!r} in [geometry]; {nearest(key, valid)}")
+            raise BadInput(f"{path}: unknown key {key!r} in [geometry]; {suggest(key, valid)}")
     given = {k: _number(path, f"geometry.{k}", v) for k, v in raw.items()}
     for key, value in given.items():
         if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
@@ -176,7 +175,7 @@ def _noise(path: Path, raw: dict) -> dict[str, float]:
     for key, value in raw.items():
         if key not in (*CHANNELS, *GROUPS):
             valid = (*CHANNELS, *GROUPS, *GROUPS.values())
-            raise BadInput(f"{path}: unknown key {key!r} in [noise]; {nearest(key, valid)}")
+            raise BadInput(f"{path}: unknown key {key!r} in [noise]; {suggest(key, valid)}")
         std = _number(path, f"noise.{key}", value)
         if std < 0:
             raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
@@ -199,7 +198,7 @@ def _scales(path: Path, raw: dict) -> dict[str, float]:
     valid = (*UNITS, *GROUPS, *CHANNELS)
     for key in raw:
         if key not in valid:
-            raise BadInput(f"{path}: unknown key {key!r} in [units]; {nearest(key, valid)}")
+            raise BadInput(f"{path}: unknown key {key!r} in [units]; {suggest(key, valid)}")
     chosen = {key: _unit(path, key, value) for key, value in raw.items()}
 
     def unit(column: str) -> str | None:
@@ -224,5 +223,5 @@ def _unit(path: Path, key: str, value: Any) -> str:
     words = "".join(c for c in value if c not in " *.·").split("/")
     name = "/".join(SPELLED.get(w, w) for w in words)
     if name not in table:
-        raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {nearest(name, tuple(table))}")
+        raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(table))}")
     return name

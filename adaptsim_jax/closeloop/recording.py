@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.closeloop.meta import Meta, nearest, read_meta
+from adaptsim_jax.closeloop.meta import Meta, read_meta
 from adaptsim_jax.closeloop.table import Table, check_time, read_table
 from adaptsim_jax.closeloop.trial import Recording, Trial
 from adaptsim_jax.closeloop.units import check_units
+from adaptsim_jax.config import suggest
 from adaptsim_jax.errors import BadInput
 
 __all__ = ["Recording", "Trial", "read_recording"]
@@ -72,7 +73,7 @@ def _pick(folder: Path, files: list[Path], trials: Sequence[str] | None) -> list
     for want in trials:
         match = [(name, p) for name, p in named if want in (name, p.name)]
         if not match:
-            raise BadInput(f"{folder}: has no trial {want!r}; {nearest(want, tuple(n for n, _ in named))}")
+            raise BadInput(f"{folder}: has no trial {want!r}; {suggest(want, tuple(n for n, _ in named))}")
         picked += [m for m in match if m not in picked]
     return picked
 
@@ -81,7 +82,7 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
     table = read_table(path, COLUMNS)
     for need in ("time", "q1", "q2"):
         if need not in table.columns:
-            near = nearest(need, table.ignored)
+            near = suggest(need, table.ignored)
             hint = f"{near} " if near.startswith("did") else ""
             one = need == "q2" and "q1" in table.columns
             mend = "record both joints, one cannot be diagnosed" if one else "needed are time, q1, q2, tau1, tau2"

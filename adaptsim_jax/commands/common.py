@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,16 +18,6 @@ MAX_SEED = 2**32 - 1
 def check_task(task: str) -> str:
     """`task` if it is known; BadInput with the nearest name otherwise."""
     return config.pick("task", task, TASKS)
-
-
-def require(module: str, what: str) -> None:
-    """BadInput that says `what` is not in this version, where the module that does it is not."""
-    try:
-        found = importlib.util.find_spec(module)
-    except ModuleNotFoundError:
-        found = None
-    if found is None:
-        raise BadInput(f"{what} is not in this version yet; 'adaptsim --help' lists the other commands")
 
 
 @contextlib.contextmanager

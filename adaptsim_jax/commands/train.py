@@ -39,10 +39,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 1 into a run folder."""
-    from adaptsim_jax.commands.common import check_task, require
+    from adaptsim_jax.commands.common import check_task
 
     check_task(args.task)
-    require("adaptsim_jax.adapt.training", "'adaptsim train'")
     from adaptsim_jax.adapt.training import train_run
     from adaptsim_jax.progress import progress
 
