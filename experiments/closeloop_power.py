@@ -1,11 +1,11 @@
 """Power of `diagnose` against the size of what is hidden: a figure and a table of the power suite's finished cases.
 
     for seed in 17400 17402 17404; do
-        python -m experiments.closeloop_suites --suite power --count 6 --seed $seed --out DIR
+        python -m experiments.closeloop_suites --suite power --count 9 --seed $seed --out DIR
     done
     python -m experiments.closeloop_power DIR --figure docs/results/figures/closeloop_power.png
 
-Each seed is one rig with one effect at six sizes, in multiples of the size that just matters. The figure: the share named rightly with
+Each seed is one rig with one effect at nine sizes, in multiples of the size that just matters. The figure: the share named rightly with
 its 95 % Wilson interval, and below it what was said of each recording.
 """
 
@@ -43,11 +43,16 @@ def size_of(record: dict) -> float:
     return float(record["name"].rsplit("_", 1)[1])
 
 
+def sizes(records: list[dict]) -> list[float]:
+    """The sizes that were run."""
+    return [m for m in POWER_MULTIPLES if any(size_of(r) == m for r in records)]
+
+
 def table(records: list[dict]) -> str:
     """What was said, by size."""
     lines = [f"| times what just matters | {' | '.join(SAID)} | named rightly (Wilson 95 %) |"]
     lines.append("| --- " * (len(SAID) + 2) + "|")
-    for size in POWER_MULTIPLES:
+    for size in sizes(records):
         rs = [r for r in records if size_of(r) == size]
         right = share(rs, lambda r: said(r) == "right")
         counts = " | ".join(str(sum(said(r) == kind for r in rs)) for kind in SAID)
@@ -63,8 +68,9 @@ def figure(records: list[dict]) -> Figure:
         rows["{} {}".format(*r["hidden"][0]).replace("_", " ")].append(r)
     fig = Figure(figsize=(7.5, 3.0 + 0.24 * len(rows)), layout="constrained")
     curve, grid = fig.subplots(2, 1, sharex=True, height_ratios=(2.2, 0.24 * len(rows)))
-    at = range(len(POWER_MULTIPLES))
-    shares = [share([r for r in records if size_of(r) == m], lambda r: said(r) == "right") for m in POWER_MULTIPLES]
+    run = sizes(records)
+    at = range(len(run))
+    shares = [share([r for r in records if size_of(r) == m], lambda r: said(r) == "right") for m in run]
     curve.fill_between(at, [s["low"] for s in shares], [s["high"] for s in shares], color="#0072B2", alpha=0.18, lw=0)
     curve.plot(at, [s["share"] for s in shares], color="#0072B2", marker="o")
     curve.set(ylim=(0, 1.02), ylabel="named rightly")
@@ -72,10 +78,10 @@ def figure(records: list[dict]) -> Figure:
     for y, of in enumerate(rows.values()):
         for r in of:
             marker, colour = SAID[said(r)]
-            grid.plot(POWER_MULTIPLES.index(size_of(r)), y, marker, color=colour, ms=7, ls="none")
+            grid.plot(run.index(size_of(r)), y, marker, color=colour, ms=7, ls="none")
     grid.set_yticks(range(len(rows)), list(rows), fontsize=8)
     grid.invert_yaxis()
-    grid.set_xticks(at, [f"{m:g}" for m in POWER_MULTIPLES])
+    grid.set_xticks(at, [f"{m:g}" for m in run])
     grid.set_xlabel("size, in multiples of what just matters")
     for kind, (marker, colour) in SAID.items():
         grid.plot([], [], marker, color=colour, ls="none", ms=7, label=kind)
