@@ -5,8 +5,8 @@
     done
     python -m experiments.closeloop_power DIR --figure docs/results/figures/closeloop_power.png
 
-Each seed is one rig with one effect at nine sizes, in multiples of the size that just matters. The figure: the share named rightly with
-its 95 % Wilson interval, and below it what was said of each recording.
+Each seed is one rig with one effect at nine sizes, in multiples of the size that just matters. The figure: the share named rightly
+with its 95 % Wilson interval, and below it what was said of each recording.
 """
 
 import argparse
