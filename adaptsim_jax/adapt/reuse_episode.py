@@ -62,7 +62,8 @@ def run_reusing(
         now = jax.vmap(see)(parts[:, 1], parts[:, 2], dists, trained, targets, references)
         action = jax.vmap(act)(parts[:, 3], now.obs)
         if guide is not None:
-            lead = lambda k, s, a, m, t: guide(k, s, a, m, t, delta * shrink**number)
+            led: Guide = guide
+            lead = lambda k, s, a, m, t: led(k, s, a, m, t, delta * shrink**number)
             action = jax.vmap(lead)(keys, parts[:, 3], action, dists.mean, targets)
         after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta * shrink**number))(dists, action)
         return (after, pool), (now, action, loan.budget, loan.place >= 0)

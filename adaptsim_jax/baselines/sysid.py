@@ -157,7 +157,7 @@ def simulate(key: jax.Array, task: Task, policy, config: SysIdConfig) -> tuple[j
         return task.observe(task.rollout(k, policy, task.space.physical(one)))
 
     keys = jax.random.split(rollout_key, config.visits or config.simulations)
-    return jax.vmap(observe)(jnp.resize(keys, config.simulations), u), u
+    return jax.vmap(observe)(jnp.resize(keys, (config.simulations,)), u), u
 
 
 def within_omega(draws: jax.Array, told: jax.Array, least_std: float) -> tuple[Gaussian, jax.Array]:

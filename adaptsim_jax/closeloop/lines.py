@@ -87,7 +87,7 @@ def _gains(view: View, parts: disturbance.Components, seconds: float) -> tuple[n
     of its own amplitude and phase at each joint."""
     lin, time = view.lin, view.path.time[:, :-1]
     live = view.path.dt > 0
-    stretch = _stretches(lin.trial, time, lin.used.any(1), seconds)
+    stretch = _stretches(lin.trial, time, np.asarray(lin.used.any(1)), seconds)
     names = range(stretch.max() + 1)
     span = float(np.median([np.ptp(time[stretch == s][live[stretch == s]]) for s in names]))
     highest = min(HIGHEST, 0.2 / float(np.median(view.path.dt[live])))

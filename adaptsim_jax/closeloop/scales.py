@@ -46,7 +46,7 @@ def _both(problem: Problem, model: Fitted, here: Instance, there: Instance, seen
     c = model.candidate
     theta, eff = other_scale(problem.model.layout, c.theta, c.eff, model.active, here, there)
     active = tuple(there if a == here else a for a in model.active)
-    judged = lambda *point: unmoved(problem, *point, c.refit.point.x0, model.parts, seen.response)
+    judged = lambda on, theta, eff: unmoved(problem, on, theta, eff, c.refit.point.x0, model.parts, seen.response)
     return judged(model.active, c.theta, c.eff), judged(active, theta, eff)
 
 

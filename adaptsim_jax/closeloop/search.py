@@ -92,7 +92,8 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
     nothing = best is None or not pays(best, current, settings)
     wanting = done and nothing and _blatant(problem, current, seen)
-    if wanting or (current is found.base and (nothing or not earns(problem, best, current, found.base, settings))):
+    poor = best is None or nothing or not earns(problem, best, current, found.base, settings)
+    if wanting or (current is found.base and poor):
         more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)

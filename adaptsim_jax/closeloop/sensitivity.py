@@ -134,12 +134,14 @@ def _path(model: Model, windows: Windows, theta, eff, mask, x0):
 
 @jax.jit
 def _rows(model: Model, windows: Windows, theta, eff, mask, motion, columns: Columns):
-    return force_rows(model, theta, model.layout.masked(eff, mask), mask, windows, *motion, columns)
+    drive, x = motion
+    return force_rows(model, theta, model.layout.masked(eff, mask), mask, windows, drive, x, columns)
 
 
 @jax.jit
 def _changes(model: Model, windows: Windows, eff, mask, motion, columns: Columns):
-    return measured_change(model, model.layout.masked(eff, mask), mask, windows, *motion, columns, _weight(windows))
+    drive, x = motion
+    return measured_change(model, model.layout.masked(eff, mask), mask, windows, drive, x, columns, _weight(windows))
 
 
 def _weight(windows: Windows) -> jax.Array:

@@ -137,7 +137,7 @@ def make_bdq(config: BDQConfig) -> BDQ:
 
 
 def explore(
-    key: jax.Array, action: jax.Array, bins: int, epsilon: jax.Array, independent: jax.Array | float = 0.0
+    key: jax.Array, action: jax.Array, bins: int, epsilon: jax.Array | float, independent: jax.Array | float = 0.0
 ) -> jax.Array:
     """With probability epsilon replace a whole action `[..., branches]` by a uniform one.
 

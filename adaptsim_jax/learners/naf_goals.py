@@ -135,12 +135,13 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
             return jax.vmap(step, (0, 0, 0, None, 0))(at(number), state, contexts, number, rounds)[0]
 
         begin = jax.vmap(start)(weights, contexts)
-        if problem.worth is None:
+        worth = problem.worth
+        if worth is None:
             return jax.lax.fori_loop(0, longest, one, begin).learner.online
 
         def valued(keys, weights):
             act = lambda w: lambda goal: naf.greedy(w, problem.see(goal))
-            return jax.vmap(lambda k, c, w: problem.worth(k, c, act(w)))(keys, contexts, weights)
+            return jax.vmap(lambda k, c, w: worth(k, c, act(w)))(keys, contexts, weights)
 
         def checked(number, carry):
             state = one(number, carry[0])

@@ -11,12 +11,14 @@ Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear
+
+Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
 
 
 class Physical(NamedTuple):
@@ -67,7 +69,7 @@ class Plant:
         force `force: [n, ...]` N m and extra inertia `inertia: [n, ...]` kg m^2 on the diagonal."""
         return jnp.stack(self.rates(theta, list(x), u, force, inertia))
 
-    def rates(self, theta: jax.Array, x: Sequence, u: Sequence, force: Sequence, inertia: Sequence) -> list[jax.Array]:
+    def rates(self, theta: jax.Array, x: Rows, u: Rows, force: Rows, inertia: Rows) -> list[jax.Array]:
         """`deriv` a state at a time: all that is stacked there is a sequence here."""
         n = self.joint_dim
         q, v = jnp.stack(x[:n]), jnp.stack(x[n:])
@@ -151,7 +153,7 @@ jax.tree_util.register_dataclass(
 )
 
 
-def solve_mass(mass: Sequence, inertia: Sequence, total: Sequence) -> list[jax.Array]:
+def solve_mass(mass: Rows, inertia: Rows, total: Rows) -> list[jax.Array]:
     """`(mass + diag(inertia))^-1 total`, a joint at a time, in closed form for one and two (batched LAPACK on 2x2 is slow)."""
     n = len(total)
     if n == 1:

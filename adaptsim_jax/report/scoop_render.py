@@ -54,7 +54,9 @@ def scene(params: Any) -> str:
 def frames(clips: Sequence[ScoopClip]) -> Iterator[np.ndarray]:
     """`[360, 640, 3]` uint8 frames; the camera goes with the tip."""
     mujoco: Any = importlib.import_module("mujoco")
-    renderer, last, m, data = None, None, None, None
+    renderer: Any = None
+    data: Any = None
+    last, m = None, None
     for clip, row, time, times in shown(clips):
         if clip is not last:
             m = mujoco.MjModel.from_xml_string(scene(clip.params))

@@ -73,7 +73,8 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
     """The same with actions in [-1, 1]. A policy for no E in particular (UDR's) is not refined: there is no mean to try it at."""
     naf, space, guide = make_pushing_naf(config), pushing_space(config), make_guide(config)
     end_of = lambda push: lambda at, a: push(space.physical(at), physical_action(a))[-1]
-    end, hint = end_of(make_simulator(config)), None if guide is None else end_of(guide)
+    end: Callable = end_of(make_simulator(config))
+    hint: Any = None if guide is None else end_of(guide)
     at_mean = lambda at: (lambda a: end(at, a), None if hint is None else lambda a: hint(at, a))
 
     def choose(policy, goal):
@@ -109,8 +110,8 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:  # noqa: B008
         return policies._replace(weights=learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)))
 
     def train(key, dist, policy):
-        one = jax.tree.map(lambda x: x[None], (dist, policy))
-        trained = train_many(key[None], *one, jnp.full(1, config.trials))
+        dists, policies = jax.tree.map(lambda x: x[None], (dist, policy))
+        trained = train_many(key[None], dists, policies, jnp.full(1, config.trials))
         return jax.tree.map(lambda x: x[0], trained)
 
     tests, refinement = (a or b for a, b in zip(config.rehearsal, (config.tests, config.refine), strict=True))
@@ -170,7 +171,7 @@ def make_expectation(config: PushingConfig) -> Callable[[PushingTrajectory, Push
 
 def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
     """The policy for another mean of E `[D]` (unit coordinates), before any training there; as it is, if it knows no other."""
-    if policy.tilt is None:
+    if policy.tilt is None or policy.at is None:
         return policy
     return policy._replace(weights=move(policy.weights, policy.tilt, 2.0 * (mean - policy.at)), at=mean)
 

@@ -21,8 +21,8 @@ def read_saved(path: str | Path, kind: type, policy: type, make_naf: Callable, m
     table = configs.read(path)
     given, hidden = table.get("policy"), table.get("hidden")
     weights = given.get("weights") if isinstance(given, dict) else None
-    sized = isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden)
-    config = kind(hidden=tuple(hidden)) if sized else None
+    sizes = hidden if isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden) else None
+    config = None if sizes is None else kind(hidden=tuple(sizes))
     if config is None or not isinstance(weights, list) or np.shape(weights) != (_count(make_naf(config)),):
         raise BadInput(f"{path}: holds no policy of {what}; write it again with 'adaptsim robot next'")
     act, learned = jax.jit(make_policy(config)), policy(jnp.asarray(weights, jnp.float32))
