@@ -236,19 +236,23 @@ def finish(
         from adaptsim_jax.report.diagnosis import write_diagnosis
 
         folder = output_folder(out)
-        for name in ("model.toml", "leading.toml", CSV):  # of an earlier run into the same folder, and of another model
-            (folder / name).unlink(missing_ok=True)
         if result is not None:
             evidence["regressor"] = regressors(result)
-            write_models(folder, result, report, recording.path)
+        write_models(folder, result, report, recording.path)
+        (folder / CSV).unlink(missing_ok=True)  # of an earlier run into the same folder
         if plan := evidence.get("next_experiment"):
             write_bytes(folder / plan["csv"], csv_of(plan["time"], plan["torque"]))
         write_diagnosis(folder, report, evidence)
     return report
 
 
-def write_models(folder: Path, result: Diagnosis, report: dict[str, Any], data: str | Path) -> None:
-    """The mended model as `model.toml`; where nothing is named but a set of effects leads, that set as `leading.toml`."""
+def write_models(folder: Path, result: Diagnosis | None, report: dict[str, Any], data: str | Path) -> None:
+    """The mended model as `model.toml`; where nothing is named but a set of effects leads, that set as `leading.toml`. Those of an
+    earlier run into the same folder go."""
+    for name in ("model.toml", "leading.toml"):
+        (folder / name).unlink(missing_ok=True)
+    if result is None:
+        return
     told = {key: report[key] for key in ("verdict", "message")} | {"data": data} | report["run"]
     model = result.found.final if result.verdict.named else result.found.base
     write_model(folder / "model.toml", fitted_model(result.problem, model, told))
