@@ -31,10 +31,10 @@ class Remeasured(NamedTuple):
 
 
 def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Remeasured | None:
-    """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, or for a
-    model whose geometry its parameters absorb."""
+    """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, for a
+    model whose geometry its parameters absorb, or for a mended model, which is of one geometry."""
     recording = problem.recording
-    if recording.model != "rigid_body" or "l1" not in recording.geometry:
+    if recording.model != "rigid_body" or "l1" not in recording.geometry or recording.model_file is not None:
         return None
     fits = {0.0: base}
 

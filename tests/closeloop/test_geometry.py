@@ -1,11 +1,13 @@
 """What the declared model cannot know by itself: a first link that was measured wrong, and the scale of a free swing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adaptsim_jax.closeloop.audit import audit, usable
 from adaptsim_jax.closeloop.declared import declared
-from adaptsim_jax.closeloop.geometry import FARTHEST, _likeliest, misdeclared
+from adaptsim_jax.closeloop.geometry import FARTHEST, _likeliest, misdeclared, remeasured
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
@@ -50,6 +52,12 @@ def test_a_hidden_force_is_not_taken_for_a_wrong_length(tmp_path):
     problem, start = prepared(written(tmp_path, trials))
     base, _ = declared(problem, start)
     assert misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35) is STRUCTURED
+
+
+def test_the_geometry_of_a_mended_model_is_left_alone(tmp_path):
+    problem, _ = prepared(written(tmp_path, make_trials(seed=8, count=3, seconds=2.0, noise=0.1)))
+    mended = replace(problem, recording=problem.recording.replace(model_file="model.toml"))
+    assert remeasured(mended, None, EFFECTS) is None
 
 
 def test_a_free_swing_fixes_parameters_up_to_a_factor(tmp_path):
