@@ -68,11 +68,13 @@ class Motion(NamedTuple):
 class Dry(NamedTuple):
     """Dry friction: a `level` [N m] that opposes the motion or holds the joint still, and a smooth `force` beside it.
 
-    The level is a number, not a force, because only the integrator knows which force at rest stops the motion.
+    The level is a number, not a force, because only the integrator knows which force at rest stops the motion. With a `width`
+    [rad/s] the direction turns as tanh(v / width), and a joint that is held creeps.
     """
 
     level: jax.Array
     force: jax.Array | float = 0.0
+    width: jax.Array | float = 0.0
 
 
 class Relaxation(NamedTuple):

@@ -11,16 +11,19 @@ HERTZ_DEPTH = 0.1  # rad
 FINEST = 1.0 / 12.0  # Hz between frequencies of the grid
 MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
 LEAST_FADING = 0.2  # of friction within a trial, for it to be a drift
+WIDTH = Parameter(
+    "width", "rad/s", 0.0, 0.2, 0.0, None, optional=True, meaning="within which it turns; 0 is sharp", late=True
+)
 LEAST_EXCESS = 0.1  # of the level at speed, by which Stribeck's friction is higher at rest
 
 
 def coulomb(p, m: Motion):
-    return Dry(p["level"] + 0.0 * m.q)
+    return Dry(p["level"] + 0.0 * m.q, width=p["width"])
 
 
 def stribeck(p, m: Motion):
     """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
-    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
+    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])), width=p["width"])
 
 
 def quadratic_drag(p, m: Motion):
@@ -77,7 +80,7 @@ def hard_stop(p, m: Motion):
 
 
 def load_friction(p, m: Motion):
-    return Dry(p["share"] * jnp.abs(m.u))
+    return Dry(p["share"] * jnp.abs(m.u), width=p["width"])
 
 
 def presliding(p, m: Motion):
@@ -173,10 +176,10 @@ def _no_stop(value, error, q, duration) -> str:
 
 FORCE = (
     Effect(
-        "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),), coulomb,
+        "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5), WIDTH), coulomb,
         "dry friction: a constant torque against the motion", "reversals, and both slow and fast motion",
         ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
-        formula="-level sign(v); holds the joint where less than the level would move it",
+        formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would move it",
     ),
     Effect(
         "stribeck", "force",
@@ -184,10 +187,11 @@ FORCE = (
             Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
             Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, plausible=1.0, meaning="how much more at rest"),
             Parameter("speed", "rad/s", 0.02, 20.0, 0.5, None, meaning="at which the excess has fallen to a third"),
+            WIDTH,
         ),
         stribeck, "dry friction that is higher at creeping speed", "long stretches of slow motion beside fast ones",
         ("coulomb", "presliding"), contains=("coulomb",), grid=_speeds, amiss=_no_stribeck,
-        formula="-(level + excess exp(-(v / speed)^2)) sign(v)",
+        formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
     ),
     Effect(
         "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1, plausible=0.1),),
@@ -266,10 +270,10 @@ FORCE = (
         formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
     ),
     Effect(
-        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6),), load_friction,
+        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6), WIDTH), load_friction,
         "gear friction in proportion to the torque that the joint carries", "high and low torque at like speeds",
         ("coulomb", "torque_gain"),
-        formula="-share |command| sign(v)",
+        formula="-share |command| sign(v), or tanh(v / width)",
     ),
     Effect(
         "presliding", "force",

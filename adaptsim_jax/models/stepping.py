@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.models.dry_friction import mean_friction, typical_speed, within
 from adaptsim_jax.models.effect import Dry, Motion, Relaxation
 from adaptsim_jax.models.effects import Layout
 from adaptsim_jax.models.plant import Plant, solve_mass
@@ -67,11 +68,13 @@ def _later(t, h):
 
 
 class Acting(NamedTuple):
-    """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2)."""
+    """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2), and the friction
+    times the width within which it turns (W)."""
 
     force: jax.Array
     level: jax.Array
     inertia: jax.Array
+    blur: jax.Array
 
 
 def acting(model: Model, theta, eff, memory, x, u, t, on=None, effects: list | None = None) -> Acting:
@@ -94,13 +97,16 @@ def acting(model: Model, theta, eff, memory, x, u, t, on=None, effects: list | N
 
     def one(total: Acting, effect, p, w) -> Acting:
         answer = effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
-        level = total.level + answer.level if isinstance(answer, Dry) else total.level
         force = answer.force if isinstance(answer, (Dry, Relaxation)) else answer
-        return Acting(total.force + force, level, total.inertia)
+        total = total._replace(force=total.force + force)
+        if isinstance(answer, Dry):
+            blur = total.blur + answer.level * answer.width
+            total = total._replace(level=total.level + answer.level, blur=blur)
+        return total
 
     x = [jnp.asarray(z) for z in x]
     zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
-    total = Acting(zero, zero, zero)
+    total = Acting(zero, zero, zero, zero)
     if on is None:
         return add(total, effects)
     for at in range(0, len(effects), TOGETHER):
@@ -150,10 +156,11 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
         now = _later(t, i * h)
         memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h, on)
 
-        rub = jnp.zeros_like(push.force)
+        rub = rise = jnp.zeros_like(push.force)
         if dry:
             rubbing = lambda: _dry_force(model, theta, eff, memory, jnp.stack(x), u, now, h, push, on, smooth, dry)
-            rub = rubbing() if on is None else jax.lax.cond(_any_on(model, dry, on), rubbing, lambda: rub)
+            still = lambda: (rub, rise)
+            rub, rise = rubbing() if on is None else jax.lax.cond(_any_on(model, dry, on), rubbing, still)
 
         def stage(inner, ab):
             slope, total = inner
@@ -161,7 +168,8 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
             at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
             act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on, smooth)
             here = u if ramp is None else u + ((i + a) / substeps - 0.5) * ramp
-            force = [f + r + p for f, r, p in zip(act.force, rub, push.force, strict=True)]
+            rubs = rub + (a - 0.5) * rise
+            force = [f + r + p for f, r, p in zip(act.force, rubs, push.force, strict=True)]
             inertia = [m + p for m, p in zip(act.inertia, push.inertia, strict=True)]
             slope = model.plant.rates(theta, at, here, force, inertia)
             return (slope, [t + b * d for t, d in zip(total, slope, strict=True)]), None
@@ -199,7 +207,7 @@ def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list]:
 
 
 def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smooth: list, dry: list):
-    """Mean force `[n, W]` of dry friction over a step of `h: [W]` s.
+    """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]` both.
 
     Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
     then held by just the force that holds it. So joints stick without creeping whatever the step, and nothing is stiff,
@@ -207,41 +215,29 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
     forces that would stop all of them at once.
     """
     n, plant = model.plant.joint_dim, model.plant
-    q, v = x[:n], x[n:]
-    act = acting(model, theta, eff, memory, x, u, t, on, smooth)
-    inertia = act.inertia + push.inertia
-    free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
-    mass = plant.mass_matrix(theta, q)
-    unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (q.ndim - 1)) + jnp.zeros_like(q)[None]
-    answer = [jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)]  # acceleration per force at each joint
-    wide = _lift(h, q)
-    ahead = jnp.concatenate([q, _halfway(v, free, wide)])
-    level = acting(model, theta, eff, memory, ahead, u, _later(t, 0.5 * h), on, dry).level
-    stop = free + v / jnp.where(wide > 0, wide, 1.0)
-    hold = -(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop)
-    force = [_within(hold[j], level[j]) for j in range(n)]
-    for j in [*range(n), *range(n)]:
-        others = sum((answer[k][j] * force[k] for k in range(n) if k != j), jnp.zeros_like(free[j]))
-        force[j] = _mean_friction(v[j], (free[j] + others) / answer[j][j], level[j], 1.0 / answer[j][j], h)
-    return jnp.stack(force)
+    v, wide = x[n:], _lift(h, x[:n])
+    unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1)) + jnp.zeros_like(x[:n])[None]
 
+    def rub(x, speed, t):
+        """Friction as at a state of the step and its level as at a speed, and the acceleration under it."""
+        act = acting(model, theta, eff, memory, x, u, t, on, smooth)
+        rough = acting(model, theta, eff, memory, jnp.concatenate([x[:n], speed]), u, t, on, dry)
+        inertia, level, width = act.inertia + push.inertia, rough.level, rough.blur / jnp.maximum(rough.level, 1e-9)
+        free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
+        mass = plant.mass_matrix(theta, x[:n])
+        answer = [
+            jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)
+        ]  # acceleration per force at each joint
+        stop = free + v / jnp.where(wide > 0, wide, 1.0)
+        force = list(within(-(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop), level))
+        rise = [jnp.zeros_like(f) for f in force]
+        for j in [*range(n), *range(n)]:
+            others = sum((answer[k][j] * force[k] for k in range(n) if k != j), jnp.zeros_like(free[j]))
+            torque, own = (free[j] + others) / answer[j][j], 1.0 / answer[j][j]
+            force[j], rise[j] = mean_friction(v[j], torque, level[j], width[j], own, h)
+        return jnp.stack(force), jnp.stack(rise), free + sum(a * f[None] for a, f in zip(answer, force, strict=True))
 
-def _halfway(v, accel, h):
-    """Speed half a step on, zero if it would have turned."""
-    ahead = v + 0.5 * h * accel
-    return jnp.where(ahead * v > 0, ahead, 0.0)
-
-
-def _within(force, level):
-    """`force` limited to `level`, with the right slope where the level is zero."""
-    return level * jnp.clip(force / jnp.maximum(level, 1e-9), -1.0, 1.0)
-
-
-def _mean_friction(v, torque, level, inertia, h):
-    """Mean friction on one joint that moves at `v` under a constant other `torque`: sliding for a part of the step,
-    then holding, or sliding the other way."""
-    way = jnp.sign(v)
-    slow = level - way * torque  # what brakes it
-    share = jnp.abs(v) * inertia / (jnp.where(h > 0, h, 1.0) * jnp.maximum(slow, 1e-9))
-    share = jnp.where((slow > 0) & (level >= 0), jnp.minimum(share, 1.0), 1.0)  # a fit may try a negative level
-    return -level * way * share + (1.0 - share) * _within(-torque, level)
+    end = v + wide * rub(x, v, t)[2]
+    half = 0.5 * (v + end)
+    middle = jnp.concatenate([x[:n] + 0.25 * wide * (v + half), half])
+    return rub(middle, typical_speed(v, end), _later(t, 0.5 * h))[:2]

@@ -142,7 +142,8 @@ def test_units_scale_as_declared(effect, torque, time):
         other = act(effect, parameters(effect, torque=torque, time=time), torque, time)
         names = {"command": ["N m"], "measurement": ["rad", "rad/s"]}.get(effect.place)
         if names is None:
-            names = ["kg m^2"] if effect.inertia else ["N m", "N m"] if len(base) == 2 else ["N m", "1", "Hz"]
+            remembers, dry = ["N m", "1", "Hz"], ["N m", "N m", "rad/s"]
+            names = ["kg m^2"] if effect.inertia else remembers if effect.memory else dry
         for a, b, unit in zip(base, other, names, strict=False):
             i, j = UNITS["rad" if unit == "1" else unit]
             np.testing.assert_allclose(np.asarray(a) * torque**i * time**j, b, rtol=1e-5, atol=1e-6 * torque)
@@ -156,7 +157,7 @@ def test_layout_masks_amplitudes_and_keeps_shapes():
     instance = layout.instances[layout.index("stribeck", "joint2")]
     np.testing.assert_array_equal(kept[instance.at], np.asarray(eff)[instance.at])
     other = layout.instances[layout.index("stribeck", "joint1")]
-    np.testing.assert_array_equal(kept[other.at], [0.0, 0.0, float(eff[other.at][2])])
+    np.testing.assert_array_equal(kept[other.at], [0.0, 0.0, *np.asarray(eff[other.at][2:])])
 
 
 def test_layout_has_one_of_what_the_base_does_and_two_of_the_others():
