@@ -62,7 +62,7 @@ def _sharp(v, torque, level, inertia, h):
 def _of_width(v, torque, level, width, inertia, h, share, sharp):
     """What the width adds to the mean of sharp friction: by the motion under the sharp one where the width is soon passed, and
     under a smooth force where it is not."""
-    safe, strong = jnp.maximum(width, 1e-9), jnp.maximum(level, 1e-9)
+    safe, strong = jnp.where(width > 0, jnp.maximum(width, 1e-6), 1e-3), jnp.maximum(level, 1e-9)  # finite where sharp
     after = lambda friction: v + h * (torque + friction) / inertia
     end = after(sharp)
     crept = inertia / h * (_creeping(v, torque, strong, safe, inertia, h) - v) - torque
@@ -74,7 +74,7 @@ def _of_width(v, torque, level, width, inertia, h, share, sharp):
     wide = -level * jnp.tanh(v / safe)
     for _ in range(ROUNDS):
         wide = -level * _along(v, after(wide), safe)
-    stiff = jnp.square(jnp.square(h * strong / (inertia * safe)))
+    stiff = jnp.minimum(h * strong / (inertia * safe), 1e3) ** 4  # within single precision
     mean = wide + (narrow - wide) * stiff / (1.0 + stiff)
     return jnp.where((width > 0) & (level > 0), mean - sharp, 0.0)
 
