@@ -1,8 +1,9 @@
 """The final model fitted once more from where it stands, with the sensors as the only noise.
 
 A refit under a covariance that the missing effect had inflated stops short of the bottom where effects switch (a play that is
-taken up, a joint that sticks): what is left to gain looks like chance there. The plain fit goes on, and from the initial
-states that were found: of those in the data some lie on the wrong side of a switch.
+taken up, a joint that sticks): what is left to gain looks like chance there. The plain fit goes on: from the initial states
+that were found, as of those in the data some lie on the wrong side of a switch; and from those in the data, as a model that
+was far off has bent its own.
 """
 
 from dataclasses import replace
@@ -38,7 +39,8 @@ def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
     own covariance."""
     for _ in range(ROUNDS):
         model = settled(problem, model, seen.response)
-        starts = (model.candidate.eff, *_nudged(problem, model))
+        c = model.candidate
+        starts = [(c.eff, None), *((eff, c.refit.point.x0) for eff in (c.eff, *_nudged(problem, model)))]
         tried = abreast(partial(_again, problem, model, seen), starts)
         best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)
         if best.total - model.total < GAIN:
@@ -47,10 +49,10 @@ def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
     return model
 
 
-def _again(problem: Problem, model: Fitted, seen: View, eff: np.ndarray) -> Fitted | None:
-    """A plain fit from the model's own place, but for the effect parameters."""
-    c = model.candidate
-    return fitted_plainly(problem, c.active, c.theta, eff, model.parts, seen.response, x0=c.refit.point.x0, rounds=3)
+def _again(problem: Problem, model: Fitted, seen: View, start: tuple[np.ndarray, np.ndarray | None]) -> Fitted | None:
+    """A plain fit from the model's declared parameters; start: effect parameters, and initial states (None: the data's)."""
+    c, (eff, x0) = model.candidate, start
+    return fitted_plainly(problem, c.active, c.theta, eff, model.parts, seen.response, x0=x0, rounds=3)
 
 
 def _nudged(problem: Problem, model: Fitted) -> list[np.ndarray]:
