@@ -225,17 +225,20 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
         inertia, level, width = act.inertia + push.inertia, rough.level, rough.blur / jnp.maximum(rough.level, 1e-9)
         free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
         mass = plant.mass_matrix(theta, x[:n])
-        answer = [
-            jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)
-        ]  # acceleration per force at each joint
+        answer = jnp.stack([jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)])  # [force, acceleration]
         stop = free + v / jnp.where(wide > 0, wide, 1.0)
-        force = list(within(-(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop), level))
-        rise = [jnp.zeros_like(f) for f in force]
-        for j in [*range(n), *range(n)]:
-            others = sum((answer[k][j] * force[k] for k in range(n) if k != j), jnp.zeros_like(free[j]))
-            torque, own = (free[j] + others) / answer[j][j], 1.0 / answer[j][j]
-            force[j], rise[j] = mean_friction(v[j], torque, level[j], width[j], own, h)
-        return jnp.stack(force), jnp.stack(rise), free + sum(a * f[None] for a, f in zip(answer, force, strict=True))
+        force = within(-(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop), level)
+
+        def turn(rubs, j):
+            """One joint's, the others' given: a loop, as compiling it for each joint and sweep would take four times as long."""
+            force, rise = rubs
+            own = answer[j, j]
+            torque = (free[j] + (answer[:, j] * force).sum(0)) / own - force[j]
+            mean, slope = mean_friction(v[j], torque, level[j], width[j], 1.0 / own, h)
+            return (force.at[j].set(mean), rise.at[j].set(slope)), None
+
+        (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.tile(jnp.arange(n), 2))
+        return force, rise, free + (answer * force[:, None]).sum(0)
 
     end = v + wide * rub(x, v, t)[2]
     half = 0.5 * (v + end)
