@@ -10,11 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.problem import Diverged, Problem
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, Response, fitted, plausible
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, Response, fitted, plausible, settled
 from adaptsim_jax.models.effect import Parameter
 
 INTO = 0.1  # of its range that a parameter starts from its end, where its default is that end and has no slope
+LEAST_GAIN = 1.0  # in log-likelihood, at first: less would not come to pay
 
 
 def elaborated(
@@ -22,18 +24,21 @@ def elaborated(
 ) -> tuple[Problem, Fitted]:
     """The problem and `model` with late parameters of its effects beyond those of `base` fitted, where `better(new, old)`; as
     they were elsewhere."""
-    for effect in model.active:
-        if effect in base.active or effect in problem.elaborated:
-            continue
-        tried = replace(problem, elaborated=(*problem.elaborated, effect))
-        new = _with_late(tried, model, effect, response)
-        if new is not None and plausible(new, base) and better(new, model):
-            problem, model = tried, new
+    waiting = [effect for effect in model.active if effect not in (*base.active, *problem.elaborated)]
+    while waiting:
+        problems = [replace(problem, elaborated=(*problem.elaborated, effect)) for effect in waiting]
+        late = lambda pe, model=model: _with_late(pe[0], model, pe[1], response)
+        made = abreast(late, zip(problems, waiting, strict=True))
+        pays = [new is not None and plausible(new, base) and better(new, model) for new in made]
+        if True not in pays:
+            break
+        first = pays.index(True)
+        problem, model, waiting = problems[first], made[first], waiting[first + 1 :]  # these again, beside it
     return problem, model
 
 
 def _with_late(problem: Problem, model: Fitted, effect: Instance, response: Response) -> Fitted | None:
-    """The model refitted with the late parameters of one effect; None where it has none, or that runs away."""
+    """The model refitted with the late parameters of one effect; None where it has none, or that runs away or gains nothing."""
     layout, c = problem.model.layout, model.candidate
     instance = layout.instances[layout.index(*effect)]
     late = [k for k, p in enumerate(instance.effect.parameters) if p.late]
@@ -43,9 +48,10 @@ def _with_late(problem: Problem, model: Fitted, effect: Instance, response: Resp
     for k in late:
         eff[instance.at.start + k] = _start(instance.effect.parameters[k])
     try:
-        return fitted(problem, c.active, c.theta, eff, c.refit.point.x0, model.parts, response)
+        new = fitted(problem, c.active, c.theta, eff, c.refit.point.x0, model.parts, response, rounds=1)
     except Diverged:
         return None
+    return settled(problem, new, response) if new.total - model.total > LEAST_GAIN else None
 
 
 def _start(p: Parameter) -> float:

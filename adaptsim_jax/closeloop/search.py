@@ -264,20 +264,25 @@ def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View
 
 def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, settings: Settings, say) -> Fitted:
     """The best of the likeliest rivals of `old` in its place, if any beats it."""
-    for rival in sorted(found.rivals.get(old, []), key=lambda t: -t.merit(settings.price))[:3]:
+    c = current.candidate
+
+    def swap(rival: Fitted) -> Fitted | None:
         instance = rival.active[-1]
-        if instance in current.active:
-            continue
         active = tuple(instance if a == old else a for a in current.active)
-        eff = merged(problem, current.candidate.eff, rival.candidate.eff, instance)
+        eff = merged(problem, c.eff, rival.candidate.eff, instance)
         say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
-        c = current.candidate
-        try:
-            swapped = fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
-        except Diverged:  # no rival in the presence of the others
-            continue
-        found.tried.append(swapped)
-        if plausible(swapped, found.base) and swapped.merit(settings.price) > current.merit(settings.price) + 1.0:
-            found.rivals[instance] = [r for r in found.rivals.pop(old) if r is not rival]
-            current, old = swapped, instance
-    return current
+        with suppress(Diverged):  # else no rival in the presence of the others
+            return fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
+        return None
+
+    merit = lambda model: model.merit(settings.price)
+    rivals = sorted(found.rivals.get(old, []), key=lambda t: -merit(t))[:3]
+    rivals = [r for r in rivals if r.active[-1] not in current.active]
+    swaps = [(new, r) for new, r in zip(abreast(swap, rivals), rivals, strict=True) if new is not None]
+    found.tried += [new for new, _ in swaps]
+    fair = [(new, r) for new, r in swaps if plausible(new, found.base) and merit(new) > merit(current) + 1.0]
+    if not fair:
+        return current
+    best, rival = max(fair, key=lambda new_rival: merit(new_rival[0]))
+    found.rivals[rival.active[-1]] = [r for r in found.rivals.pop(old) if r is not rival]
+    return best

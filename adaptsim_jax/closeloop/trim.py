@@ -8,15 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
-from adaptsim_jax.closeloop.problem import Diverged, Problem
+from adaptsim_jax.closeloop.problem import Diverged, Problem, initial_states
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted
 from adaptsim_jax.closeloop.view import View, view
 
 LEAST_GAIN = 0.97  # held-out error with an effect over without it: above this it is not shown by other trials
+FAR = 4.0  # times the squared error: beyond this it is shown without leaving trials out
 
 
 def trimmed(problem: Problem, found: Found, first: View, settings: Settings) -> tuple[Found, HeldOut | None]:
@@ -25,7 +27,8 @@ def trimmed(problem: Problem, found: Found, first: View, settings: Settings) -> 
     whole = None
     while len(found.added) > 1:
         whole = held_out(problem, found.final, found.view or first) if whole is None else whole
-        without = [(e, w) for e in found.added if (w := _refitted_without(problem, found, e)) is not None]
+        doubted = abreast(lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect), found.added)
+        without = [(e, w) for e, w in zip(found.added, doubted, strict=True) if w is not None]
         for effect, less in sorted(without, key=lambda ew: -ew[1].total):
             seen = view(problem, less)
             other = held_out(problem, less, seen)
@@ -45,16 +48,29 @@ def confirms(with_effect: HeldOut, without: HeldOut) -> bool:
     return bool(with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better))
 
 
-def _refitted_without(problem: Problem, found: Found, effect: Instance) -> Fitted | None:
-    """The final model refitted without one of its effects; None where that runs away."""
+def _nearly(problem: Problem, found: Found, whole: HeldOut, effect: Instance) -> Fitted | None:
+    """The final model refitted without one of its effects; None where that runs away, or is far off."""
     c, seen = found.final.candidate, found.view
     if seen is None:
         return None
     rest = tuple(a for a in found.final.active if a != effect)
     try:
-        return fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
+        less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
+        return None if _far(problem, whole, less) else less
     except Diverged:
         return None
+
+
+def _far(problem: Problem, whole: HeldOut, less: Fitted) -> bool:
+    """Whether a model without an effect simulates the trials that it is fitted to far worse than the one with it does trials that
+    it is not fitted to, on the whole and in most trials: left out they would not come closer."""
+    c = less.candidate
+    found = initial_states(problem, c.active, c.theta, c.eff, c.refit.point.x0)
+    weight = np.asarray(problem.windows.weight)
+    gap = np.where(weight > 0, found.residual / np.where(weight > 0, weight, 1.0), 0.0)
+    own, other, used = (gap**2).sum((1, 2)), whole.squared.sum(1), whole.fold >= 0
+    worse = [own[whole.trial == t].sum() > FAR * other[whole.trial == t].sum() for t in np.unique(whole.trial[used])]
+    return bool(own[used].sum() > FAR * other[used].sum() and 2 * sum(worse) > len(worse))
 
 
 def _dropped(problem: Problem, found: Found, effect: Instance, less: Fitted, seen: View, settings: Settings) -> Found:

@@ -12,6 +12,7 @@ PARTS = 4  # of a step of friction with a width
 SLOW = 4.0  # widths, up to which a speed follows its equilibrium
 LITTLE = 1.2  # times its level, up to which torques leave a joint there
 ROUNDS = 3  # for the end of a step under a force that is smooth
+STIFF = 30.0  # steps in time constants, beyond which it is not smooth
 
 
 def typical_speed(v, end):
@@ -25,6 +26,7 @@ def within(force, level):
     return level * jnp.clip(force / jnp.maximum(level, 1e-9), -1.0, 1.0)
 
 
+@jax.custom_jvp
 def mean_friction(v, torque, level, width, inertia, h):
     """Friction [N m] on one joint over `h` s that moves at `v` [rad/s] under a constant other `torque` [N m]; all `[...]`.
 
@@ -33,6 +35,19 @@ def mean_friction(v, torque, level, width, inertia, h):
     """
     sharp = lambda: _sharp(v, torque, level, inertia, h)[1:]
     return jax.lax.cond(jnp.any(width > 0), lambda: _in_parts(v, torque, level, width, inertia, h / PARTS), sharp)
+
+
+@mean_friction.defjvp
+def _by_partials(primals, tangents):
+    """Along many directions at the cost of one for each argument: a fit has more parameters than friction has arguments."""
+    primals = tuple(jnp.broadcast_arrays(*primals))
+    one, count = primals[0], len(primals)
+    ways = jnp.broadcast_to(
+        jnp.eye(count, dtype=one.dtype).reshape(count, count, *(1,) * one.ndim), (count, count, *one.shape)
+    )
+    along = lambda *way: jax.jvp(mean_friction.fun, primals, way)
+    answer, partials = jax.vmap(along, out_axes=(None, 0))(*ways)
+    return answer, tuple(sum(p * t for p, t in zip(partial, tangents, strict=True)) for partial in partials)
 
 
 def _in_parts(v, torque, level, width, inertia, h):
@@ -71,10 +86,12 @@ def _of_width(v, torque, level, width, inertia, h, share, sharp):
     stops = (share < 1.0) & (jnp.abs(torque) <= level)
     near = (jnp.abs(v) < SLOW * width) & (jnp.abs(torque) < LITTLE * level)
     narrow = jnp.where(stops | near, crept, sliding)
-    wide = -level * jnp.tanh(v / safe)
+    hard = h * strong / inertia
+    loose = jnp.maximum(safe, hard / STIFF)  # where it counts for nothing its slope stays within single precision
+    wide = -level * jnp.tanh(v / loose)
     for _ in range(ROUNDS):
-        wide = -level * _along(v, after(wide), safe)
-    stiff = jnp.minimum(h * strong / (inertia * safe), 1e3) ** 4  # within single precision
+        wide = -level * _along(v, after(wide), loose)
+    stiff = jnp.minimum(hard / safe, 1e3) ** 4
     mean = wide + (narrow - wide) * stiff / (1.0 + stiff)
     return jnp.where((width > 0) & (level > 0), mean - sharp, 0.0)
 
@@ -111,12 +128,16 @@ def _creeping(v, torque, level, width, inertia, h):
     late = jnp.where(stiff > 1e-3, 1.0 / -jnp.expm1(-jnp.maximum(stiff, 1e-3)) - 1.0 / jnp.maximum(stiff, 1e-3), 0.5)
     mass, most = inertia / h, late * level
     goal = v + (torque - (1.0 - late) * level * jnp.tanh(v / width)) / mass
-    way, goal = jnp.sign(goal), jnp.abs(goal)
+    way = jnp.where(goal < 0, -1.0, 1.0)
+    goal = way * goal
     least = jnp.maximum(goal - most / mass, 0.0)
+    limited = lambda z: jnp.where(
+        z > goal, goal, jnp.where(z < least, least, z)
+    )  # at rest too its slope is that of `z`
     speed = width * jnp.arctanh(jnp.minimum(mass * goal / (most + mass * width), 0.999))
-    speed = jnp.clip(speed, least, goal)
+    speed = limited(speed)
     for _ in range(NEWTON):
         turn = jnp.tanh(speed / width)
         slope = mass + most * (1.0 - turn**2) / width
-        speed = jnp.clip(speed - (mass * (speed - goal) + most * turn) / slope, least, goal)
+        speed = limited(speed - (mass * (speed - goal) + most * turn) / slope)
     return way * speed

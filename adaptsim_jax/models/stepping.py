@@ -211,36 +211,43 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
 
     Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
     then held by just the force that holds it. So joints stick without creeping whatever the step, and nothing is stiff,
-    unlike with a smoothed sign. Joints act on each other through the inverse mass: two sweeps of Gauss-Seidel, from the
-    forces that would stop all of them at once.
+    unlike with a smoothed sign. Joints act on each other through the inverse mass: a sweep of Gauss-Seidel at the start of the step,
+    from the forces that would stop all of them at once, and one from there in its middle.
     """
     n, plant = model.plant.joint_dim, model.plant
     v, wide = x[n:], _lift(h, x[:n])
     unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1)) + jnp.zeros_like(x[:n])[None]
 
-    def rub(x, speed, t):
-        """Friction as at a state of the step and its level as at a speed, and the acceleration under it."""
-        act = acting(model, theta, eff, memory, x, u, t, on, smooth)
-        rough = acting(model, theta, eff, memory, jnp.concatenate([x[:n], speed]), u, t, on, dry)
-        inertia, level, width = act.inertia + push.inertia, rough.level, rough.blur / jnp.maximum(rough.level, 1e-9)
-        free = plant.deriv(theta, x, u, act.force + push.force, inertia)[n:]
-        mass = plant.mass_matrix(theta, x[:n])
+    def rub(at, late):
+        """Friction as at a state of the step and its level as at a speed; the state in the middle of the step under it, and the
+        speed that is typical of the step."""
+        z, speed, force = at
+        now = _later(t, late * h)
+        act = acting(model, theta, eff, memory, z, u, now, on, smooth)
+        rough = acting(model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, on, dry)
+        inertia, level = act.inertia + push.inertia, rough.level
+        width = jnp.where(late > 0, rough.blur / jnp.maximum(level, 1e-9), 0.0)  # only once: it is most of the work
+        free = plant.deriv(theta, z, u, act.force + push.force, inertia)[n:]
+        mass = plant.mass_matrix(theta, z[:n])
         answer = jnp.stack([jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)])  # [force, acceleration]
         stop = free + v / jnp.where(wide > 0, wide, 1.0)
-        force = within(-(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop), level)
+        hold = within(-(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop), level)
+        force = jnp.where(late > 0, force, hold)
 
         def turn(rubs, j):
-            """One joint's, the others' given: a loop, as compiling it for each joint and sweep would take four times as long."""
+            """One joint's, the others' given."""
             force, rise = rubs
             own = answer[j, j]
             torque = (free[j] + (answer[:, j] * force).sum(0)) / own - force[j]
             mean, slope = mean_friction(v[j], torque, level[j], width[j], 1.0 / own, h)
             return (force.at[j].set(mean), rise.at[j].set(slope)), None
 
-        (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.tile(jnp.arange(n), 2))
-        return force, rise, free + (answer * force[:, None]).sum(0)
+        (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.arange(n))
+        end = v + wide * (free + (answer * force[:, None]).sum(0))
+        half = 0.5 * (v + end)
+        middle = jnp.concatenate([x[:n] + 0.25 * wide * (v + half), half])
+        return (middle, typical_speed(v, end), force), rise
 
-    end = v + wide * rub(x, v, t)[2]
-    half = 0.5 * (v + end)
-    middle = jnp.concatenate([x[:n] + 0.25 * wide * (v + half), half])
-    return rub(middle, typical_speed(v, end), _later(t, 0.5 * h))[:2]
+    # loops, as a program with each joint and time written out would take several times as long to compile
+    (_, _, force), rise = jax.lax.scan(rub, (x, v, jnp.zeros_like(v)), jnp.array([0.0, 0.5], x.dtype))
+    return force, rise[-1]

@@ -62,6 +62,23 @@ def test_derivatives_are_finite_at_rest_and_where_one_joint_is_sharp(x64):
             assert all(np.isfinite(s).all() for s in slopes)
 
 
+@pytest.mark.parametrize("argument", range(5))
+def test_slopes_are_those_of_differences(argument):
+    """Also at rest, where a joint that is held creeps with the torque; reverse mode gives the same."""
+    with jax.enable_x64(True):
+        v = jnp.array([0.0, 0.003, -0.02, 0.2, 0.05, -0.003])
+        torque = jnp.array([0.0, 0.03, 0.05, 0.12, -0.09, 0.0])
+        width = jnp.array([0.001, 0.01, 0.0, 0.05, 0.0, 0.02])
+        at = (v, torque, jnp.full_like(v, LEVEL), width, jnp.full_like(v, INERTIA))
+        rubs = lambda *args: jnp.stack(mean_friction(*args, jnp.full_like(v, STEP)))
+        way = lambda size: [size * (width > 0) if k == argument else jnp.zeros_like(v) for k in range(len(at))]
+        move = lambda size: rubs(*(z + d for z, d in zip(at, way(size), strict=True)))
+        slope = jax.jvp(rubs, at, tuple(way(1.0)))[1]
+        np.testing.assert_allclose(slope, (move(1e-7) - move(-1e-7)) / 2e-7, rtol=1e-3, atol=1e-4)
+        back = jax.grad(lambda z: rubs(*at[:argument], z, *at[argument + 1 :]).sum())(at[argument])
+        np.testing.assert_allclose(jnp.where(width > 0, back, 0.0), slope.sum(0), rtol=1e-9, atol=1e-12)
+
+
 def _slide(substeps: int, x64: bool):
     """Both joints slide for 0.15 s, joint 2 with Stribeck's friction; the states after each row of 5 ms."""
     with jax.enable_x64(x64):
