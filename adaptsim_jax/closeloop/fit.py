@@ -17,7 +17,7 @@ from adaptsim_jax.closeloop.fit_result import FitResult, fit_result
 from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure, trajectory
 from adaptsim_jax.closeloop.windows import Windows
 
-ROOM = (6, 9, 12, 20)  # effect parameters that a compiled fit has room for: friction and a spring, ..., as many as declared
+ROOM = (6, 9, 12, 20)  # effect parameters that a compiled fit has room for: friction and a spring fit the first
 Array = Any  # of JAX in a trace, of NumPy outside
 
 

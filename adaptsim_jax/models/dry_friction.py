@@ -26,6 +26,11 @@ def within(force, level):
     return level * jnp.clip(force / jnp.maximum(level, 1e-9), -1.0, 1.0)
 
 
+def sharp_friction(v, torque, level, inertia, h):
+    """`mean_friction` without a width."""
+    return _sharp(v, torque, level, inertia, h)[1:]
+
+
 @jax.custom_jvp
 def mean_friction(v, torque, level, width, inertia, h):
     """Friction [N m] on one joint over `h` s that moves at `v` [rad/s] under a constant other `torque` [N m]; all `[...]`.
@@ -33,7 +38,7 @@ def mean_friction(v, torque, level, width, inertia, h):
     Its mean and its rise over the step, a line with the same first moment: so both speed and angle are right after a step in
     which the joint turns. width [rad/s]: 0 is sharp.
     """
-    sharp = lambda: _sharp(v, torque, level, inertia, h)[1:]
+    sharp = lambda: sharp_friction(v, torque, level, inertia, h)
     return jax.lax.cond(jnp.any(width > 0), lambda: _in_parts(v, torque, level, width, inertia, h / PARTS), sharp)
 
 

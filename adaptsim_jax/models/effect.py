@@ -77,6 +77,18 @@ class Dry(NamedTuple):
     width: jax.Array | float = 0.0
 
 
+@dataclass(frozen=True)
+class Sharp:
+    """An effect's `apply` with dry friction of no width, whatever its parameters: known when compiled, it is a tenth of the work
+    where environments are batched."""
+
+    apply: Callable
+
+    def __call__(self, p, motion: Motion):
+        answer = self.apply(p, motion)
+        return answer._replace(width=0.0) if isinstance(answer, Dry) else answer
+
+
 class Relaxation(NamedTuple):
     """A force with memory: `force`, and `d memory / dt = rate (target - memory)`, integrated exactly over a step."""
 

@@ -14,7 +14,7 @@ angle_zero = "hanging"          # or "upright"
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 from adaptsim_jax import config
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.given import brief, finite
-from adaptsim_jax.models.effect import Effect, Parameter
+from adaptsim_jax.models.effect import Effect, Parameter, Sharp
 from adaptsim_jax.models.effects import Layout, catalogue, effect_named
 from adaptsim_jax.models.pendulum_plant import make_pendulum_plant
 from adaptsim_jax.models.plant import Plant
@@ -35,6 +35,7 @@ KEYS = (
 )  # fmt: skip
 NEEDED = ("schema", "task", "model", "angle_zero", "geometry", "declared")
 RENEW = "take the file that `adaptsim diagnose` wrote"
+NARROW = 0.02  # rad/s of friction: nothing beside the speeds of a task
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,13 @@ class ModelFile:
     def effect(self, name: str) -> Effect:
         """What an effect's name stands for; raises BadInput where neither library nor catalogue has it."""
         return effect_named(name, self.library or catalogue(self.task))
+
+    def fixed_effect(self, name: str) -> Effect:
+        """The same for a task, which varies nothing but amplitudes: friction of the model that is all but sharp is `Sharp`."""
+        effect = self.effect(name)
+        known = any(p.name == "width" and p.late for p in effect.parameters)
+        widths = [e.parameters["width"].value for e in self.effects if e.name == name and "width" in e.parameters]
+        return replace(effect, apply=Sharp(effect.apply)) if known and max(widths, default=0.0) <= NARROW else effect
 
     @property
     def active(self) -> tuple[tuple[str, str], ...]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.models.dry_friction import mean_friction, typical_speed, within
+from adaptsim_jax.models.dry_friction import mean_friction, sharp_friction, typical_speed, within
 from adaptsim_jax.models.effect import Dry, Motion, Relaxation
 from adaptsim_jax.models.effects import Layout
 from adaptsim_jax.models.plant import Plant, solve_mass
@@ -158,7 +158,9 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
 
         rub = rise = jnp.zeros_like(push.force)
         if dry:
-            rubbing = lambda: _dry_force(model, theta, eff, memory, jnp.stack(x), u, now, h, push, on, smooth, dry)
+            rubbing = lambda: _dry_force(
+                model, theta, eff, memory, jnp.stack(x), u, now, h, push, on, smooth, dry, sharp
+            )
             still = lambda: (rub, rise)
             rub, rise = rubbing() if on is None else jax.lax.cond(_any_on(model, dry, on), rubbing, still)
 
@@ -181,21 +183,22 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
         return (x, memory), None
 
     x = list(x)
-    smooth, dry = _sorted(model, theta, eff, x, u, t)
+    smooth, dry, sharp = _sorted(model, theta, eff, x, u, t)
     if substeps == 1:
         return substep((x, memory), 0.0)[0]
     return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=kind))[0]
 
 
-def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list]:
-    """The force effects that push smoothly or add inertia, and those that rub dry; some do both."""
-    smooth, dry = [], []
+def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
+    """The force effects that push smoothly or add inertia, and those that rub dry (some do both), whether all without a width."""
+    smooth, dry, wide = [], [], []
 
     def answer(effect):
         q, v = jnp.split(jnp.stack(x), 2)
         said = effect.apply(model.layout.params(effect, eff, 1), motion_of(model, theta, q, v, u, t, jnp.zeros_like(q)))
         rubs = isinstance(said, Dry)
         dry.extend([effect] if rubs else [])
+        wide.extend([effect] if rubs and not isinstance(said.width, float) else [])
         smooth.extend([] if rubs and isinstance(said.force, float) and said.force == 0.0 else [effect])
 
     for effect in model.layout.placed("force"):
@@ -203,10 +206,10 @@ def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list]:
             smooth.append(effect)
         else:
             jax.eval_shape(lambda effect=effect: answer(effect))
-    return smooth, dry
+    return smooth, dry, not wide
 
 
-def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smooth: list, dry: list):
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smooth: list, dry: list, sharp: bool):
     """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]` both.
 
     Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
@@ -217,6 +220,8 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
     n, plant = model.plant.joint_dim, model.plant
     v, wide = x[n:], _lift(h, x[:n])
     unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1)) + jnp.zeros_like(x[:n])[None]
+
+    mean_of = (lambda v, torque, level, _, *inert: sharp_friction(v, torque, level, *inert)) if sharp else mean_friction
 
     def rub(at, late):
         """Friction as at a state of the step and its level as at a speed; the state in the middle of the step under it, and the
@@ -239,7 +244,7 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
             force, rise = rubs
             own = answer[j, j]
             torque = (free[j] + (answer[:, j] * force).sum(0)) / own - force[j]
-            mean, slope = mean_friction(v[j], torque, level[j], width[j], 1.0 / own, h)
+            mean, slope = mean_of(v[j], torque, level[j], width[j], 1.0 / own, h)
             return (force.at[j].set(mean), rise.at[j].set(slope)), None
 
         (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.arange(n))
