@@ -13,6 +13,7 @@ from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.heldout import HeldOut, held_out
+from adaptsim_jax.closeloop.polish import lowest
 from adaptsim_jax.closeloop.problem import Diverged, Problem, initial_states
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, fitted
 from adaptsim_jax.closeloop.view import View, view
@@ -49,14 +50,15 @@ def confirms(with_effect: HeldOut, without: HeldOut) -> bool:
 
 
 def _nearly(problem: Problem, found: Found, whole: HeldOut, effect: Instance) -> Fitted | None:
-    """The final model refitted without one of its effects; None where that runs away, or is far off."""
+    """The final model refitted without one of its effects; None where that runs away, or is far off. One that is near is polished
+    as the final model was: else what its refit left undone would speak for the effect."""
     c, seen = found.final.candidate, found.view
     if seen is None:
         return None
     rest = tuple(a for a in found.final.active if a != effect)
     try:
         less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
-        return None if _far(problem, whole, less) else less
+        return None if _far(problem, whole, less) else lowest(problem, less, found.base, seen)
     except Diverged:
         return None
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.closeloop import trim
 from adaptsim_jax.closeloop.heldout import HeldOut
 from adaptsim_jax.closeloop.spread import reach_over_classes
 from adaptsim_jax.closeloop.trim import confirms
@@ -28,6 +29,18 @@ def held_out(errors):
 )
 def test_left_out_trials_confirm_an_effect(with_effect, without, expected):
     assert confirms(held_out(with_effect), held_out(without)) is expected
+
+
+@pytest.mark.parametrize(
+    ("fitted", "far"),
+    [([2.2, 2.2, 2.2, 2.2], True), ([1.9, 1.9, 1.9, 1.9], False), ([9.0, 9.0, 1.0, 1.0], False)],
+)
+def test_trials_need_not_be_left_out_where_the_fit_to_all_of_them_is_twice_as_far_off(monkeypatch, fitted, far):
+    error = np.array(fitted)[:, None, None]
+    monkeypatch.setattr(trim, "initial_states", lambda *_: SimpleNamespace(residual=4.0 * error))
+    problem = SimpleNamespace(windows=SimpleNamespace(weight=np.full_like(error, 4.0)))
+    candidate = SimpleNamespace(active=(), theta=None, eff=None, refit=SimpleNamespace(point=SimpleNamespace(x0=None)))
+    assert trim._far(problem, held_out([1.0, 1.0, 1.0, 1.0]), SimpleNamespace(candidate=candidate)) is far
 
 
 def model(active, z, error):
