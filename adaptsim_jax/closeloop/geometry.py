@@ -20,6 +20,7 @@ from adaptsim_jax.models.effect import Effect
 STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
 FARTHEST = 0.15  # of the length: beyond this nobody measured it
 ROUNDS = 4
+DOUBT = 2.0  # times what may be left: more than this foretold of the best length, and no more lengths are tried
 
 
 class Remeasured(NamedTuple):
@@ -30,9 +31,10 @@ class Remeasured(NamedTuple):
     left: float
 
 
-def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Remeasured | None:
-    """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, for a
-    model whose geometry its parameters absorb, or for a mended model, which is of one geometry."""
+def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float = 1.0) -> Remeasured | None:
+    """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, where the first two
+    show that none will leave as little as the share `explained` of the unexplained force, for a model whose geometry its
+    parameters absorb, or for a mended model, which is of one geometry."""
     recording = problem.recording
     if recording.model != "rigid_body" or "l1" not in recording.geometry or recording.model_file is not None:
         return None
@@ -44,6 +46,9 @@ def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Rem
         return fits[offset].total
 
     try:
+        abreast(total, (-STEP, STEP))
+        if _foretold([fits[offset].moving.sum() for offset in (-STEP, 0.0, STEP)]) > DOUBT * explained:
+            return None
         offset = _likeliest(total)
     except Diverged:
         return None
@@ -53,6 +58,15 @@ def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect]) -> Rem
 def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitted:
     changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
     return declared_base(*prepare_within_reach(changed, problem.audit, problem.noise, effects))
+
+
+def _foretold(force: Sequence[float]) -> float:
+    """The least share of the unexplained force that any length within `FARTHEST` would leave, by the parabola (the line, where that
+    bends down) through its variance at lengths one step apart."""
+    low, middle, high = force
+    bend, slope, most = max(low + high - 2.0 * middle, 0.0), 0.5 * (high - low), FARTHEST / STEP
+    best = float(np.clip(-slope / bend, -most, most)) if bend > 0 else -most * np.sign(slope)
+    return float(np.sqrt(max(1.0 + (slope * best + 0.5 * bend * best**2) / max(middle, 1e-300), 0.0)))
 
 
 def _likeliest(total) -> float:
@@ -77,7 +91,7 @@ def misdeclared(
     unexplained force."""
     if verdict.name != "structured_unattributed":
         return verdict
-    found = remeasured(problem, base, effects)
+    found = remeasured(problem, base, effects, explained)
     if found is None or found.left > explained or abs(found.l1 / problem.recording.geometry["l1"] - 1.0) >= FARTHEST:
         return verdict
     message = (

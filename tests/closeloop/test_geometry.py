@@ -7,7 +7,7 @@ import pytest
 
 from adaptsim_jax.closeloop.audit import audit, usable
 from adaptsim_jax.closeloop.declared import declared
-from adaptsim_jax.closeloop.geometry import FARTHEST, _likeliest, misdeclared, remeasured
+from adaptsim_jax.closeloop.geometry import FARTHEST, _foretold, _likeliest, misdeclared, remeasured
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
@@ -33,6 +33,19 @@ def test_parabolas_lead_to_the_likeliest_length(top):
 
     assert _likeliest(total) == pytest.approx(top, abs=2e-3)
     assert abs(_likeliest(lambda offset: 50.0 * offset)) <= FARTHEST + 1e-9
+
+
+@pytest.mark.parametrize("off", [0.003, -0.02, 0.08, -0.14])
+def test_two_lengths_foretell_what_the_right_one_leaves(off):
+    """Unexplained force grows with the distance from the right length; its variance is a parabola."""
+    force = lambda offset: 0.01 + (100 * (offset - off)) ** 2
+    left = _foretold([force(offset) for offset in (-0.01, 0.0, 0.01)])
+    assert left == pytest.approx(np.sqrt(0.01 / force(0.0)), abs=1e-6)
+
+
+def test_a_force_that_hardly_changes_with_the_length_is_none_of_its():
+    assert _foretold([1.012, 1.0, 0.986]) > 0.85
+    assert _foretold([1.0, 1.0, 1.0]) == 1.0
 
 
 @pytest.mark.slow
