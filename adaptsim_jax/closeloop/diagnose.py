@@ -30,7 +30,7 @@ from adaptsim_jax.closeloop.power import Power, power, powered
 from adaptsim_jax.closeloop.problem import Diverged, Problem
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.results import add_ceiling, add_leading, floor_of, report_of
-from adaptsim_jax.closeloop.rivals import Fitted, unexplained
+from adaptsim_jax.closeloop.rivals import Fitted, seen_anew, unexplained
 from adaptsim_jax.closeloop.scales import rescaled
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
@@ -124,7 +124,8 @@ def examine(
     force = base.parts.force_std() / problem.torque_scale
     before = leftover(problem, first, base.parts, force)
     say(3, STAGES, "candidates")
-    problem, found = hunt.search(problem, base, first, settings, say=lambda note: say(4, STAGES, note))
+    fair = seen_anew(problem, base, first.response)
+    problem, found = hunt.search(problem, fair, first, settings, say=lambda note: say(4, STAGES, note))
     if (
         found.added
         and not problem.recording.smoothing

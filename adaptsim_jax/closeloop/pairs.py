@@ -21,6 +21,8 @@ from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
+BRIEF = 12  # iterations of a pair's first fit: one that is right needs fewer, one that crawls is not
+FRONT = 6  # pairs that are refitted under their own covariance
 POOL = 5  # candidates of each score that pairs are made of
 SECONDS = 3  # beside the effect that fits best alone: the right one was first or second, in tuning and spent sets
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
@@ -53,11 +55,21 @@ def _scored(seen: View, a: Instance, b: Instance) -> Pair:
     return one, Ranked(b, second, replace(score, amplitude=score.amplitude[cut:]), len(atoms[b]))
 
 
-def refit_pair(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fitted | None:
-    """The model with both effects, refitted whole from their linear amplitudes; None where that runs away."""
+def refit_pairs(problem: Problem, base: Fitted, pairs: Sequence[Pair], seen: View) -> list[Fitted]:
+    """The model with both effects of each pair, fitted whole from their linear amplitudes, without those that run away; the
+    likeliest then refitted under their own covariance."""
+    made = [m for m in abreast(lambda p: _least_squares(problem, base, p, seen), pairs) if m is not None]
+    order = sorted(made, key=lambda m: -m.total)
+    return abreast(lambda m: settled(problem, m, seen.response, rounds=1), order[:FRONT]) + order[FRONT:]
+
+
+def _least_squares(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fitted | None:
     active = (*base.candidate.active, *(r.instance for r in pair))
     eff = merged(problem, started(problem, base, pair[0]), started(problem, base, pair[1]), pair[1].instance)
-    return fitted_plainly(problem, active, base.candidate.theta, eff, base.parts, seen.response)
+    with suppress(Diverged, np.linalg.LinAlgError):
+        theta, parts = base.candidate.theta, base.parts
+        return least_squares(problem, active, theta, eff, parts, seen.response, iterations=BRIEF)[0]
+    return None
 
 
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:

@@ -211,11 +211,13 @@ def declared_fit(
     )  # fmt: skip
 
 
-def fit_plain(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
+def fit_plain(
+    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray, iterations: int = 25
+) -> FitResult:
     """Least-squares fit of a model with effects, sensors being the only noise."""
     return fit(
         problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
-        bounds=problem.bounds, settings=FitSettings(iterations=25, tolerance=1e-3, huber=1e3),
+        bounds=problem.bounds, settings=FitSettings(iterations=iterations, tolerance=1e-3, huber=1e3),
     )  # fmt: skip
 
 

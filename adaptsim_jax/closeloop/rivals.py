@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -152,10 +152,10 @@ def fitted_plainly(
 
 
 def least_squares(
-    problem: Problem, active: Active, theta, eff, parts: Components, response: Response, *, x0=None
+    problem: Problem, active: Active, theta, eff, parts: Components, response: Response, *, x0=None, **more
 ) -> tuple[Fitted, float]:
     """The least-squares fit, judged where it is, and its sum of squares. Raises `Diverged` where it runs away."""
-    result = fit_plain(problem, active, theta, eff, problem.windows.start if x0 is None else x0)
+    result = fit_plain(problem, active, theta, eff, problem.windows.start if x0 is None else x0, **more)
     if result.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its fit starts")
     placed = unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
@@ -167,6 +167,14 @@ def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components,
     factor = disturbance.whitener(response.lin, parts, response.kernels)
     start = refit_candidate(problem, active, theta, eff, x0, factor, iterations=0)
     return _judged(problem, start, parts, response)
+
+
+def seen_anew(problem: Problem, model: Fitted, response: Response) -> Fitted:
+    """The model with its likelihood under another response than that of its fit, for what is fitted under that: likelihoods under
+    two responses cannot be compared (forces on a joint that sticks do nothing)."""
+    factor = disturbance.whitener(response.lin, model.parts, response.kernels)
+    judged = _again(problem, model, factor, response, iterations=0)
+    return model if judged is None else replace(model, likelihood=judged.likelihood)
 
 
 def doubtful(model: Fitted, base: Fitted) -> set[Instance]:

@@ -5,42 +5,30 @@ residual covariance, and compared by restricted likelihood. What linear scores g
 stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
 """
 
-from collections.abc import Callable
-from contextlib import suppress
-
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.classes import class_of
-from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, needed, pays
+from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
+from adaptsim_jax.closeloop.extend import Progress, extend, finished, newest, settled_few, without
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.leaders import anything, first_leaders, further_leaders, look_alikes
+from adaptsim_jax.closeloop.look_back import beside, look_back
 from adaptsim_jax.closeloop.pairs import (
     leading_pairs,
     refit_beside_first,
-    refit_pair,
+    refit_pairs,
     settled_plainly,
-    swapped_plainly,
     with_look_alikes,
 )
-from adaptsim_jax.closeloop.problem import Diverged, Problem
-from adaptsim_jax.closeloop.rivals import (
-    Fitted,
-    Instance,
-    doubtful,
-    fitted,
-    fitted_plainly,
-    plausible,
-    settled,
-    unexplained,
-)
-from adaptsim_jax.closeloop.start import merged, started
+from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.rivals import Fitted, doubtful, plausible, seen_anew, unexplained
 from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
+IDLE = 0.95  # of the force left by a pair: above this it explains nothing, and no refit will
 BLATANT = 0.01  # of the torque: with less force left over the short list will do
-Progress = Callable[[str], None]
 
 
 def search(
@@ -54,22 +42,24 @@ def search(
     """
     ranked = first.ranked(exclude=base.active)
     found = Found(base, base, ranked, last=ranked, view=first)
-    seen, current, ranked = first, base, found.last
+    seen, current, here, ranked = first, base, base, found.last
     while len(current.active) - len(base.active) < settings.most_effects:
-        best, trials = _next(problem, found, current, seen, ranked, settings, say)
-        if best is None or not pays(best, current, settings):
+        best, trials = _next(problem, found, here, seen, ranked, settings, say)
+        if best is None or not pays(best, here, settings):
             break
-        new = _new(best, current)
+        new = newest(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
+        final = here if found.final is current else found.final
         current = best
-        enough = earns(problem, current, found.final, base, settings)
-        if enough or completes(problem, current, found.final, base, settings):
-            current = _look_back(problem, found, current, new, seen, settings, say)
+        enough = earns(problem, current, final, base, settings)
+        if enough or completes(problem, current, final, base, settings):
+            current = look_back(problem, found, current, new, seen, settings, say)
             problem, current = _finer(problem, current, base, seen, settings)
             found.final = current
-        elif unexplained(found.final, base) < settings.explained:
+        elif unexplained(found.final, base) < settings.explained or _astray(current, base, settings):
             break
         seen = view(problem, current)
+        here = seen_anew(problem, current, seen.response)
         ranked = seen.ranked(exclude=current.active)
         if found.final is current:
             found.view, found.last = seen, ranked
@@ -81,6 +71,11 @@ def search(
     return problem, found
 
 
+def _astray(model: Fitted, base: Fitted, settings: Settings) -> bool:
+    """Whether two effects that earn no name together leave so much that a third is not worth looking for."""
+    return len(model.active) - len(base.active) > 1 and unexplained(model, base) > settings.promising
+
+
 def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: list[Ranked], settings: Settings, say):
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
     done = unexplained(current, found.base) < settings.explained  # little is left: a shorter list will do
@@ -89,7 +84,7 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     leaders = first_leaders(ranked, seen, current.active, count) if worth else []
     trials = _refitted(problem, found, current, leaders, seen, settings, say)
     trials = trials + _pruned(problem, found, current, trials, seen)
-    best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+    best = _best(problem, found, trials, settings)
     nothing = best is None or not pays(best, current, settings)
     wanting = done and nothing and _blatant(problem, current, seen)
     poor = best is None or nothing or not earns(problem, best, current, found.base, settings)
@@ -97,14 +92,18 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
         more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)
-        best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+        best = _best(problem, found, trials, settings)
     if best is not None and pays(best, current, settings):
-        alike = look_alikes(problem, _new(best, current), ranked, leaders)
-        more = abreast(lambda r: extend(problem, current, r, seen, say), alike)
-        more = abreast(lambda t: settled(problem, t, seen.response), [t for t in more if t is not None])
+        alike = look_alikes(problem, newest(best, current), ranked, leaders)
+        more = [t for t in abreast(lambda r: extend(problem, current, r, seen, say), alike) if t is not None]
+        more = settled_few(problem, found, trials, more, seen, settings)
         trials, found.tried = trials + more, found.tried + more
-        best = choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+        best = _best(problem, found, trials, settings)
     return best, trials
+
+
+def _best(problem: Problem, found: Found, trials: list[Fitted], settings: Settings) -> Fitted | None:
+    return choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
 
 
 def _blatant(problem: Problem, model: Fitted, seen: View) -> bool:
@@ -128,18 +127,18 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
         more = with_look_alikes(problem, base, likeliest, trials, seen)
         trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
     if not any(t is not None and plausible(t, base) and unexplained(t, base) < settings.clear for t in trials):
-        trials += abreast(lambda p: refit_pair(problem, base, p, seen), leading_pairs(problem, seen, base.active))
+        trials += refit_pairs(problem, base, leading_pairs(problem, seen, base.active), seen)
     order = sorted((t for t in trials if t is not None), key=lambda t: -t.merit(settings.price))
-    front = [t for t in order if plausible(t, base)][: settings.pairs]
+    front = [t for t in order if plausible(t, base) and unexplained(t, base) < IDLE][: settings.pairs]
     trials = abreast(lambda t: settled_plainly(problem, t, seen), front)
-    trials += [alone for t in trials if (alone := _without(problem, t, doubtful(t, base), seen)) is not None]
+    trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
     found.tried += trials
     best = choose(problem, [t for t in trials if plausible(t, base)], base, settings)
     if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
         return problem, current
     found.final = base
     for new in [a for a in best.active if a not in base.active]:
-        best = _beside(problem, found, best, new, seen, settings, say)
+        best = beside(problem, found, best, new, seen, settings, say)
     problem, best = _finer(problem, best, base, seen, settings)
     found.final, found.view = best, view(problem, best)
     found.last = found.view.ranked(exclude=best.active)
@@ -152,51 +151,20 @@ def _finer(problem: Problem, model: Fitted, base: Fitted, seen: View, settings: 
     return elaborated(problem, model, base, seen.response, better)
 
 
-def _beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
-    """One member of a pair against none and against its look-alikes in its place; the others stay."""
-    c, rest = best.candidate, tuple(a for a in best.active if a != new)
-    try:
-        without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, best.parts, seen.response)
-    except Diverged:  # it cannot be left out
-        return best
-    if rest:  # the other member may have gone already, and the declared model is none of the sets tried
-        found.tried.append(without)
-    if plausible(without, found.base) and not needed(problem, best, without, found, settings):
-        return without
-    alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]
-    grown = abreast(lambda r: extend(problem, without, r, seen, say), alike)
-    swaps = abreast(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
-    trials = abreast(lambda t: settled(problem, t, seen.response), [t for t in grown if t is not None])
-    trials += abreast(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if t is not None])
-    found.tried, found.rivals[new] = found.tried + trials, trials
-    return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best
-
-
 def _pruned(problem: Problem, found: Found, current: Fitted, trials: list[Fitted], seen: View) -> list[Fitted]:
     """Trials in which the new effect makes an earlier one idle or absurd, which had stood in for it: the same without that one,
     where they are likelier than any trial that may be."""
     bar = max((t.total for t in trials if plausible(t, found.base)), default=current.total)
     out = []
     for trial in trials:
-        new = _new(trial, current)
+        new = newest(trial, current)
         idle = doubtful(trial, found.base) - {new}
         if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
             continue
-        out.append(_without(problem, trial, idle, seen))
+        out.append(without(problem, trial, idle, seen))
     out = [t for t in out if t is not None]
     found.tried += out
     return out
-
-
-def _without(problem: Problem, trial: Fitted, idle: set[Instance], seen: View) -> Fitted | None:
-    """A set refitted without its idle members, for which the others no longer have to make up; None where none is idle, all are, or
-    the rest runs away."""
-    c, rest = trial.candidate, tuple(a for a in trial.active if a not in idle)
-    if not idle or not rest:
-        return None
-    with suppress(Diverged):
-        return fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, trial.parts, seen.response)
-    return None
 
 
 def _refitted(
@@ -204,85 +172,6 @@ def _refitted(
 ):
     """The current model with each of the leaders in turn, refitted whole."""
     trials = abreast(lambda r: extend(problem, current, r, seen, say), leaders)
-    trials = _finished(problem, [t for t in trials if t is not None], seen, settings)
+    trials = finished(problem, found, [t for t in trials if t is not None], seen, settings)
     found.tried += trials
     return trials
-
-
-def _finished(problem: Problem, trials: list[Fitted], seen: View, settings: Settings) -> list[Fitted]:
-    """The better half of the trials refitted until they settle; the others are far enough behind as they are."""
-    order = sorted(trials, key=lambda t: -t.merit(settings.price))
-    front = settings.shortlist // 2
-    return abreast(lambda t: settled(problem, t, seen.response), order[:front]) + order[front:]
-
-
-def extend(
-    problem: Problem, current: Fitted, ranked: Ranked, seen: View, say: Progress = lambda _: None
-) -> Fitted | None:
-    """The current model with one more effect, refitted whole; None where that runs away however small it starts. Less likely than
-    without the effect, it was led astray, and starts smaller too."""
-    say(f"refitting with {ranked.instance[0]} at {ranked.instance[1]}")
-    c = current.candidate
-    active = (*c.active, ranked.instance)
-    made = []
-    for share in (1.0, 0.1):
-        eff = started(problem, current, ranked, share)
-        try:
-            made.append(fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response, rounds=1))
-        except Diverged:
-            continue
-        if made[-1].total >= current.total:
-            break
-    if ranked.plain:
-        eff = started(problem, current, ranked)
-        made.append(fitted_plainly(problem, active, c.theta, eff, current.parts, seen.response))
-    return max((m for m in made if m is not None), key=lambda t: t.total, default=None)
-
-
-def _new(best: Fitted, current: Fitted) -> Instance:
-    return next(a for a in best.active if a not in current.active)
-
-
-def _look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Settings, say) -> Fitted:
-    """With another effect in, an earlier one may have been a stand-in: try without it, and its rivals in its place."""
-    for old in [a for a in current.active if a != new and a not in found.base.active]:
-        c = current.candidate
-        rest = tuple(a for a in current.active if a != old)
-        say(f"trying without {old[0]} at {old[1]}")
-        try:
-            without = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, current.parts, seen.response)
-        except Diverged:  # it cannot be left out
-            continue
-        found.tried.append(without)
-        if plausible(without, found.base) and not needed(problem, current, without, found, settings):
-            found.rivals.pop(old, None)
-            current = without
-            continue
-        current = _swapped(problem, found, current, old, seen, settings, say)
-    return current
-
-
-def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, settings: Settings, say) -> Fitted:
-    """The best of the likeliest rivals of `old` in its place, if any beats it."""
-    c = current.candidate
-
-    def swap(rival: Fitted) -> Fitted | None:
-        instance = rival.active[-1]
-        active = tuple(instance if a == old else a for a in current.active)
-        eff = merged(problem, c.eff, rival.candidate.eff, instance)
-        say(f"trying {instance[0]} at {instance[1]} in place of {old[0]}")
-        with suppress(Diverged):  # else no rival in the presence of the others
-            return fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
-        return None
-
-    merit = lambda model: model.merit(settings.price)
-    rivals = sorted(found.rivals.get(old, []), key=lambda t: -merit(t))[:3]
-    rivals = [r for r in rivals if r.active[-1] not in current.active]
-    swaps = [(new, r) for new, r in zip(abreast(swap, rivals), rivals, strict=True) if new is not None]
-    found.tried += [new for new, _ in swaps]
-    fair = [(new, r) for new, r in swaps if plausible(new, found.base) and merit(new) > merit(current) + 1.0]
-    if not fair:
-        return current
-    best, rival = max(fair, key=lambda new_rival: merit(new_rival[0]))
-    found.rivals[rival.active[-1]] = [r for r in found.rivals.pop(old) if r is not rival]
-    return best

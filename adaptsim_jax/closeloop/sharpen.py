@@ -12,10 +12,10 @@ import numpy as np
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.candidate import compressed, linearised
+from adaptsim_jax.closeloop.extend import extend
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point
 from adaptsim_jax.closeloop.rivals import Fitted, fitted
-from adaptsim_jax.closeloop.search import extend
 from adaptsim_jax.closeloop.view import View, view
 
 TRIED = 2  # periodic forces that clocks are sharpened with

@@ -20,6 +20,7 @@ from adaptsim_jax.closeloop.view import View, view
 
 LEAST_GAIN = 0.97  # held-out error with an effect over without it: above this it is not shown by other trials
 FAR = 4.0  # times the squared error: beyond this it is shown without leaving trials out
+VERY_FAR = 25.0  # the same by a fit of the search, which may not have had the finer shapes that the final model has
 
 
 def trimmed(problem: Problem, found: Found, first: View, settings: Settings) -> tuple[Found, HeldOut | None]:
@@ -56,6 +57,9 @@ def _nearly(problem: Problem, found: Found, whole: HeldOut, effect: Instance) ->
     if seen is None:
         return None
     rest = tuple(a for a in found.final.active if a != effect)
+    known = [t for t in found.tried if set(t.active) == set(rest)]
+    if known and _far(problem, whole, max(known, key=lambda t: t.total), VERY_FAR):
+        return None
     try:
         less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
         return None if _far(problem, whole, less) else lowest(problem, less, found.base, seen)
@@ -63,7 +67,7 @@ def _nearly(problem: Problem, found: Found, whole: HeldOut, effect: Instance) ->
         return None
 
 
-def _far(problem: Problem, whole: HeldOut, less: Fitted) -> bool:
+def _far(problem: Problem, whole: HeldOut, less: Fitted, times: float = FAR) -> bool:
     """Whether a model without an effect simulates the trials that it is fitted to far worse than the one with it does trials that
     it is not fitted to, on the whole and in most trials: left out they would not come closer."""
     c = less.candidate
@@ -71,8 +75,8 @@ def _far(problem: Problem, whole: HeldOut, less: Fitted) -> bool:
     weight = np.asarray(problem.windows.weight)
     gap = np.where(weight > 0, found.residual / np.where(weight > 0, weight, 1.0), 0.0)
     own, other, used = (gap**2).sum((1, 2)), whole.squared.sum(1), whole.fold >= 0
-    worse = [own[whole.trial == t].sum() > FAR * other[whole.trial == t].sum() for t in np.unique(whole.trial[used])]
-    return bool(own[used].sum() > FAR * other[used].sum() and 2 * sum(worse) > len(worse))
+    worse = [own[whole.trial == t].sum() > times * other[whole.trial == t].sum() for t in np.unique(whole.trial[used])]
+    return bool(own[used].sum() > times * other[used].sum() and 2 * sum(worse) > len(worse))
 
 
 def _dropped(problem: Problem, found: Found, effect: Instance, less: Fitted, seen: View, settings: Settings) -> Found:

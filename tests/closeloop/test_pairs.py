@@ -107,3 +107,16 @@ def test_a_look_alike_takes_the_place_of_a_doubtful_member_alone(monkeypatch):
     assert names_of(pairs.with_look_alikes(layout(), base, pair, [], SEEN)) == [("friction", "ripple")]
     done = SimpleNamespace(active=(("ripple", "joint1"), ("friction", "joint1")))
     assert pairs.with_look_alikes(layout(), base, pair, [done], SEEN) == []
+
+
+def test_the_likeliest_pairs_alone_are_refitted_under_their_own_covariance(monkeypatch):
+    base = fake_fits(monkeypatch)
+    totals = iter(range(40))
+    made = lambda problem, active, *_, **__: (SimpleNamespace(active=active, total=float(next(totals))), 1.0)
+    monkeypatch.setattr(pairs, "least_squares", made)
+    monkeypatch.setattr(pairs, "settled", lambda problem, m, response, rounds: SimpleNamespace(total=m.total + 100))
+    couples = leading_pairs(layout(), Seen(), ())
+    couples = (couples * 3)[: pairs.FRONT + 3]
+    found = [m.total for m in pairs.refit_pairs(layout(), base, couples, SEEN)]
+    assert len(found) == len(couples) and sum(t >= 100 for t in found) == pairs.FRONT
+    assert min(t - 100 for t in found if t >= 100) > max(t for t in found if t < 100)

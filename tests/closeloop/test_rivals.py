@@ -2,11 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from adaptsim_jax.closeloop import rivals
 from adaptsim_jax.closeloop.problem import Diverged
-from adaptsim_jax.closeloop.rivals import settled
+from adaptsim_jax.closeloop.rivals import Fitted, seen_anew, settled
 
 RESPONSE = SimpleNamespace(lin=None, kernels=None)
 
@@ -43,3 +44,19 @@ def test_the_likeliest_stays_with_the_errors_of_its_own_covariance(monkeypatch, 
 
 def test_no_rounds_change_nothing(monkeypatch):
     assert settle(monkeypatch, [], rounds=0).candidate.variance == 9.0
+
+
+@pytest.mark.parametrize("away", [False, True])
+def test_a_model_seen_anew_takes_the_likelihood_alone(monkeypatch, away):
+    """What is fitted under another response is compared with it; its own covariance stays what its fit found."""
+    other = SimpleNamespace(likelihood=np.array([-7.0]), parts="other")
+
+    def again(problem, model, factor, response, iterations):
+        assert (factor, response, iterations) == ("here", RESPONSE, 0)
+        return None if away else other
+
+    monkeypatch.setattr(rivals.disturbance, "whitener", lambda lin, parts, kernels: parts)
+    monkeypatch.setattr(rivals, "_again", again)
+    model = Fitted(None, "here", np.array([-5.0]), None)
+    seen = seen_anew(None, model, RESPONSE)
+    assert seen.total == (-5.0 if away else -7.0) and seen.parts == "here"

@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from adaptsim_jax.closeloop import search
+from adaptsim_jax.closeloop import extend as growing
+from adaptsim_jax.closeloop import look_back
 from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings
 from adaptsim_jax.closeloop.leaders import look_alikes
@@ -20,14 +21,14 @@ def extended(monkeypatch, totals: dict[float, float]):
         tried.append(eff)
         return SimpleNamespace(total=totals[eff], active=active)
 
-    monkeypatch.setattr(search, "started", lambda problem, base, ranked, share=1.0: share)
-    monkeypatch.setattr(search, "fitted", refit)
+    monkeypatch.setattr(growing, "started", lambda problem, base, ranked, share=1.0: share)
+    monkeypatch.setattr(growing, "fitted", refit)
     point = SimpleNamespace(point=SimpleNamespace(x0=None))
     current = SimpleNamespace(
         total=-100.0, parts=None, candidate=SimpleNamespace(active=(), theta=None, eff=0.0, refit=point)
     )
     ranked = SimpleNamespace(instance=DRAG, plain=False)
-    return search.extend(None, current, ranked, SimpleNamespace(response=None)), tried
+    return growing.extend(None, current, ranked, SimpleNamespace(response=None)), tried
 
 
 def test_a_refit_that_gains_is_made_once(monkeypatch):
@@ -81,14 +82,14 @@ def test_the_last_of_a_pair_left_out_is_no_set_that_was_tried(monkeypatch):
         active=(("backlash", "joint1"),), parts=None, candidate=SimpleNamespace(theta=None, eff=None, refit=point)
     )
     made = lambda problem, active, *rest: SimpleNamespace(active=active)
-    monkeypatch.setattr(search, "fitted", made)
-    monkeypatch.setattr(search, "plausible", lambda *a: True)
-    monkeypatch.setattr(search, "needed", lambda *a: False)
+    monkeypatch.setattr(look_back, "fitted", made)
+    monkeypatch.setattr(look_back, "plausible", lambda *a: True)
+    monkeypatch.setattr(look_back, "needed", lambda *a: False)
     seen = SimpleNamespace(response=None)
     for rest in ((), (("bias", "joint2"),)):
         found = SimpleNamespace(base=None, tried=[])
         pair = SimpleNamespace(**{**vars(best), "active": best.active + rest})
-        left = search._beside(None, found, pair, best.active[0], seen, Settings(), print)
+        left = look_back.beside(None, found, pair, best.active[0], seen, Settings(), print)
         assert left.active == rest and [t.active for t in found.tried] == ([rest] if rest else [])
 
 
@@ -97,8 +98,24 @@ def test_a_set_goes_on_without_its_idle_members(monkeypatch):
     lag, play = ("sensor_lag", "joint2"), ("backlash", "joint2")
     point = SimpleNamespace(point=SimpleNamespace(x0=None))
     pair = SimpleNamespace(active=(lag, play), parts=None, candidate=SimpleNamespace(theta=None, eff=None, refit=point))
-    monkeypatch.setattr(search, "fitted", lambda problem, active, *rest: SimpleNamespace(active=active))
+    monkeypatch.setattr(growing, "fitted", lambda problem, active, *rest: SimpleNamespace(active=active))
     seen = SimpleNamespace(response=None)
-    assert search._without(None, pair, {lag}, seen).active == (play,)
-    assert search._without(None, pair, set(), seen) is None
-    assert search._without(None, pair, {lag, play}, seen) is None
+    assert growing.without(None, pair, {lag}, seen).active == (play,)
+    assert growing.without(None, pair, set(), seen) is None
+    assert growing.without(None, pair, {lag, play}, seen) is None
+
+
+def test_what_is_hopelessly_behind_is_not_refitted_where_nearly_everything_is_explained(monkeypatch):
+    settled = []
+    monkeypatch.setattr(growing, "settled", lambda problem, trial, response: settled.append(trial.total) or trial)
+    monkeypatch.setattr(growing, "plausible", lambda *_: True)
+    monkeypatch.setattr(growing, "unexplained", lambda trial, base: trial.left)
+    trials = [SimpleNamespace(total=t, left=left) for t, left in ((-100.0, 0.05), (-900.0, 0.5), (-1200.0, 0.9))]
+    found, seen = SimpleNamespace(base=None), SimpleNamespace(response=None)
+    growing.settled_few(None, found, trials, trials, seen, Settings())
+    assert sorted(settled) == [-900.0, -100.0]
+    settled.clear()
+    growing.settled_few(
+        None, found, trials[1:], trials[1:], seen, Settings()
+    )  # none of these explains nearly everything
+    assert sorted(settled) == [-1200.0, -900.0]

@@ -8,9 +8,9 @@ import pytest
 from adaptsim_jax.closeloop.audit import audit, usable
 from adaptsim_jax.closeloop.declared import fit_declared
 from adaptsim_jax.closeloop.diagnose import diagnose
+from adaptsim_jax.closeloop.extend import extend
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.search import extend
 from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, unsmoothed
 from adaptsim_jax.closeloop.view import generic_p_value, view
 from adaptsim_jax.models.effects import catalogue

@@ -43,6 +43,22 @@ def test_trials_need_not_be_left_out_where_the_fit_to_all_of_them_is_twice_as_fa
     assert trim._far(problem, held_out([1.0, 1.0, 1.0, 1.0]), SimpleNamespace(candidate=candidate)) is far
 
 
+def test_an_effect_that_the_search_has_shown_to_be_needed_is_not_left_out_again(monkeypatch):
+    """Its fits without the effect are at hand; only one that is not far off is made again."""
+    made = []
+    monkeypatch.setattr(trim, "initial_states", lambda *_: SimpleNamespace(residual=6.0 * np.ones((4, 1, 1))))
+    monkeypatch.setattr(trim, "fitted", lambda problem, active, *_: made.append(active) or searched)
+    monkeypatch.setattr(trim, "lowest", lambda problem, less, *_: less)
+    problem = SimpleNamespace(windows=SimpleNamespace(weight=np.ones((4, 1, 1))))
+    candidate = SimpleNamespace(active=(), theta=None, eff=None, refit=SimpleNamespace(point=SimpleNamespace(x0=None)))
+    searched = SimpleNamespace(active=(("drag", "joint1"),), candidate=candidate, total=0.0)
+    final = SimpleNamespace(active=(("drag", "joint1"), ("lag", "joint2")), candidate=candidate, parts=None)
+    found = SimpleNamespace(final=final, view=SimpleNamespace(response=None), base=None, tried=[searched])
+    assert trim._nearly(problem, found, held_out([1.0] * 4), ("lag", "joint2")) is None and made == []
+    assert trim._nearly(problem, found, held_out([2.0] * 4), ("lag", "joint2")) is None and len(made) == 1
+    assert trim._nearly(problem, found, held_out([5.0] * 4), ("lag", "joint2")) is searched
+
+
 def model(active, z, error):
     refit = SimpleNamespace(point=SimpleNamespace(z=np.array([z])), covariance=np.array([[error**2]]))
     return SimpleNamespace(active=active, total=0.0, candidate=SimpleNamespace(names=("m1",), refit=refit))
