@@ -11,10 +11,9 @@ import numpy as np
 
 from adaptsim_jax import config
 from adaptsim_jax.closeloop.audit import audit, usable
-from adaptsim_jax.closeloop.declared import declared
+from adaptsim_jax.closeloop.declared import fit_declared
 from adaptsim_jax.closeloop.heldout import held_out
 from adaptsim_jax.closeloop.noise import noise_floor
-from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.files import write_bytes
@@ -94,6 +93,5 @@ def true_error(folder: Path, truth: dict) -> dict:
     checked = audit(recording)
     recording = usable(recording, checked)
     noise = noise_floor(recording, checked)
-    problem, start = prepare_within_reach(recording, checked, noise, catalogue(recording.task))
-    base, first = declared(problem, start)
+    problem, base, first = fit_declared(recording, checked, noise, catalogue(recording.task))
     return {"rmse": held_out(problem, base, first).rmse(), "force": base.parts.force_std().tolist()}

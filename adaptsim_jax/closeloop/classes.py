@@ -1,5 +1,7 @@
 """Equivalence classes: the rivals that a recording cannot tell from an effect that was named."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from adaptsim_jax.closeloop.earning import Settings, pays
@@ -9,11 +11,23 @@ from adaptsim_jax.models.effects import Layout
 
 
 def class_of(effect: Instance, found: Found, settings: Settings, layout: Layout) -> list[Instance]:
-    """Rivals that the data cannot tell from the accepted effect. One that holds it as a special case is no rival, unless it pays
-    for what it has more: then that was too small to matter, but a spring with its rest far off may have passed for a bias."""
+    """Rivals that the data cannot tell from the accepted effect."""
+    return list(dict.fromkeys(instance for instance, _ in _in_place_of(effect, found, settings, layout)))
+
+
+def close_rivals(found: Found, settings: Settings, layout: Layout) -> list[Fitted]:
+    """The fits of all rivals that the data cannot tell from an effect of the final model."""
+    return [t for effect in found.added for _, t in _in_place_of(effect, found, settings, layout)]
+
+
+def _in_place_of(
+    effect: Instance, found: Found, settings: Settings, layout: Layout
+) -> Iterator[tuple[Instance, Fitted]]:
+    """What was tried in the effect's place, beside the others, and is close. One that holds it as a special case is no rival,
+    unless it pays for what it has more: then that was too small to matter, but a spring with its rest far off may have passed for
+    a bias."""
     final = found.final
     wider = {i.effect.name for i in layout.instances if effect[0] in i.effect.contains}
-    out = []
     rest = [a for a in final.active if a != effect]
     for other in found.tried:
         extra = [a for a in other.active if a not in final.active]
@@ -24,9 +38,8 @@ def class_of(effect: Instance, found: Found, settings: Settings, layout: Layout)
             or (extra[0] in {(name, effect[1]) for name in wider} and not pays(other, final, settings))
         ):
             continue
-        if _close(final, other, settings) and extra[0] not in out:
-            out.append(extra[0])
-    return out
+        if _close(final, other, settings):
+            yield extra[0], other
 
 
 def _close(best: Fitted, other: Fitted, settings: Settings) -> bool:

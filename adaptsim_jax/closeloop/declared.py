@@ -22,6 +22,7 @@ from adaptsim_jax.closeloop.problem import (
 )
 from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond, unmoved
 from adaptsim_jax.closeloop.score import Atom
+from adaptsim_jax.closeloop.stepsize import stepped
 from adaptsim_jax.closeloop.tones import tone_of
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.view import View, view
@@ -33,9 +34,14 @@ SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the
 def fit_declared(
     recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
 ) -> tuple[Problem, Fitted, View]:
-    """A recording made ready and its declared model fitted. Raises Diverged where that runs away from every start."""
+    """A recording made ready and its declared model fitted, a mended one in steps short enough for its effects. Raises Diverged
+    where that runs away from every start."""
     problem, start = prepare_within_reach(recording, checked, noise, effects)
-    return problem, *declared(problem, start)
+    base, first = declared(problem, start)
+    if not problem.base:
+        return problem, base, first
+    problem, fine = stepped(problem, base, first.response)
+    return problem, fine, first if fine is base else view(problem, fine)
 
 
 def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:

@@ -5,10 +5,12 @@ residual covariance, and compared by restricted likelihood. What linear scores g
 stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
-from adaptsim_jax.closeloop.classes import class_of
+from adaptsim_jax.closeloop.classes import class_of, close_rivals
 from adaptsim_jax.closeloop.earning import Settings, choose, completes, earns, pays
 from adaptsim_jax.closeloop.elaborate import elaborated
 from adaptsim_jax.closeloop.extend import Progress, extend, finished, newest, settled_few, without
@@ -24,6 +26,7 @@ from adaptsim_jax.closeloop.pairs import (
 )
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, doubtful, plausible, seen_anew, unexplained
+from adaptsim_jax.closeloop.stepsize import all_again, stepped
 from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
@@ -54,7 +57,7 @@ def search(
         enough = earns(problem, current, final, base, settings)
         if enough or completes(problem, current, final, base, settings):
             current = look_back(problem, found, current, new, seen, settings, say)
-            problem, current = _finer(problem, current, base, seen, settings)
+            problem, current = _finer(problem, found, current, seen, settings)
             found.final = current
         elif unexplained(found.final, base) < settings.explained or _astray(current, base, settings):
             break
@@ -139,16 +142,22 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
     found.final = base
     for new in [a for a in best.active if a not in base.active]:
         best = beside(problem, found, best, new, seen, settings, say)
-    problem, best = _finer(problem, best, base, seen, settings)
+    problem, best = _finer(problem, found, best, seen, settings)
     found.final, found.view = best, view(problem, best)
     found.last = found.view.ranked(exclude=best.active)
     return problem, best
 
 
-def _finer(problem: Problem, model: Fitted, base: Fitted, seen: View, settings: Settings) -> tuple[Problem, Fitted]:
-    """The model with the late parameters of its effects, where they pay and leave less unexplained."""
+def _finer(problem: Problem, found: Found, model: Fitted, seen: View, settings: Settings) -> tuple[Problem, Fitted]:
+    """The model in steps as short as it needs, its close rivals with it; and with the late parameters of its effects, where they
+    pay and leave less unexplained."""
+    finer, fine = stepped(problem, model, seen.response)
+    if finer is not problem:
+        near = close_rivals(replace(found, final=model), settings, problem.model.layout)
+        far = [t for t in found.tried if not any(t is n for n in near)]
+        found.tried = far + all_again(finer, near, seen.response)
     better = lambda new, old: pays(new, old, settings) and unexplained(new, old) < 1.0 - settings.least_fall
-    return elaborated(problem, model, base, seen.response, better)
+    return elaborated(finer, fine, found.base, seen.response, better)
 
 
 def _pruned(problem: Problem, found: Found, current: Fitted, trials: list[Fitted], seen: View) -> list[Fitted]:

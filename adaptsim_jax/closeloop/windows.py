@@ -36,7 +36,7 @@ class Windows:
     trial [W], rows, times [W, L+1]: where the windows' boundaries lie, `rows` being the row that holds at that time;
     measured, weight [W, L+1, Y] (weight in 1 / standard deviation); start [W, S]: initial states from the data;
     clock [N]: s to add to a trial's time for what goes on between trials (zero until `clocks.py` finds it);
-    substeps: integration steps in a step of a window.
+    substeps: `[]` integration steps in a step of a window.
     """
 
     time: np.ndarray
@@ -50,7 +50,7 @@ class Windows:
     weight: np.ndarray
     start: np.ndarray
     clock: np.ndarray
-    substeps: int
+    substeps: np.ndarray
 
     @property
     def dt(self) -> np.ndarray:
@@ -71,8 +71,9 @@ jax.tree_util.register_dataclass(
     Windows,
     data_fields=[
         "time", "torque", "motion_q", "motion_v", "trial", "rows", "times", "measured", "weight", "start", "clock",
+        "substeps",
     ],
-    meta_fields=["substeps"],
+    meta_fields=[],
 )  # fmt: skip
 
 
@@ -113,7 +114,9 @@ def cut_windows(
     motions = motions or [local_motion(t.time, t.q, t.v) for t in trials]
     steps = max(4, round(duration / (dt * stride)))
     substeps = max(1, int(np.ceil(dt * stride / max_step - 0.05)))
-    cuts = [_cut(t.time - t.time[0], stride, steps, dt, 1.3 * substeps * max_step) for t in trials]
+    seen = [np.isfinite(t.q).all(1) for t in trials]
+    longest = 1.3 * substeps * max_step
+    cuts = [_cut(t.time - t.time[0], ok, stride, steps, dt, longest) for t, ok in zip(trials, seen, strict=True)]
     share = min(1.0, most_windows / sum(len(c.rows) for c in cuts))
     cuts = [_thinned(c, max(1, round(share * len(c.rows)))) for c in cuts]
     has_velocity = use_velocity and all(t.v is not None for t in trials)
@@ -135,12 +138,12 @@ def cut_windows(
         weight=empty(weight),
         start=again(start),
         clock=np.zeros(len(stacked[0])),
-        substeps=substeps,
+        substeps=np.asarray(substeps),
     )
 
 
-def _cut(time: np.ndarray, stride: int, steps: int, dt: float, longest: float) -> _Cut:
-    """Boundaries of a trial's windows; a window that ends early repeats its last boundary."""
+def _cut(time: np.ndarray, seen: np.ndarray, stride: int, steps: int, dt: float, longest: float) -> _Cut:
+    """Boundaries of a trial's windows, of rows `seen` or not; a window that ends early repeats its last boundary."""
     if len(time) < 4:
         raise BadInput(f"a trial of {len(time)} rows is too short to fit; give at least 4")
     gaps = np.flatnonzero(np.diff(time) > max(5 * dt, 0.1))
@@ -149,7 +152,9 @@ def _cut(time: np.ndarray, stride: int, steps: int, dt: float, longest: float) -
     for first, last in pairwise(edges):
         kept = np.arange(first, last, stride)
         at, sampled = _split_long(time[kept], longest)
-        for part in _parts(len(at), steps):
+        usable = sampled.copy()
+        usable[sampled] = seen[kept]
+        for part in _parts(usable, steps):
             index = np.concatenate([part, np.repeat(part[-1], steps + 1 - len(part))])
             fresh = np.arange(steps + 1) < len(part)
             windows.append((at[index], sampled[index] & fresh))
@@ -174,10 +179,14 @@ def _split_long(at: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]
     return np.concatenate([*new, at[-1:]]), sampled
 
 
-def _parts(count: int, steps: int) -> list[np.ndarray]:
-    """Consecutive stretches of `steps` steps; a rest of under half a window is dropped, unless it is all there is."""
-    starts = range(0, max(count - 1, 0), steps)
-    parts = [np.arange(s, min(s + steps + 1, count)) for s in starts]
+def _parts(usable: np.ndarray, steps: int) -> list[np.ndarray]:
+    """Consecutive stretches of `steps` steps; a rest of under half a window is dropped, unless it is all there is. Each begins
+    with a usable sample where there is one: on which side of a play a stretch begins, only that can tell."""
+    count, at, parts = len(usable), 0, []
+    while at < count - 1:
+        at += int(np.argmax(usable[at:]))
+        parts.append(np.arange(at, min(at + steps + 1, count)))
+        at += steps
     long = [p for p in parts if len(p) > steps // 2 + 1]
     return long or [p for p in parts[:1] if len(p) >= 4]
 

@@ -53,20 +53,30 @@ def _behind_slope(slope, keep):
     return jnp.concatenate([slope[:1], rest])
 
 
+def _turning(t, q, v):
+    """Where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it does not."""
+    turns = v[:-1] * v[1:] < 0.0
+    slowing = jnp.where(turns, v[:-1] - v[1:], 1.0)
+    rest = jnp.diff(t, axis=0) * v[:-1] / slowing
+    return jnp.where(turns, q[:-1] + 0.5 * v[:-1] * rest, q[1:])
+
+
 def backlash(p, t, q, v, first):
     """Play between link and encoder: the reading follows the link at a distance of at most half the gap.
 
     A stretch begins with the reading that was measured, as near as the gap allows. The lost motion is taken up in the
-    first half-gap of travel after each reversal (Nordin and Gutman, 2002, on the play operator and its rivals).
+    first half-gap of travel after each reversal (Nordin and Gutman, 2002, on the play operator and its rivals). A link that
+    turns back between two rows was furthest where its speed, linear in between, was none.
     """
     half = 0.5 * p["gap"]
 
     def row(z, now):
-        z = jnp.clip(z, now - half[0], now + half[0])
+        for at in now:
+            z = jnp.clip(z, at - half[0], at + half[0])
         return z, z
 
     first = jnp.clip(first, q[0] - half[0], q[0] + half[0])
-    _, rest = jax.lax.scan(row, first, q[1:])
+    _, rest = jax.lax.scan(row, first, (_turning(t, q, v), q[1:]))
     reading = jnp.concatenate([first[None], rest])
     moving = jnp.abs(reading - q) >= 0.999 * half
     return reading, jnp.where(moving & ((q - reading) * v >= 0), v, 0.0 * v)

@@ -141,11 +141,12 @@ def _any_on(model: Model, effects: list, on) -> jax.Array:
     return jnp.stack([on[model.layout.effects.index(e)] for e in effects]).any()
 
 
-def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps: int, on=None, ramp=None):
+def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps, on=None, ramp=None):
     """States and memories after a row of `dt: [W]` s from `x`, S times `[W]`: Runge-Kutta 4, memories relaxed exactly by half a
     substep on each side of it (Strang splitting). A state at a time, since stacking them costs more than the dynamics do.
 
-    on `[effects]`: as of `acting`; ramp `[U, W]` N m: how much the command rises over the row, `u` being its mean.
+    substeps: how many; as an array, one program does for any number. on `[effects]`: as of `acting`; ramp `[U, W]` N m: how much
+    the command rises over the row, `u` being its mean.
     """
     h = dt / substeps
     kind = jnp.result_type(x[0])
@@ -184,9 +185,9 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
 
     x = list(x)
     smooth, dry, sharp = _sorted(model, theta, eff, x, u, t)
-    if substeps == 1:
+    if isinstance(substeps, int) and substeps == 1:
         return substep((x, memory), 0.0)[0]
-    return jax.lax.scan(substep, (x, memory), jnp.arange(substeps, dtype=kind))[0]
+    return jax.lax.fori_loop(0, substeps, lambda i, carry: substep(carry, jnp.asarray(i, kind))[0], (x, memory))
 
 
 def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:

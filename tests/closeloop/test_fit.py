@@ -120,6 +120,22 @@ def test_without_velocities_and_unevenly(model):
     assert cut_windows(gappy, SIGMA).dt.max() < 0.0075  # long steps are split
 
 
+def test_windows_begin_where_something_was_measured():
+    """On which side of a play a stretch begins, only its first reading tells: missing rows and faulty ones are passed over."""
+    trials = make_trials(seed=5, count=2, velocity=False)
+    present = np.r_[np.arange(0, 98), np.arange(103, 400)]  # a row every 5 ms; the first window would end in the gap
+    gappy = [SimpleNamespace(**{k: None if v is None else v[present] for k, v in vars(t).items()}) for t in trials]
+    gappy[1].q = gappy[1].q.copy()
+    gappy[1].q[100:103] = np.nan
+    windows = cut_windows(gappy, SIGMA)
+    weight, count = np.asarray(windows.weight), [int((windows.trial[windows.real] == k).sum()) for k in (0, 1)]
+    assert np.all(weight[windows.real][:, 0] > 0) and count == [4, 4]
+    ends, starts = windows.times[windows.real][:, -1], windows.times[windows.real][:, 0]
+    same = np.diff(windows.trial[windows.real]) == 0
+    jumps = (starts[1:] - ends[:-1])[same]
+    assert np.all(jumps > -1e-9) and np.all(jumps < 0.03)  # no more is lost than is missing
+
+
 def test_commands_keep_their_impulse_through_merging_and_splitting(model, clean):
     fine = [SimpleNamespace(**vars(t)) for t in clean]
     for rate in (250.0, 60.0):

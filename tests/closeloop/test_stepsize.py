@@ -1,0 +1,60 @@
+"""Steps are halved for what switches, where that moves the simulation, and for nothing else."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.closeloop import stepsize
+from adaptsim_jax.closeloop.audit import audit
+from adaptsim_jax.closeloop.noise import noise_floor
+from adaptsim_jax.closeloop.problem import at_point, prepare
+from adaptsim_jax.closeloop.recording import read_recording
+from adaptsim_jax.models.effects import catalogue
+from tests.closeloop.small_rig import TRUE, make_trials, written
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory):
+    folder = written(tmp_path_factory.mktemp("rig"), make_trials(seed=3, count=3, noise=0.01))
+    recording = read_recording(folder)
+    checked = audit(recording)
+    effects = tuple(e for e in catalogue() if e.name in ("stribeck", "spring"))
+    return prepare(recording, checked, noise_floor(recording, checked), effects)
+
+
+def model(problem, *active):
+    """The true parameters with effects about half the torque."""
+    layout, eff = problem.model.layout, problem.model.layout.off().copy()
+    for a in active:
+        at = layout.instances[layout.index(*a)].at
+        values = (0.3, 0.4, 0.1) if a[0] == "stribeck" else (0.5,)
+        eff[at.start : at.start + len(values)] = np.array(values) * problem.torque_scale[1]
+    point = SimpleNamespace(x0=problem.windows.start)
+    return SimpleNamespace(
+        candidate=SimpleNamespace(active=active, theta=TRUE, eff=eff, refit=SimpleNamespace(point=point))
+    )
+
+
+def left(problem, model):
+    c = model.candidate
+    return np.asarray(at_point(problem, c.active, c.theta, c.eff, c.refit.point.x0).residual)
+
+
+def test_smooth_models_keep_the_step_of_the_rows(problem):
+    assert stepsize.in_short_steps(problem, model(problem, ("spring", "joint2"))) is problem
+
+
+def test_friction_that_sticks_gets_shorter_steps_and_is_nearer_to_what_many_steps_give(problem):
+    sticking = model(problem, ("stribeck", "joint2"))
+    finer = stepsize.in_short_steps(problem, sticking)
+    assert finer.windows.substeps in (2, 4) and problem.windows.substeps == 1
+    many = left(replace(problem, windows=replace(problem.windows, substeps=np.asarray(32))), sticking)
+    far, near = (np.sqrt(np.mean((left(p, sticking) - many) ** 2)) for p in (problem, finer))
+    assert near < 0.4 * far and far > stepsize.SHARE
+
+
+def test_a_model_that_runs_away_keeps_its_steps(problem, monkeypatch):
+    monkeypatch.setattr(stepsize, "_simulated", lambda problem, model: None)
+    assert stepsize.stepped(problem, model(problem), None)[0] is problem
