@@ -14,20 +14,25 @@ from itertools import product
 import numpy as np
 
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.leaders import NEW, look_alikes
-from adaptsim_jax.closeloop.problem import Diverged, Problem
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, least_squares, settled
+from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, fit_plain
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, least_squares, settled, unmoved
 from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
-BRIEF = 12  # iterations of a pair's first fit: one that is right needs fewer, one that crawls is not
+BRIEF = (
+    12  # iterations of a first fit, of one effect or of a pair: one that is right needs fewer, one that crawls is not
+)
 FRONT = 6  # pairs that are refitted under their own covariance
 POOL = 5  # candidates of each score that pairs are made of
-SECONDS = 3  # beside the effect that fits best alone: the right one was first or second, in tuning and spent sets
+FIRSTS = 2  # effects that fit best alone
+SECONDS = 4  # beside each of them: the right one was among the first two, in tuning and spent sets
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Pair = tuple[Ranked, Ranked]
+Alone = tuple[Active, FitResult]
 
 
 def leading_pairs(problem: Problem, seen: View, exclude: Sequence[Instance]) -> list[Pair]:
@@ -73,25 +78,35 @@ def _least_squares(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fi
 
 
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
-    """The effect that fits best alone, with each of the plain score's leaders about the model that has it, refitted whole."""
-    exclude = base.candidate.active
-    leaders = [r for r in seen.ranked(exclude, plain=True) if r.score.retained > NEW][:POOL]
-    alone = [m for m in abreast(lambda r: _alone(problem, base, r, seen), leaders) if m is not None]
-    if not alone:
-        return []
-    least = min(error for _, error in alone)
-    first = min(alone, key=lambda m: (m[1] > SAME * least, m[0].size, m[1]))[0]
+    """Each of the effects that fit best alone, with the plain score's leaders about the model that has it, refitted whole.
+
+    All candidates are fitted alone, for the score about a declared model that went astray puts the right one anywhere: of a play
+    and a stop at one joint the stop came twelfth, and left least error."""
+    candidates = [r for r in seen.ranked(base.candidate.active, plain=True) if r.score.retained > NEW]
+    alone = [f for f in abreast(lambda r: _alone(problem, base, r), candidates) if f[1].code != DIVERGED]
+    firsts = _least(problem, alone)[:FIRSTS]
+    return [m for pairs in abreast(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
+
+
+def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
+    """In the order of their errors; of those that leave hardly more than the least, fewer parameters first."""
+    error = {active: float(fit.cost.sum()) for active, fit in alone}
+    alike = SAME * min(error.values(), default=0.0)
+    size = lambda active, fit: len(fit.names) + problem.phases(active) if error[active] <= alike else 0
+    return sorted(alone, key=lambda one: (error[one[0]] > alike, size(*one), error[one[0]]))
+
+
+def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen: View) -> list[Fitted]:
+    """A fit of one effect with each of the plain score's leaders about it."""
     try:
+        first = unmoved(problem, active, fit.theta, fit.eff, fit.x0, base.parts, seen.response)
         about = view(problem, first)
-    except np.linalg.LinAlgError:  # its response to forces is not finite
+    except (Diverged, np.linalg.LinAlgError):  # its response to forces is not finite
         return []
-    seconds = [r for r in about.ranked(first.active, plain=True) if r.score.retained > NEW][:SECONDS]
-
-    def beside(r: Ranked) -> Fitted | None:
-        active, eff = (*first.active, r.instance), started(problem, first, r)
-        return fitted_plainly(problem, active, first.candidate.theta, eff, base.parts, seen.response)
-
-    return [m for m in abreast(beside, seconds) if m is not None]
+    seconds = [r for r in about.ranked(active, plain=True) if r.score.retained > NEW][:SECONDS]
+    place = lambda r: (problem, (*active, r.instance), fit.theta, started(problem, first, r))
+    made = [fitted_plainly(*place(r), base.parts, seen.response) for r in seconds]
+    return [m for m in made if m is not None]
 
 
 def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequence[Fitted], seen: View) -> list[Fitted]:
@@ -114,12 +129,12 @@ def swapped_plainly(
     return fitted_plainly(problem, active, model.candidate.theta, eff, base.parts, seen.response)
 
 
-def _alone(problem: Problem, base: Fitted, ranked: Ranked, seen: View) -> tuple[Fitted, float] | None:
-    """The least-squares fit with one effect and its sum of squares."""
-    active, eff = (*base.active, ranked.instance), started(problem, base, ranked)
-    with suppress(Diverged, np.linalg.LinAlgError):
-        return least_squares(problem, active, base.candidate.theta, eff, base.parts, seen.response)
-    return None
+def _alone(problem: Problem, base: Fitted, ranked: Ranked) -> Alone:
+    """The least-squares fit with one effect."""
+    active = (*base.active, ranked.instance)
+    return active, fit_plain(
+        problem, active, base.candidate.theta, started(problem, base, ranked), problem.windows.start
+    )
 
 
 def settled_plainly(problem: Problem, model: Fitted, seen: View) -> Fitted:

@@ -15,7 +15,7 @@ from adaptsim_jax.closeloop.candidate import compressed, linearised
 from adaptsim_jax.closeloop.extend import extend
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point
-from adaptsim_jax.closeloop.rivals import Fitted, fitted
+from adaptsim_jax.closeloop.rivals import Fitted, Response, fitted
 from adaptsim_jax.closeloop.view import View, view
 
 TRIED = 2  # periodic forces that clocks are sharpened with
@@ -27,9 +27,19 @@ def sharpened(problem: Problem, found: Found, first: View, rounds: int = 3) -> t
     or where no effect of the final model has a clock."""
     if not problem.phases(found.final.active):
         return problem, found
-    clock, model = problem.windows.clock, found.final
+    problem, model = _sharper(problem, found.final, (found.view or first).response, rounds)
+    if model is found.final:
+        return problem, found
+    seen = view(problem, model)
+    return problem, replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+
+
+def _sharper(problem: Problem, model: Fitted, response: Response, rounds: int = 3) -> tuple[Problem, Fitted]:
+    """`sharpened` of a model alone; one without a clock keeps the problem's."""
+    if not problem.phases(model.active):
+        return problem, model
+    clock = problem.windows.clock
     for _ in range(rounds):
-        response = (found.view or first).response
         tried = replace(problem, windows=replace(problem.windows, clock=clock + clock_step(problem, model, response)))
         c = model.candidate
         try:
@@ -42,10 +52,7 @@ def sharpened(problem: Problem, found: Found, first: View, rounds: int = 3) -> t
         problem, model, clock = tried, new, tried.windows.clock
         if settled:
             break
-    if model is found.final:
-        return problem, found
-    seen = view(problem, model)
-    return problem, replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+    return problem, model
 
 
 def sharpened_early(problem: Problem, first: View, base: Fitted) -> tuple[Problem, View]:
@@ -57,10 +64,10 @@ def sharpened_early(problem: Problem, first: View, base: Fitted) -> tuple[Proble
     clocked = [r for r in first.ranked(base.active) if layout.instances[layout.index(*r.instance)].effect.clocked]
     models = abreast(lambda r: extend(problem, base, r, first), clocked[:TRIED])
     best = max((m for m in models if m is not None), key=lambda m: m.total, default=base)
-    better, found = sharpened(problem, Found(base, best, [], view=first), first)
+    better, sharp = _sharper(problem, best, first.response)
     if better is problem:
         return problem, first
-    tone, _ = found.final.candidate.parameters(*found.final.active[-1])["frequency"]
+    tone, _ = sharp.candidate.parameters(*sharp.active[-1])["frequency"]
     better = replace(better, reach=replace(better.reach, tone=float(tone)))
     return better, view(better, base)
 

@@ -20,6 +20,7 @@ UNITS = {
     "N m": (1, 0), "N m/rad": (1, 0), "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
 }  # fmt: skip
 """Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
+SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motion could do
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,10 @@ class Parameter:
     """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
 
     low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
-    serves a finger and an excavator. `sign` is +1 where only positive values are that effect. A `held` shape is chosen on
-    the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it is,
-    where its name does not say. A `late` one stays at its default until its effect has been found (`closeloop/elaborate.py`).
+    serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1 where only positive values are that
+    effect. A `held` shape is chosen on the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is
+    `default` there. `meaning`: what it is, where its name does not say. A `late` one stays at its default until its effect has
+    been found (`closeloop/elaborate.py`).
     """
 
     name: str
@@ -45,10 +47,12 @@ class Parameter:
     meaning: str = ""
     late: bool = False
 
-    def bounds(self, torque: float) -> tuple[float, float]:
-        """Bounds for a rig whose torques are of size `torque` N m."""
-        scale = torque ** UNITS[self.unit][0]
-        return self.low * scale, self.high * scale
+    def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
+        """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s, `speed` rad/s, those of what makes
+        a torque of its motion (a drag) are as much wider as it takes for the same torque."""
+        torques, times = UNITS[self.unit]
+        slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0) if torques else 1.0
+        return self.low * torque**torques * slow, self.high * torque**torques * slow
 
 
 class Motion(NamedTuple):

@@ -85,9 +85,8 @@ class Layout:
 
     def bounds(self, reach: Reach) -> tuple[np.ndarray, np.ndarray]:
         """Bounds `[E]` for a rig of that reach."""
-        torque = [float(t) for t in reach.torque]
-        low = self.vector(lambda p, i: p.bounds(torque[i.joint])[0])
-        return low, self.vector(lambda p, i: p.bounds(torque[i.joint])[1])
+        of = lambda p, i: p.bounds(float(reach.torque[i.joint]), float(reach.speed[i.joint]))
+        return self.vector(lambda p, i: of(p, i)[0]), self.vector(lambda p, i: of(p, i)[1])
 
     def names(self) -> list[tuple[str, str, str]]:
         """(effect, where, parameter) of each entry of the vector."""

@@ -7,7 +7,6 @@ import numpy as np
 from adaptsim_jax.closeloop import pairs
 from adaptsim_jax.closeloop.disturbance import Whitened
 from adaptsim_jax.closeloop.pairs import leading_pairs
-from adaptsim_jax.closeloop.problem import Diverged
 from adaptsim_jax.closeloop.score import Atom, Scorer
 from adaptsim_jax.closeloop.view import Ranked
 
@@ -36,7 +35,7 @@ class Seen:
 def layout():
     instances = [SimpleNamespace(effect=SimpleNamespace(look_alikes=ALIKE[n])) for n, _ in PLACES]
     model = SimpleNamespace(layout=SimpleNamespace(instances=instances, index=lambda *p: PLACES.index(p)))
-    return SimpleNamespace(model=model)
+    return SimpleNamespace(model=model, phases=lambda active: 0, windows=SimpleNamespace(start=None))
 
 
 def test_pairs_cross_the_two_scores_and_leave_out_look_alikes():
@@ -70,11 +69,12 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
 
     def alone(problem, active, *_):
         error, size = errors[active[-1][0]]
-        if error is None:
-            raise Diverged("away")
-        return SimpleNamespace(**vars(made(active)), size=size), error
+        code = pairs.DIVERGED if error is None else 0
+        cost = np.array([np.nan if error is None else error])
+        return SimpleNamespace(code=code, cost=cost, names=["p"] * size, theta=None, eff=None, x0=None)
 
-    monkeypatch.setattr(pairs, "least_squares", alone)
+    monkeypatch.setattr(pairs, "fit_plain", alone)
+    monkeypatch.setattr(pairs, "unmoved", lambda problem, active, *_: made(active))
     monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
     return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=None, eff=None), parts=None)
 
@@ -86,12 +86,17 @@ def names_of(models):
     return [tuple(name for name, _ in m.active) for m in models]
 
 
-def test_the_second_is_tried_beside_the_one_that_alone_leaves_least(monkeypatch):
+def test_the_second_is_tried_beside_those_that_alone_leave_least(monkeypatch):
+    monkeypatch.setattr(pairs, "FIRSTS", 1)
     base = fake_fits(monkeypatch, {"drag": (9.0, 3), "friction": (4.0, 3), "lag": (None, 3)})
     assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == [("friction", "drag"), ("friction", "lag")]
+    monkeypatch.setattr(pairs, "FIRSTS", 2)
+    found = names_of(pairs.refit_beside_first(layout(), base, SEEN))
+    assert found[:2] == [("friction", "drag"), ("friction", "lag")] and {first for first, _ in found[2:]} == {"drag"}
 
 
 def test_of_those_that_leave_alike_the_one_with_fewest_parameters_is_first(monkeypatch):
+    monkeypatch.setattr(pairs, "FIRSTS", 1)
     base = fake_fits(monkeypatch, {"drag": (4.1, 2), "friction": (4.0, 3), "lag": (9.0, 1)})
     assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == [("drag", "friction"), ("drag", "lag")]
 

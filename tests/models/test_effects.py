@@ -93,6 +93,13 @@ def test_entry_is_complete(effect):
             assert p.name not in point or low <= point[p.name] <= high
 
 
+def test_a_slow_joint_leaves_room_for_a_drag_of_the_same_torque():
+    """A rig of 80 N m that turns at 0.5 rad/s has a drag of 98 N m s^2/rad^2; what a spring may be does not change."""
+    of = {p.name: p for e in catalogue() if e.name in ("quadratic_drag", "spring") for p in e.parameters}
+    assert of["drag"].bounds(80.0, 0.5) == (0.0, 320.0) and of["drag"].bounds(80.0, 5.0) == (0.0, 80.0)
+    assert of["stiffness"].bounds(80.0, 0.5) == of["stiffness"].bounds(80.0)
+
+
 @pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
 def test_off_value_does_nothing(effect, x64):
     got = act(effect, parameters(effect, amplitude=0.0))
