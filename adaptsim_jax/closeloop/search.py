@@ -31,6 +31,9 @@ from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
 IDLE = 0.95  # of the force left by a pair: above this it explains nothing, and no refit will
+STILL_FAR = (
+    0.05  # of the torque: with more force left over than torques wander by, what was found one by one is not all
+)
 BLATANT = 0.01  # of the torque: with less force left over the short list will do
 
 
@@ -66,7 +69,7 @@ def search(
         ranked = seen.ranked(exclude=current.active)
         if found.final is current:
             found.view, found.last = seen, ranked
-    if unexplained(found.final, base) > settings.explained:
+    if unexplained(found.final, base) > settings.explained or _still_far(problem, found.final):
         problem, current = _paired(problem, found, current, first, settings, say)
     found.leading = None if current is found.final else current
     found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
@@ -77,6 +80,11 @@ def search(
 def _astray(model: Fitted, base: Fitted, settings: Settings) -> bool:
     """Whether two effects that earn no name together leave so much that a third is not worth looking for."""
     return len(model.active) - len(base.active) > 1 and unexplained(model, base) > settings.promising
+
+
+def _still_far(problem: Problem, model: Fitted) -> bool:
+    """Whether a model that explains enough beside a declared one that went astray leaves forces that are too large for chance."""
+    return bool(np.any(model.parts.force_std() > STILL_FAR * problem.torque_scale))
 
 
 def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: list[Ranked], settings: Settings, say):
@@ -116,7 +124,8 @@ def _blatant(problem: Problem, model: Fitted, seen: View) -> bool:
 
 
 def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):
-    """Where no single effect explained enough for a name though something is there: the best pair, if it does."""
+    """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
+    more than they do."""
     base = found.base
     if not anything(problem, base, found.ranked, seen, settings):
         return problem, current
@@ -138,6 +147,9 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
     found.tried += trials
     best = choose(problem, [t for t in trials if plausible(t, base)], base, settings)
     if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
+        return problem, current
+    merit = lambda model: seen_anew(problem, model, seen.response).merit(settings.price)
+    if found.added and merit(best) < merit(found.final):
         return problem, current
     found.final = base
     for new in [a for a in best.active if a not in base.active]:

@@ -3,11 +3,13 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from adaptsim_jax.closeloop import extend as growing
-from adaptsim_jax.closeloop import look_back
+from adaptsim_jax.closeloop import look_back, search
 from adaptsim_jax.closeloop.classes import class_of
 from adaptsim_jax.closeloop.earning import Settings
+from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.leaders import look_alikes
 
 BIAS, SPRING, DRAG = ("bias", "joint1"), ("spring", "joint1"), ("drag", "joint1")
@@ -119,3 +121,31 @@ def test_what_is_hopelessly_behind_is_not_refitted_where_nearly_everything_is_ex
         None, found, trials[1:], trials[1:], seen, Settings()
     )  # none of these explains nearly everything
     assert sorted(settled) == [-1200.0, -900.0]
+
+
+@pytest.mark.parametrize(("one_by_one", "goes"), [(-400.0, "pair"), (-80.0, "friction")])
+def test_a_pair_takes_the_place_of_what_was_found_one_by_one_only_if_it_is_likelier(monkeypatch, one_by_one, goes):
+    """A dry friction beside a play left 40 % of the error where presliding friction did all: relative to a declared model that
+    went astray it explained enough."""
+    model = lambda name, total: SimpleNamespace(active=((name, "joint1"),), total=total, merit=lambda price: total)
+    pair, final, base = model("pair", -100.0), model("friction", one_by_one), SimpleNamespace(active=(), total=-900.0)
+    fakes = {
+        "anything": lambda *_: True, "refit_beside_first": lambda *_: [pair], "plausible": lambda *_: True,
+        "unexplained": lambda new, old: 0.01, "settled_plainly": lambda problem, t, seen: t, "without": lambda *_: None,
+        "earns": lambda *_: True, "choose": lambda problem, trials, *_: trials[0], "beside": lambda *args: args[2],
+        "seen_anew": lambda problem, m, response: m, "_finer": lambda problem, found, m, *_: (problem, m),
+        "doubtful": lambda *_: set(),
+    }  # fmt: skip
+    for name, fake in fakes.items():
+        monkeypatch.setattr(search, name, fake)
+    seen = SimpleNamespace(response=None, ranked=lambda **_: [])
+    monkeypatch.setattr(search, "view", lambda *_: seen)
+    found = Found(base, final, [])
+    _, best = search._paired(None, found, final, seen, Settings(), print)
+    assert best.active[0][0] == goes and found.final is best
+
+
+def test_what_torques_wander_by_is_not_far():
+    problem = SimpleNamespace(torque_scale=np.array([10.0, 1.0]))
+    left = lambda *force: SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array(force)))
+    assert not search._still_far(problem, left(0.4, 0.04)) and search._still_far(problem, left(0.0, 0.06))
