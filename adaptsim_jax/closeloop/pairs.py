@@ -1,15 +1,12 @@
 """Two effects at once, where no single one explains anything: each hides the other from a search that adds one at a time.
 
 Declared parameters that bent to the one effect leave residuals which the other alone makes no better (a drag and a ripple at one
-joint). So those that each of the two linear scores puts first are refitted in pairs, with the sensors as the only noise: under a
-covariance that both effects have inflated, a refit stays where it is. And where the declared fit went far astray, scores about it
-say little: the effect that alone leaves least error, by least squares, is taken first, and the second by the plain scores about that.
+joint), and where the declared fit went far astray, scores about it say little. So the effects that alone leave least error, by least
+squares, are taken first, and the second by the plain scores about that: with the sensors as the only noise, for under a covariance
+that both effects have inflated a refit stays where it is.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -17,64 +14,16 @@ from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.leaders import NEW, look_alikes
 from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, fit_plain
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, least_squares, settled, unmoved
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, settled, unmoved
 from adaptsim_jax.closeloop.start import merged, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
-BRIEF = (
-    12  # iterations of a first fit, of one effect or of a pair: one that is right needs fewer, one that crawls is not
-)
-FRONT = 6  # pairs that are refitted under their own covariance
-POOL = 5  # candidates of each score that pairs are made of
 FIRSTS = 2  # effects that fit best alone
 SECONDS = 4  # beside each of them: the right one was among the first two, in tuning and spent sets
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
-Pair = tuple[Ranked, Ranked]
 Alone = tuple[Active, FitResult]
-
-
-def leading_pairs(problem: Problem, seen: View, exclude: Sequence[Instance]) -> list[Pair]:
-    """Each of the leaders of one score with each of the other's, unless one is a look-alike of the other."""
-    layout = problem.model.layout
-    alike = lambda a, b: a[1] == b[1] and a[0] in layout.instances[layout.index(*b)].effect.look_alikes
-    leaders = [
-        [r.instance for r in seen.ranked(exclude, plain=plain) if r.score.retained > NEW][:POOL]
-        for plain in (False, True)
-    ]
-    couples = {frozenset(p) for p in product(*leaders)}
-    pairs = sorted(sorted(c) for c in couples if len(c) == 2)
-    return [_scored(seen, a, b) for a, b in pairs if not alike(a, b) and not alike(b, a)]
-
-
-def _scored(seen: View, a: Instance, b: Instance) -> Pair:
-    """Both with the shape of each chosen beside the other, and the amplitudes of the two together."""
-    scorer, atoms = seen.scorer, seen.instances
-    first, second = scorer.best_shape(atoms[a]), scorer.best_shape(atoms[b])
-    for _ in range(2):
-        first = scorer.best_shape(atoms[a], [second])
-        second = scorer.best_shape(atoms[b], [first])
-    score, cut = scorer.score([first, second]), len(first.columns)
-    one = Ranked(a, first, replace(score, amplitude=score.amplitude[:cut]), len(atoms[a]))
-    return one, Ranked(b, second, replace(score, amplitude=score.amplitude[cut:]), len(atoms[b]))
-
-
-def refit_pairs(problem: Problem, base: Fitted, pairs: Sequence[Pair], seen: View) -> list[Fitted]:
-    """The model with both effects of each pair, fitted whole from their linear amplitudes, without those that run away; the
-    likeliest then refitted under their own covariance."""
-    made = [m for m in abreast(lambda p: _least_squares(problem, base, p, seen), pairs) if m is not None]
-    order = sorted(made, key=lambda m: -m.total)
-    return abreast(lambda m: settled(problem, m, seen.response, rounds=1), order[:FRONT]) + order[FRONT:]
-
-
-def _least_squares(problem: Problem, base: Fitted, pair: Pair, seen: View) -> Fitted | None:
-    active = (*base.candidate.active, *(r.instance for r in pair))
-    eff = merged(problem, started(problem, base, pair[0]), started(problem, base, pair[1]), pair[1].instance)
-    with suppress(Diverged, np.linalg.LinAlgError):
-        theta, parts = base.candidate.theta, base.parts
-        return least_squares(problem, active, theta, eff, parts, seen.response, iterations=BRIEF)[0]
-    return None
 
 
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:

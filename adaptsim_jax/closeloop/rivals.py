@@ -146,20 +146,17 @@ def fitted_plainly(
     lacks the effect has bent its own."""
     with suppress(Diverged, np.linalg.LinAlgError):
         return settled(
-            problem, least_squares(problem, active, theta, eff, parts, response, x0=x0)[0], response, rounds=rounds
+            problem, _least_squares(problem, active, theta, eff, parts, response, x0), response, rounds=rounds
         )
     return None
 
 
-def least_squares(
-    problem: Problem, active: Active, theta, eff, parts: Components, response: Response, *, x0=None, **more
-) -> tuple[Fitted, float]:
-    """The least-squares fit, judged where it is, and its sum of squares. Raises `Diverged` where it runs away."""
-    result = fit_plain(problem, active, theta, eff, problem.windows.start if x0 is None else x0, **more)
+def _least_squares(problem: Problem, active: Active, theta, eff, parts: Components, response: Response, x0) -> Fitted:
+    """The least-squares fit, judged where it is. Raises `Diverged` where it runs away."""
+    result = fit_plain(problem, active, theta, eff, problem.windows.start if x0 is None else x0)
     if result.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its fit starts")
-    placed = unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
-    return placed, float(result.cost.sum())
+    return unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
 
 
 def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response) -> Fitted:

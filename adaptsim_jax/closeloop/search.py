@@ -17,13 +17,7 @@ from adaptsim_jax.closeloop.extend import Progress, extend, finished, newest, se
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.leaders import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.closeloop.look_back import beside, look_back
-from adaptsim_jax.closeloop.pairs import (
-    leading_pairs,
-    refit_beside_first,
-    refit_pairs,
-    settled_plainly,
-    with_look_alikes,
-)
+from adaptsim_jax.closeloop.pairs import refit_beside_first, settled_plainly, with_look_alikes
 from adaptsim_jax.closeloop.problem import Problem
 from adaptsim_jax.closeloop.rivals import Fitted, doubtful, plausible, seen_anew, unexplained
 from adaptsim_jax.closeloop.stepsize import all_again, stepped
@@ -138,9 +132,7 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
             break
         more = with_look_alikes(problem, base, likeliest, trials, seen)
         trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
-    if not any(t is not None and plausible(t, base) and unexplained(t, base) < settings.clear for t in trials):
-        trials += refit_pairs(problem, base, leading_pairs(problem, seen, base.active), seen)
-    order = sorted((t for t in trials if t is not None), key=lambda t: -t.merit(settings.price))
+    order = sorted(trials, key=lambda t: -t.merit(settings.price))
     front = [t for t in order if plausible(t, base) and unexplained(t, base) < IDLE][: settings.pairs]
     trials = abreast(lambda t: settled_plainly(problem, t, seen), front)
     trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]

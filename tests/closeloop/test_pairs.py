@@ -1,4 +1,4 @@
-"""Pairs are made of the leaders of both scores, never of look-alikes at one joint; amplitudes are those of the two together."""
+"""Pairs begin with what alone leaves least error; a look-alike takes the place of a doubtful member."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,6 @@ import numpy as np
 
 from adaptsim_jax.closeloop import pairs
 from adaptsim_jax.closeloop.disturbance import Whitened
-from adaptsim_jax.closeloop.pairs import leading_pairs
 from adaptsim_jax.closeloop.score import Atom, Scorer
 from adaptsim_jax.closeloop.view import Ranked
 
@@ -36,27 +35,6 @@ def layout():
     instances = [SimpleNamespace(effect=SimpleNamespace(look_alikes=ALIKE[n])) for n, _ in PLACES]
     model = SimpleNamespace(layout=SimpleNamespace(instances=instances, index=lambda *p: PLACES.index(p)))
     return SimpleNamespace(model=model, phases=lambda active: 0, windows=SimpleNamespace(start=None))
-
-
-def test_pairs_cross_the_two_scores_and_leave_out_look_alikes():
-    names = {frozenset(r.instance[0] for r in pair) for pair in leading_pairs(layout(), Seen(), ())}
-    assert names == {
-        frozenset(p) for p in (("drag", "ripple"), ("friction", "ripple"), ("lag", "ripple"), ("friction", "lag"))
-    }
-
-
-def test_a_pair_has_the_shapes_and_amplitudes_of_both_together():
-    found = {frozenset(r.instance[0] for r in pair): pair for pair in leading_pairs(layout(), Seen(), ())}
-    found = {r.instance[0]: r for r in found[frozenset(("drag", "ripple"))]}
-    assert found["drag"].atom.shape == {"k": 0} and found["ripple"].atom.shape == {"k": 1}
-    np.testing.assert_allclose(found["drag"].score.amplitude, [2.0], atol=0.05)
-    np.testing.assert_allclose(found["ripple"].score.amplitude, [-3.0], atol=0.05)
-    assert found["drag"].tried == 2
-
-
-def test_what_the_model_has_already_is_in_no_pair():
-    made = leading_pairs(layout(), Seen(), (("ripple", "joint1"),))
-    assert all(r.instance[0] != "ripple" for pair in made for r in pair)
 
 
 def fake_fits(monkeypatch, errors=None, doubted=()):
@@ -112,16 +90,3 @@ def test_a_look_alike_takes_the_place_of_a_doubtful_member_alone(monkeypatch):
     assert names_of(pairs.with_look_alikes(layout(), base, pair, [], SEEN)) == [("friction", "ripple")]
     done = SimpleNamespace(active=(("ripple", "joint1"), ("friction", "joint1")))
     assert pairs.with_look_alikes(layout(), base, pair, [done], SEEN) == []
-
-
-def test_the_likeliest_pairs_alone_are_refitted_under_their_own_covariance(monkeypatch):
-    base = fake_fits(monkeypatch)
-    totals = iter(range(40))
-    made = lambda problem, active, *_, **__: (SimpleNamespace(active=active, total=float(next(totals))), 1.0)
-    monkeypatch.setattr(pairs, "least_squares", made)
-    monkeypatch.setattr(pairs, "settled", lambda problem, m, response, rounds: SimpleNamespace(total=m.total + 100))
-    couples = leading_pairs(layout(), Seen(), ())
-    couples = (couples * 3)[: pairs.FRONT + 3]
-    found = [m.total for m in pairs.refit_pairs(layout(), base, couples, SEEN)]
-    assert len(found) == len(couples) and sum(t >= 100 for t in found) == pairs.FRONT
-    assert min(t - 100 for t in found if t >= 100) > max(t for t in found if t < 100)
