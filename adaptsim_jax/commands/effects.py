@@ -80,6 +80,8 @@ def _brief(effects: list[dict[str, Any]]) -> None:
 
 
 def _show(effect: dict[str, Any]) -> None:
+    from adaptsim_jax.models.effect import UNITS
+
     where = "at each joint" if effect["scope"] == "joint" else f"at the {effect['scope']}"
     print(
         f"{effect['name']}: acts on the {effect['place']} {where}"
@@ -89,7 +91,10 @@ def _show(effect: dict[str, Any]) -> None:
     print(f"  physics      {effect['physics']}")
     print(f"  formula      {effect['formula']}")
     for p in effect["parameters"]:
-        bounds = f"{p['low']:g} to {p['high']:g}{' times the torque scale' if 'N m' in p['unit'] else ''}"
+        torques, times = UNITS[p["unit"]]
+        scaled = " times the torque scale" if torques else ""
+        slow = ", wider for joints slower than 1 rad/s" if torques and times > 0 else ""
+        bounds = f"{p['low']:g} to {p['high']:g}{scaled}{slow}"
         bounds = bounds if p["high"] < 1e6 else "of the recording"
         meaning = f"; {p['meaning']}" if p["meaning"] else ""
         print(f"  {p['name']:12} [{p['unit']}] {bounds}; {p['sign']} sign; {p['role']}{meaning}")
