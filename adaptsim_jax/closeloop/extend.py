@@ -67,7 +67,12 @@ def settled_few(
     problem: Problem, found: Found, trials: list[Fitted], some: list[Fitted], seen: View, settings: Settings
 ) -> list[Fitted]:
     """Some of the trials refitted until they settle, save those hopelessly behind one that explains nearly everything."""
+    late = hopeless(found, trials, settings)
+    return abreast(lambda t: t if late(t) else settled(problem, t, seen.response), some)
+
+
+def hopeless(found: Found, trials: list[Fitted], settings: Settings) -> Callable[[Fitted], bool]:
+    """Whether a model is hopelessly behind one of the trials that explains nearly everything."""
     fair = [t for t in trials if plausible(t, found.base) and unexplained(t, found.base) < settings.clear]
     bar = max((t.total for t in fair), default=-np.inf) - HOPELESS
-    late = lambda t: t if t.total < bar else settled(problem, t, seen.response)
-    return abreast(late, some)
+    return lambda model: model.total < bar

@@ -4,7 +4,7 @@ from contextlib import suppress
 
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.earning import Settings, choose, needed
-from adaptsim_jax.closeloop.extend import extend
+from adaptsim_jax.closeloop.extend import extend, hopeless
 from adaptsim_jax.closeloop.found import Found
 from adaptsim_jax.closeloop.leaders import look_alikes
 from adaptsim_jax.closeloop.pairs import settled_plainly, swapped_plainly
@@ -71,9 +71,11 @@ def beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: Vi
     if plausible(without, found.base) and not needed(problem, best, without, found, settings):
         return without
     alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]
-    grown = abreast(lambda r: extend(problem, without, r, seen, say), alike)
+    grown = [t for t in abreast(lambda r: extend(problem, without, r, seen, say), alike) if t is not None]
     swaps = abreast(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
-    trials = abreast(lambda t: settled(problem, t, seen.response), [t for t in grown if t is not None])
-    trials += abreast(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if t is not None])
+    swaps = [t for t in swaps if t is not None]
+    late = hopeless(found, [best, *grown, *swaps], settings)
+    trials = abreast(lambda t: t if late(t) else settled(problem, t, seen.response), grown)
+    trials += abreast(lambda t: t if late(t) else settled_plainly(problem, t, seen), swaps)
     found.tried, found.rivals[new] = found.tried + trials, trials
     return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best

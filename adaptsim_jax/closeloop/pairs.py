@@ -27,7 +27,8 @@ Alone = tuple[Active, FitResult]
 
 
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
-    """Each of the effects that fit best alone, with the plain score's leaders about the model that has it, refitted whole.
+    """Each of the effects that fit best alone, by itself and with the plain score's leaders about the model that has it, refitted
+    whole.
 
     All candidates are fitted alone, for the score about a declared model that went astray puts the right one anywhere: of a play
     and a stop at one joint the stop came twelfth, and left least error."""
@@ -46,16 +47,17 @@ def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
 
 
 def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen: View) -> list[Fitted]:
-    """A fit of one effect with each of the plain score's leaders about it."""
+    """A fit of one effect, and with each of the plain score's leaders about it."""
     try:
         first = unmoved(problem, active, fit.theta, fit.eff, fit.x0, base.parts, seen.response)
         about = view(problem, first)
+        single = settled(problem, first, seen.response, rounds=1)
     except (Diverged, np.linalg.LinAlgError):  # its response to forces is not finite
         return []
     seconds = [r for r in about.ranked(active, plain=True) if r.score.retained > NEW][:SECONDS]
     place = lambda r: (problem, (*active, r.instance), fit.theta, started(problem, first, r))
     made = [fitted_plainly(*place(r), base.parts, seen.response) for r in seconds]
-    return [m for m in made if m is not None]
+    return [single, *(m for m in made if m is not None)]
 
 
 def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequence[Fitted], seen: View) -> list[Fitted]:

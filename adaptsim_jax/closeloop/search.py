@@ -24,7 +24,7 @@ from adaptsim_jax.closeloop.stepsize import all_again, stepped
 from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
-IDLE = 0.95  # of the force left by a pair: above this it explains nothing, and no refit will
+IDLE = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit or further effect will
 STILL_FAR = (
     0.05  # of the torque: with more force left over than torques wander by, what was found one by one is not all
 )
@@ -72,8 +72,9 @@ def search(
 
 
 def _astray(model: Fitted, base: Fitted, settings: Settings) -> bool:
-    """Whether two effects that earn no name together leave so much that a third is not worth looking for."""
-    return len(model.active) - len(base.active) > 1 and unexplained(model, base) > settings.promising
+    """Whether what earns no name leaves so much that one more is not worth looking for: all of it, or two effects most of it."""
+    several = len(model.active) - len(base.active) > 1
+    return unexplained(model, base) > (settings.promising if several else IDLE)
 
 
 def _still_far(problem: Problem, model: Fitted) -> bool:
@@ -91,9 +92,7 @@ def _next(problem: Problem, found: Found, current: Fitted, seen: View, ranked: l
     trials = trials + _pruned(problem, found, current, trials, seen)
     best = _best(problem, found, trials, settings)
     nothing = best is None or not pays(best, current, settings)
-    wanting = done and nothing and _blatant(problem, current, seen)
-    poor = best is None or nothing or not earns(problem, best, current, found.base, settings)
-    if wanting or (current is found.base and poor):
+    if done and nothing and _blatant(problem, current, seen):
         more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
         trials = trials + _refitted(problem, found, current, more, seen, settings, say)

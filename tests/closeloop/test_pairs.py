@@ -54,6 +54,7 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
     monkeypatch.setattr(pairs, "fit_plain", alone)
     monkeypatch.setattr(pairs, "unmoved", lambda problem, active, *_: made(active))
     monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
+    monkeypatch.setattr(pairs, "settled", lambda problem, model, *_, **__: model)
     return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=None, eff=None), parts=None)
 
 
@@ -67,16 +68,18 @@ def names_of(models):
 def test_the_second_is_tried_beside_those_that_alone_leave_least(monkeypatch):
     monkeypatch.setattr(pairs, "FIRSTS", 1)
     base = fake_fits(monkeypatch, {"drag": (9.0, 3), "friction": (4.0, 3), "lag": (None, 3)})
-    assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == [("friction", "drag"), ("friction", "lag")]
+    beside_friction = [("friction",), ("friction", "drag"), ("friction", "lag")]
+    assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == beside_friction
     monkeypatch.setattr(pairs, "FIRSTS", 2)
     found = names_of(pairs.refit_beside_first(layout(), base, SEEN))
-    assert found[:2] == [("friction", "drag"), ("friction", "lag")] and {first for first, _ in found[2:]} == {"drag"}
+    assert found[:3] == beside_friction and {first for first, *_ in found[3:]} == {"drag"}
 
 
 def test_of_those_that_leave_alike_the_one_with_fewest_parameters_is_first(monkeypatch):
     monkeypatch.setattr(pairs, "FIRSTS", 1)
     base = fake_fits(monkeypatch, {"drag": (4.1, 2), "friction": (4.0, 3), "lag": (9.0, 1)})
-    assert names_of(pairs.refit_beside_first(layout(), base, SEEN)) == [("drag", "friction"), ("drag", "lag")]
+    found = names_of(pairs.refit_beside_first(layout(), base, SEEN))
+    assert found == [("drag",), ("drag", "friction"), ("drag", "lag")]
 
 
 def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):
