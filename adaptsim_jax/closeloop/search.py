@@ -24,10 +24,9 @@ from adaptsim_jax.closeloop.stepsize import all_again, stepped
 from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
-IDLE = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit or further effect will
-STILL_FAR = (
-    0.05  # of the torque: with more force left over than torques wander by, what was found one by one is not all
-)
+IDLE = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit will
+SLIGHT = 300.0  # of log-likelihood: an idle effect that gains less is no place to go on from
+STILL_FAR = 0.05  # of the torque: with more force left than torques wander by, what was found one by one is not all
 BLATANT = 0.01  # of the torque: with less force left over the short list will do
 
 
@@ -72,9 +71,11 @@ def search(
 
 
 def _astray(model: Fitted, base: Fitted, settings: Settings) -> bool:
-    """Whether what earns no name leaves so much that one more is not worth looking for: all of it, or two effects most of it."""
-    several = len(model.active) - len(base.active) > 1
-    return unexplained(model, base) > (settings.promising if several else IDLE)
+    """Whether what earns no name leaves so much that one more is not worth looking for: one effect all of it, and hardly likelier
+    than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
+    if len(model.active) - len(base.active) > 1:
+        return unexplained(model, base) > settings.promising
+    return unexplained(model, base) > IDLE and model.total - base.total < SLIGHT
 
 
 def _still_far(problem: Problem, model: Fitted) -> bool:
