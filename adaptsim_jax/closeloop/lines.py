@@ -2,8 +2,9 @@
 another trial, where their phase differs, but chance has no lines.
 
 The force that a recording asks for is compared, frequency by frequency and joint by joint, with what is asked for at the
-frequencies beside it: once over all trials, with a phase of its own in each stretch of a few seconds, and once in short stretches,
-each at a frequency of its own, for a hum that wanders.
+frequencies beside it: once over all trials, with a phase of its own in each stretch of a few seconds; once in short stretches,
+each at a frequency of its own, for a hum that wanders; and once a band with the octaves beside it, for what rings (a base on a soft
+clamp): its phase is lost within a stretch, but not its frequency.
 """
 
 from dataclasses import dataclass, replace
@@ -20,22 +21,29 @@ STRETCH, SHORT = 6.0, 2.0  # s of a trial in which a phase is kept
 BESIDE = 10  # frequencies to each side that a line is compared with, but for the next one
 LEAST_STRETCHES = 3  # fewer tell a line from the shape of one motion badly
 MOST_SURE = 1e-3  # p-value that one short stretch may bring: a single jolt is no hum
+SURE_OF_BAND = 1e-6  # the same of a resonance, which is looked for in few long stretches
 NO_CHANCE = 1e-8  # p-value below which it is a line
 LEAST_SHARE = 0.01
+NARROW, AROUND = 0.1, 0.3  # of its frequency: half the width of a resonance, and where what it is compared with begins
+LEAST_HEIGHT = 2.0  # of a resonance over the octaves beside it: chance torques have broad spectra, not flat ones
 
 
 @dataclass(frozen=True)
 class Line:
     """The sharpest line: `joint` it acts at, frequency [Hz], its share of the whitened sum of squares beyond what is beside it,
-    and the p-value of a line as high, corrected for all frequencies and joints. highest [Hz]: where it wanders, as far as this."""
+    and the p-value of a line as high, corrected for all frequencies and joints. highest [Hz]: where it wanders, as far as this;
+    broad: it is no line but a resonance, which the motion rings."""
 
     joint: str
     frequency: float
     share: float
     p_value: float
     highest: float | None = None
+    broad: bool = False
 
     def words(self) -> str:
+        if self.broad:
+            return f"resonance at {self.frequency:.2g} Hz"
         if self.highest is None:
             return f"line at {self.frequency:.3g} Hz"
         return f"hum that wanders between {self.frequency:.2g} and {self.highest:.2g} Hz"
@@ -43,12 +51,13 @@ class Line:
 
 def line(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
-    where the recording is too short to say."""
-    for sharpest in (_steady, _wandering):
-        found = sharpest(problem, view, parts)
-        if found is not None and found.p_value < NO_CHANCE and found.share > LEAST_SHARE:
-            return found
-    return None
+    where the recording is too short to say. Of a hum that wanders and a resonance, whichever accounts for more."""
+    sure = lambda one: one is not None and one.p_value < NO_CHANCE and one.share > LEAST_SHARE
+    steady = _steady(problem, view, parts)
+    if sure(steady):
+        return steady
+    broader = [one for one in (_wandering(problem, view, parts), _resonance(problem, view, parts)) if sure(one)]
+    return max(broader, key=lambda one: one.share, default=None)
 
 
 def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
@@ -62,6 +71,29 @@ def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line
     joint, at = np.unravel_index(np.argmin(p - 1e-12 * total / total.max()), p.shape)
     share = max(float(total[joint, at] - beside[joint, at] * freedom), 0.0) / view.scorer.sum_squares
     return Line(problem.plant.joints[joint], float(frequency[at]), share, float(p[joint, at]))
+
+
+def _resonance(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
+    """A narrow band that stands out of the octaves beside it, in one stretch as in others (Fisher's sum, no stretch more than sure).
+    One high frequency does not make a band."""
+    frequency, gain = _gains(view, parts, STRETCH)
+    if len(frequency) <= 2 * BESIDE or len(gain) < LEAST_STRETCHES:
+        return None
+    found = []
+    for centre in frequency:
+        apart = np.abs(frequency - centre)
+        band = apart <= max(NARROW * centre, 1.5 * (frequency[1] - frequency[0]))
+        beside = (apart > AROUND * centre) & (frequency > 0.5 * centre) & (frequency < 2.0 * centre)
+        if band.sum() < 3 or beside.sum() < BESIDE:
+            continue
+        level = np.maximum(np.median(gain[..., beside].mean(0), axis=1) / 2.0, 1.0)  # a chi-square of two degrees
+        lower, freedom = np.sort(gain[..., band], axis=2)[..., :-1].sum(2) / level, 2 * (band.sum() - 1)
+        p = np.clip(chi2.sf(lower, freedom), SURE_OF_BAND, 1.0)
+        joined = np.minimum(chi2.sf(-2.0 * np.log(p).sum(0), 2 * len(gain)) * gain[0].size, 1.0)
+        share = (gain[..., band].sum((0, 2)) - 2.0 * level * len(gain) * band.sum()) / view.scorer.sum_squares
+        for j in np.flatnonzero(lower.mean(0) > LEAST_HEIGHT * freedom):
+            found.append(Line(problem.plant.joints[j], float(centre), float(share[j]), float(joined[j]), broad=True))
+    return min(found, key=lambda one: (one.p_value, -one.share), default=None)
 
 
 def _wandering(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:

@@ -55,9 +55,7 @@ def decide(
             return Verdict("structured_unattributed", _large(force), False)
         if powered:
             return Verdict("within_noise", _chance(beyond), False)
-        return Verdict(
-            "underpowered", "Nothing is found, but these data would not have shown an effect that matters.", False
-        )
+        return Verdict("underpowered", _weak(beyond), False)
     left = unexplained(found.final, found.base)
     if left > settings.explained and after.p_value < settings.alpha and after.share > 0.02:
         return Verdict("structured_unattributed", _partly(found, after, left), False)
@@ -76,6 +74,11 @@ def _chance(beyond: float) -> str:
         f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
         "follows nothing that would predict it in other trials."
     )
+
+
+def _weak(beyond: float) -> str:
+    much = f", though the declared model leaves {beyond:.0f} times the sensors' noise" if beyond >= BEYOND_FLOOR else ""
+    return f"Nothing is found{much}; these data would not have shown most effects that matter."
 
 
 def _large(force: np.ndarray) -> str:

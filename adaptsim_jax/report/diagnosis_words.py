@@ -16,6 +16,7 @@ TONES = {
     "underpowered": "open",
     "data_fault": "bad",
 }
+LOUD = 4.0  # times the sensors' noise: from here on a reader asks what the rest is
 LABELS = {
     "explained": "explained",
     "explained_class": "explained up to a class",
@@ -113,10 +114,18 @@ def headline(report: Mapping) -> str:
         found = f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
         return f"{found} something more that no candidate explains." if names else f"{found} no candidate explains it."
     return {
-        "within_noise": "The declared model explains these data to within the noise.",
+        "within_noise": _nothing_more(report["error"]),
         "underpowered": "These data cannot decide whether the declared model is complete.",
         "data_fault": "The data must be mended before a model can be judged.",
     }[verdict]
+
+
+def _nothing_more(error: Mapping) -> str:
+    """`within_noise` in a sentence: a torque that wanders by chance may leave many times what the sensors do."""
+    before, floor = error.get("before"), error.get("noise_floor")
+    if before is None or not floor or before < LOUD * floor:
+        return "The declared model explains these data to within the noise."
+    return f"The declared model leaves {before / floor:.0f} times the sensors' noise, and nothing in it but chance was found."
 
 
 def status(candidate: Mapping, report: Mapping) -> str:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from adaptsim_jax.closeloop.disturbance import (
     CORRELATION_TIMES,
@@ -22,9 +23,10 @@ PARTS = Components(
 )  # a force that wanders slowly at each joint, and the sensors
 
 
-def seen(trials: int, seconds: float, hum: float, seed: int, wander: float = 0.0, jolt: float = 0.0):
+def seen(trials: int, seconds: float, hum: float, seed: int, wander: float = 0.0, jolt: float = 0.0, ring: float = 0.0):
     """Two joints whose forces are seen as they are, row by row; `hum` at the second, 7.3 Hz, another phase in each trial, and a
-    frequency that begins up to `wander` Hz higher and falls; `jolt`: a short swing at 7.3 Hz in the first trial alone."""
+    frequency that begins up to `wander` Hz higher and falls; `jolt`: a short swing at 7.3 Hz in the first trial alone; `ring` at
+    the first: a resonance at 5 Hz, of 7 % damping, that something shakes."""
     rng = np.random.default_rng(seed)
     each, dt = int(seconds * RATE) // WINDOW, 1.0 / RATE
     trial = np.repeat(np.arange(trials), each)
@@ -38,6 +40,8 @@ def seen(trials: int, seconds: float, hum: float, seed: int, wander: float = 0.0
     start = 7.3 + wander * rng.uniform(0, 1, trials)[trial][:, None]
     force[..., 1] += hum * np.cos(2 * np.pi * (start * time - 0.1 * wander * time**2) + phase)
     force[..., 1] += jolt * np.cos(2 * np.pi * 7.3 * time) * ((trial == 0)[:, None] & (time < 1.0))
+    for k in range(trials if ring else 0):
+        force[trial == k, :, 0] += ring * _rung(rng.normal(size=each * WINDOW)).reshape(each, WINDOW)
     rows = 2 * WINDOW
     impulse = np.zeros((len(trial), rows, 2, WINDOW))
     for j in range(2):
@@ -61,6 +65,13 @@ def seen(trials: int, seconds: float, hum: float, seed: int, wander: float = 0.0
     )
 
 
+def _rung(shaking: np.ndarray) -> np.ndarray:
+    """White noise through a resonance, of unit variance."""
+    pole = np.exp(2 * np.pi * 5.0 / RATE * (-0.07 + 1j * np.sqrt(1 - 0.07**2)))
+    out = lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], shaking)
+    return out / out.std()
+
+
 PROBLEM = SimpleNamespace(plant=SimpleNamespace(joints=("joint1", "joint2")))
 
 
@@ -79,6 +90,13 @@ def test_a_hum_that_wanders_is_found_and_said_to():
         4.9 < found.frequency < 6.5 and 7.3 < found.highest < 9.3
     )  # from 7.3 to 9.3 Hz at first, 2.4 Hz lower at the end
     assert "wanders between" in found.words()
+
+
+def test_what_rings_is_a_resonance_at_its_joint():
+    found = line(PROBLEM, seen(6, 6.0, 0.0, 5, ring=1.5), PARTS)
+    assert found.joint == "joint1" and found.broad
+    assert found.frequency == pytest.approx(5.0, abs=0.5)
+    assert found.words() == f"resonance at {found.frequency:.2g} Hz"
 
 
 def test_a_jolt_in_one_trial_is_no_hum():
