@@ -29,11 +29,13 @@ def elaborated(
         problems = [replace(problem, elaborated=(*problem.elaborated, effect)) for effect in waiting]
         late = lambda pe, model=model: _with_late(pe[0], model, pe[1], response)
         made = abreast(late, zip(problems, waiting, strict=True))
-        pays = [new is not None and plausible(new, base) and better(new, model) for new in made]
-        if True not in pays:
+        pays = [
+            (k, new) for k, new in enumerate(made) if new is not None and plausible(new, base) and better(new, model)
+        ]
+        if not pays:
             break
-        first = pays.index(True)
-        problem, model, waiting = problems[first], made[first], waiting[first + 1 :]  # these again, beside it
+        first, model = pays[0]
+        problem, waiting = problems[first], waiting[first + 1 :]  # these again, beside it
     return problem, model
 
 

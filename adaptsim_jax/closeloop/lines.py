@@ -52,12 +52,12 @@ class Line:
 def line(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
     where the recording is too short to say. Of a hum that wanders and a resonance, whichever accounts for more."""
-    sure = lambda one: one is not None and one.p_value < NO_CHANCE and one.share > LEAST_SHARE
-    steady = _steady(problem, view, parts)
-    if sure(steady):
-        return steady
-    broader = [one for one in (_wandering(problem, view, parts), _resonance(problem, view, parts)) if sure(one)]
-    return max(broader, key=lambda one: one.share, default=None)
+    for kinds in ((_steady,), (_wandering, _resonance)):
+        found = [one for kind in kinds if (one := kind(problem, view, parts)) is not None]
+        sure = [one for one in found if one.p_value < NO_CHANCE and one.share > LEAST_SHARE]
+        if sure:
+            return max(sure, key=lambda one: one.share)
+    return None
 
 
 def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:

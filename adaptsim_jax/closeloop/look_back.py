@@ -75,7 +75,8 @@ def beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: Vi
     swaps = abreast(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
     swaps = [t for t in swaps if t is not None]
     late = hopeless(found, [best, *grown, *swaps], settings)
-    trials = abreast(lambda t: t if late(t) else settled(problem, t, seen.response), grown)
-    trials += abreast(lambda t: t if late(t) else settled_plainly(problem, t, seen), swaps)
+    trials = [t for t in [*grown, *swaps] if late(t)]
+    trials += abreast(lambda t: settled(problem, t, seen.response), [t for t in grown if not late(t)])
+    trials += abreast(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if not late(t)])
     found.tried, found.rivals[new] = found.tried + trials, trials
     return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best

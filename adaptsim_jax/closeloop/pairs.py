@@ -21,6 +21,7 @@ from adaptsim_jax.closeloop.view import Ranked, View, view
 MOST = 4  # plain refits, one from where the other ended
 FIRSTS = 2  # effects that fit best alone
 SECONDS = 4  # beside each of them: the right one was among the first two, in tuning and spent sets
+NEAR = 0.2  # of a declared parameter: a start that far away is another one
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Alone = tuple[Active, FitResult]
@@ -55,9 +56,19 @@ def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen
     except (Diverged, np.linalg.LinAlgError):  # its response to forces is not finite
         return []
     seconds = [r for r in about.ranked(active, plain=True) if r.score.retained > NEW][:SECONDS]
-    place = lambda r: (problem, (*active, r.instance), fit.theta, started(problem, first, r))
-    made = [fitted_plainly(*place(r), base.parts, seen.response) for r in seconds]
+    made = [
+        _likelier(problem, base, (*active, r.instance), fit.theta, started(problem, first, r), seen) for r in seconds
+    ]
     return [single, *(m for m in made if m is not None)]
+
+
+def _likelier(problem: Problem, base: Fitted, active: Active, theta, eff: np.ndarray, seen: View) -> Fitted | None:
+    """A pair refitted from given declared parameters, and from those that the measured motion suggests where they are elsewhere:
+    whatever one effect has bent the declared parameters to, no step leads back from where they make windows run away."""
+    elsewhere = not np.allclose(theta, problem.theta0, rtol=NEAR, atol=0.1 * NEAR * np.abs(problem.theta0).max())
+    starts = [theta, problem.theta0] if elsewhere else [theta]
+    made = [fitted_plainly(problem, active, start, eff, base.parts, seen.response) for start in starts]
+    return max((m for m in made if m is not None), key=lambda m: m.total, default=None)
 
 
 def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequence[Fitted], seen: View) -> list[Fitted]:

@@ -148,7 +148,7 @@ def _weight(windows: Windows) -> jax.Array:
     return jnp.asarray(windows.weight).transpose(1, 2, 0)
 
 
-def _row_maps(model: Model, theta, eff, mask, drive, x0, substeps: int):
+def _row_maps(model: Model, theta, eff, mask, drive, x0, substeps):
     """States `[L+1, S, W]`, and the derivatives of each row's end state by its start `[L, S, S, W]` and by a held force
     `[L, S, n, W]`.
 

@@ -143,7 +143,7 @@ def _warm_memory(model: Model, theta, eff, mask, windows: Windows) -> tuple[jax.
     return tuple(out)
 
 
-def trajectory(model: Model, theta, eff, mask, drive: Drive, x0, substeps: int):
+def trajectory(model: Model, theta, eff, mask, drive: Drive, x0, substeps):
     """States `[L+1, S, W]` and memories at every boundary from `x0: [S, W]`."""
     zero = jnp.zeros((model.plant.joint_dim, x0.shape[1]), x0.dtype)
     push = Push(zero, zero)

@@ -114,7 +114,7 @@ def cut_windows(
     motions = motions or [local_motion(t.time, t.q, t.v) for t in trials]
     steps = max(4, round(duration / (dt * stride)))
     substeps = max(1, int(np.ceil(dt * stride / max_step - 0.05)))
-    seen = [np.isfinite(t.q).all(1) for t in trials]
+    seen = [np.asarray(np.isfinite(t.q).all(1)) for t in trials]
     longest = 1.3 * substeps * max_step
     cuts = [_cut(t.time - t.time[0], ok, stride, steps, dt, longest) for t, ok in zip(trials, seen, strict=True)]
     share = min(1.0, most_windows / sum(len(c.rows) for c in cuts))

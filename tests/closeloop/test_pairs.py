@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from adaptsim_jax.closeloop import pairs
 from adaptsim_jax.closeloop.disturbance import Whitened
@@ -34,22 +35,24 @@ class Seen:
 def layout():
     instances = [SimpleNamespace(effect=SimpleNamespace(look_alikes=ALIKE[n])) for n, _ in PLACES]
     model = SimpleNamespace(layout=SimpleNamespace(instances=instances, index=lambda *p: PLACES.index(p)))
-    return SimpleNamespace(model=model, phases=lambda active: 0, windows=SimpleNamespace(start=None))
+    return SimpleNamespace(model=model, phases=lambda active: 0, windows=SimpleNamespace(start=None), theta0=np.ones(2))
 
 
 def fake_fits(monkeypatch, errors=None, doubted=()):
     """Refits that only say which effects they hold; `errors` are the sums of squares of single ones, with their sizes."""
-    made = lambda active: SimpleNamespace(active=active, candidate=SimpleNamespace(theta=None, eff=None))
+    made = lambda active, theta=None: SimpleNamespace(
+        active=active, candidate=SimpleNamespace(theta=theta, eff=None), total=0.0 if theta is None else theta[0]
+    )
     monkeypatch.setattr(pairs, "started", lambda *_: None)
     monkeypatch.setattr(pairs, "merged", lambda *_: None)
     monkeypatch.setattr(pairs, "doubtful", lambda *_: set(doubted))
-    monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, *_: made(active))
+    monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, theta, *_: made(active, theta))
 
     def alone(problem, active, *_):
         error, size = errors[active[-1][0]]
         code = pairs.DIVERGED if error is None else 0
         cost = np.array([np.nan if error is None else error])
-        return SimpleNamespace(code=code, cost=cost, names=["p"] * size, theta=None, eff=None, x0=None)
+        return SimpleNamespace(code=code, cost=cost, names=["p"] * size, theta=np.ones(2), eff=None, x0=None)
 
     monkeypatch.setattr(pairs, "fit_plain", alone)
     monkeypatch.setattr(pairs, "unmoved", lambda problem, active, *_: made(active))
@@ -80,6 +83,16 @@ def test_of_those_that_leave_alike_the_one_with_fewest_parameters_is_first(monke
     base = fake_fits(monkeypatch, {"drag": (4.1, 2), "friction": (4.0, 3), "lag": (9.0, 1)})
     found = names_of(pairs.refit_beside_first(layout(), base, SEEN))
     assert found == [("drag",), ("drag", "friction"), ("drag", "lag")]
+
+
+@pytest.mark.parametrize(("suggested", "starts"), [(1.1, 1.0), (3.0, 3.0), (0.2, 1.0)])
+def test_a_pair_starts_from_what_the_motion_suggests_too_where_that_is_elsewhere(monkeypatch, suggested, starts):
+    """A play had bent the declared parameters so far that no pair with it came back from there. The likelier of both is kept."""
+    base = fake_fits(monkeypatch, {"drag": (9.0, 3), "friction": (4.0, 3), "lag": (None, 3)})
+    problem = layout()
+    problem.theta0 = np.array([suggested, 1.0])
+    _, pair, *_ = pairs.refit_beside_first(problem, base, SEEN)
+    assert pair.candidate.theta[0] == starts
 
 
 def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):
