@@ -52,19 +52,21 @@ class Line:
 def line(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
     where the recording is too short to say. Of a hum that wanders and a resonance, whichever accounts for more."""
-    for kinds in ((_steady,), (_wandering, _resonance)):
-        found = [one for kind in kinds if (one := kind(problem, view, parts)) is not None]
-        sure = [one for one in found if one.p_value < NO_CHANCE and one.share > LEAST_SHARE]
-        if sure:
-            return max(sure, key=lambda one: one.share)
-    return None
-
-
-def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
-    """At one frequency in all trials."""
     frequency, gain = _gains(view, parts, STRETCH)
-    if len(frequency) <= 2 * BESIDE or len(gain) < LEAST_STRETCHES:
-        return None
+    long = len(frequency) > 2 * BESIDE and len(gain) >= LEAST_STRETCHES
+    if long and (steady := _sure([_steady(problem, view, frequency, gain)])) is not None:
+        return steady
+    return _sure([_wandering(problem, view, parts), _resonance(problem, view, frequency, gain) if long else None])
+
+
+def _sure(found: list[Line | None]) -> Line | None:
+    """The one that accounts for most of those that are no chance."""
+    sure = [one for one in found if one is not None and one.p_value < NO_CHANCE and one.share > LEAST_SHARE]
+    return max(sure, key=lambda one: one.share, default=None)
+
+
+def _steady(problem: Problem, view: View, frequency: np.ndarray, gain: np.ndarray) -> Line:
+    """At one frequency in all trials."""
     freedom, total = 2 * len(gain), gain.sum(0)
     beside = _beside(total) / chi2.median(freedom)
     p = np.minimum(1.0, chi2.sf(total / np.maximum(beside, 1.0), freedom) * total.size)
@@ -73,12 +75,9 @@ def _steady(problem: Problem, view: View, parts: disturbance.Components) -> Line
     return Line(problem.plant.joints[joint], float(frequency[at]), share, float(p[joint, at]))
 
 
-def _resonance(problem: Problem, view: View, parts: disturbance.Components) -> Line | None:
+def _resonance(problem: Problem, view: View, frequency: np.ndarray, gain: np.ndarray) -> Line | None:
     """A narrow band that stands out of the octaves beside it, in one stretch as in others (Fisher's sum, no stretch more than sure).
     One high frequency does not make a band."""
-    frequency, gain = _gains(view, parts, STRETCH)
-    if len(frequency) <= 2 * BESIDE or len(gain) < LEAST_STRETCHES:
-        return None
     found = []
     for centre in frequency:
         apart = np.abs(frequency - centre)

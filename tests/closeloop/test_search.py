@@ -149,3 +149,20 @@ def test_what_torques_wander_by_is_not_far():
     problem = SimpleNamespace(torque_scale=np.array([10.0, 1.0]))
     left = lambda *force: SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array(force)))
     assert not search._still_far(problem, left(0.4, 0.04)) and search._still_far(problem, left(0.0, 0.06))
+
+
+@pytest.mark.parametrize(
+    ("effects", "left", "gain", "over"),
+    [
+        (1, 0.99, 100.0, True),
+        (1, 0.99, 600.0, False),
+        (1, 0.9, 100.0, False),
+        (2, 0.5, 100.0, False),
+        (2, 0.7, 600.0, True),
+    ],
+)
+def test_what_leaves_all_of_the_force_and_gains_little_is_not_gone_on_from(effects, left, gain, over):
+    """A hum beside a drift left all of it, but gained hundreds, and the drift was found beside it."""
+    model = lambda active, share, total: SimpleNamespace(active=active, moving=np.array([share**2]), total=total)
+    new = model(("drag", "lag")[:effects], left, gain)
+    assert search._astray(new, model((), 1.0, 0.0), Settings()) is over

@@ -85,6 +85,15 @@ def test_a_force_as_large_as_the_torque_is_no_noise(force, powered, expected):
     assert not verdict.named
 
 
+@pytest.mark.parametrize(("powered", "expected"), [(True, "within_noise"), (False, "underpowered")])
+def test_where_far_more_than_the_sensors_do_is_left_it_is_said(powered, expected):
+    nothing = SimpleNamespace(added=(), tried=[], base=None)
+    quiet, force = left(0.0, 1.0), np.array([0.0, 0.01])
+    said = lambda beyond: decide(nothing, quiet, quiet, Settings(), powered, 1.0, force, beyond)
+    assert said(15.2).name == expected and "leaves 15 times the sensors' noise" in said(15.2).message
+    assert "times" not in said(1.1).message
+
+
 def test_a_line_in_the_spectrum_is_structure_and_is_said():
     nothing = SimpleNamespace(added=(), tried=[], base=None)
     hum = Line("joint1", 4.0, 0.2, 1e-50)

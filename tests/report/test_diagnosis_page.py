@@ -112,6 +112,14 @@ def test_headlines(written, verdict, sentence):
     assert sentence in written[verdict][1].text
 
 
+def test_within_noise_says_how_much_is_left_where_that_is_far_more_than_the_sensors():
+    report = REPORTS["within_noise"]()
+    report["error"] |= {"before": 17.0e-4, "noise_floor": 1.0e-4}
+    assert "17 times the sensors' noise" in headline(report)
+    report["error"]["before"] = 1.1e-4
+    assert headline(report) == "The declared model explains these data to within the noise."
+
+
 def test_what_declared_parameters_absorb_is_no_suspect():
     report = REPORTS["confounded_with_declared"]()
     assert any(row["status"] == "confounded" for row in report["candidates"]) and not report["effects"]
