@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+MAX_SEED = 2**32 - 1  # of JAX
+
 
 def finite(value: Any) -> float | None:
     """`value` as a float; None where it is no number (booleans are none), not finite, or an integer beyond every float."""

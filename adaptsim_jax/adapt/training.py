@@ -12,6 +12,7 @@ from adaptsim_jax.adapt.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1S
 from adaptsim_jax.adapt.phase1_config import check_hyper
 from adaptsim_jax.adapt.phase2 import Phase2Result, adapt, draw_starts
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.given import MAX_SEED
 from adaptsim_jax.store import RunFolder
 from adaptsim_jax.tasks.registry import make_task
 
@@ -31,8 +32,8 @@ class TrainConfig:
     hyper: Phase1Hyper = field(default_factory=Phase1Hyper)
 
     def __post_init__(self):
-        if not 0 <= self.seed < 2**32:
-            raise BadInput(f"seed = {self.seed}: give a whole number from 0 to {2**32 - 1}")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise BadInput(f"seed = {self.seed}: give a whole number from 0 to {MAX_SEED}")
         check_hyper(self.hyper)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from adaptsim_jax.config import read, suggest
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.given import brief, finite
+from adaptsim_jax.models.constants import GRAVITY
 
 MODELS = ("linearized", "rigid_body")
 ANGLE_ZEROS = ("upright", "hanging")
@@ -160,7 +161,7 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
         if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
             unit = "m/s^2" if key == "g" else "m"
             raise BadInput(f"{path}: geometry.{key} = {value:g} is not physical; give it in {unit}, above 0")
-    defaults = {"g": 9.81} if model == "rigid_body" else {"l1": 1.0, "l2": 1.0, "g": 9.81}
+    defaults = {"g": GRAVITY} if model == "rigid_body" else {"l1": 1.0, "l2": 1.0, "g": GRAVITY}
     assumed = {k: v for k, v in defaults.items() if k not in given}
     notes = (f"geometry not declared, assumed: {', '.join(f'{k} = {v:g}' for k, v in assumed.items())}",)
     return {**defaults, **given}, notes if assumed else ()

@@ -35,7 +35,7 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
     and a stop at one joint the stop came twelfth, and left least error."""
     candidates = [r for r in seen.ranked(base.candidate.active, plain=True) if r.score.retained > NEW]
     alone = [f for f in abreast(lambda r: _alone(problem, base, r), candidates) if f[1].code != DIVERGED]
-    firsts = _least(problem, alone)[:FIRSTS]
+    firsts = abreast(lambda first: _closer(problem, base, first), _least(problem, alone)[:FIRSTS])
     return [m for pairs in abreast(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
 
 
@@ -63,12 +63,17 @@ def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen
 
 
 def _likelier(problem: Problem, base: Fitted, active: Active, theta, eff: np.ndarray, seen: View) -> Fitted | None:
-    """A pair refitted from given declared parameters, and from those that the measured motion suggests where they are elsewhere:
-    whatever one effect has bent the declared parameters to, no step leads back from where they make windows run away."""
-    elsewhere = not np.allclose(theta, problem.theta0, rtol=NEAR, atol=0.1 * NEAR * np.abs(problem.theta0).max())
-    starts = [theta, problem.theta0] if elsewhere else [theta]
+    """A pair refitted from each of the declared parameters to start from."""
+    starts = _starts(problem, theta)
     made = [fitted_plainly(problem, active, start, eff, base.parts, seen.response) for start in starts]
     return max((m for m in made if m is not None), key=lambda m: m.total, default=None)
+
+
+def _starts(problem: Problem, theta) -> list[np.ndarray]:
+    """Declared parameters to start from: the given ones, and those that the measured motion suggests where they are elsewhere.
+    Whatever a missing effect has bent the declared parameters to, no step leads back from where they make windows run away."""
+    elsewhere = not np.allclose(theta, problem.theta0, rtol=NEAR, atol=0.1 * NEAR * np.abs(problem.theta0).max())
+    return [theta, problem.theta0] if elsewhere else [theta]
 
 
 def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequence[Fitted], seen: View) -> list[Fitted]:
@@ -93,10 +98,16 @@ def swapped_plainly(
 
 def _alone(problem: Problem, base: Fitted, ranked: Ranked) -> Alone:
     """The least-squares fit with one effect."""
-    active = (*base.active, ranked.instance)
-    return active, fit_plain(
-        problem, active, base.candidate.theta, started(problem, base, ranked), problem.windows.start
-    )
+    active, eff = (*base.active, ranked.instance), started(problem, base, ranked)
+    return active, fit_plain(problem, active, base.candidate.theta, eff, problem.windows.start)
+
+
+def _closer(problem: Problem, base: Fitted, alone: Alone) -> Alone:
+    """The fit of one effect, or that from the other declared parameters where it leaves less."""
+    active, fit = alone
+    others = _starts(problem, base.candidate.theta)[1:]
+    fits = [fit, *(fit_plain(problem, active, theta, fit.eff, problem.windows.start) for theta in others)]
+    return active, min(fits, key=lambda f: (f.code == DIVERGED, float(f.cost.sum())))
 
 
 def settled_plainly(problem: Problem, model: Fitted, seen: View) -> Fitted:

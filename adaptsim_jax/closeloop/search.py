@@ -26,6 +26,7 @@ from adaptsim_jax.closeloop.view import Ranked, View, generic_p_value, view
 FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
 IDLE = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit will
 SLIGHT = 300.0  # of log-likelihood: an idle effect that gains less is no place to go on from
+SLACK = 1.2  # times the force left before: what leaves more is no step forward
 STILL_FAR = 0.05  # of the torque: with more force left than torques wander by, what was found one by one is not all
 BLATANT = 0.01  # of the torque: with less force left over the short list will do
 
@@ -53,6 +54,9 @@ def search(
         enough = earns(problem, current, final, base, settings)
         if enough or completes(problem, current, final, base, settings):
             current = look_back(problem, found, current, new, seen, settings, say)
+            if _worse(problem, current, found.final, base):
+                current = found.final
+                break
             problem, current = _finer(problem, found, current, seen, settings)
             found.final = current
         elif unexplained(found.final, base) < settings.explained or _astray(current, base, settings):
@@ -76,6 +80,14 @@ def _astray(model: Fitted, base: Fitted, settings: Settings) -> bool:
     if len(model.active) - len(base.active) > 1:
         return unexplained(model, base) > settings.promising
     return unexplained(model, base) > IDLE and model.total - base.total < SLIGHT
+
+
+def _worse(problem: Problem, model: Fitted, before: Fitted, base: Fitted) -> bool:
+    """Whether a look back ended at forces too large for chance, and larger than those left before the last effect came in.
+    Likelihoods would not show it, being under the response of a model that may be far off: a search that goes on from there
+    wanders, and may come round."""
+    left = lambda m: np.linalg.norm(m.parts.force_std() / problem.torque_scale)
+    return bool(before is not base and _still_far(problem, model) and left(model) > SLACK * left(before))
 
 
 def _still_far(problem: Problem, model: Fitted) -> bool:

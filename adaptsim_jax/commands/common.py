@@ -11,8 +11,7 @@ from typing import Any
 from adaptsim_jax import config
 from adaptsim_jax.commands import TASKS
 from adaptsim_jax.errors import BadInput
-
-MAX_SEED = 2**32 - 1
+from adaptsim_jax.given import MAX_SEED
 
 
 def check_task(task: str) -> str:

@@ -48,17 +48,17 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
     monkeypatch.setattr(pairs, "doubtful", lambda *_: set(doubted))
     monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, theta, *_: made(active, theta))
 
-    def alone(problem, active, *_):
+    def alone(problem, active, theta, *_):
         error, size = errors[active[-1][0]]
-        code = pairs.DIVERGED if error is None else 0
-        cost = np.array([np.nan if error is None else error])
-        return SimpleNamespace(code=code, cost=cost, names=["p"] * size, theta=np.ones(2), eff=None, x0=None)
+        error, code = (error, 0) if error is not None else (0.0, pairs.DIVERGED)
+        error = error / theta[0]  # from further away, less is left
+        return SimpleNamespace(code=code, cost=np.array([error]), names=["p"] * size, theta=theta, eff=None, x0=None)
 
     monkeypatch.setattr(pairs, "fit_plain", alone)
     monkeypatch.setattr(pairs, "unmoved", lambda problem, active, *_: made(active))
     monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
     monkeypatch.setattr(pairs, "settled", lambda problem, model, *_, **__: model)
-    return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=None, eff=None), parts=None)
+    return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=np.ones(2), eff=None), parts=None)
 
 
 SEEN = SimpleNamespace(response=None, ranked=Seen().ranked)
@@ -93,6 +93,19 @@ def test_a_pair_starts_from_what_the_motion_suggests_too_where_that_is_elsewhere
     problem.theta0 = np.array([suggested, 1.0])
     _, pair, *_ = pairs.refit_beside_first(problem, base, SEEN)
     assert pair.candidate.theta[0] == starts
+
+
+@pytest.mark.parametrize(("suggested", "kept"), [(1.1, 1.0), (3.0, 3.0), (0.2, 1.0)])
+def test_what_fits_best_alone_is_fitted_from_what_the_motion_suggests_too(monkeypatch, suggested, kept):
+    """Beside a play that was half as wide as it should be, the spring that acted with it came nowhere near the front."""
+    base = fake_fits(monkeypatch, {"drag": (9.0, 3)})
+    problem = layout()
+    problem.theta0 = np.array([suggested, 1.0])
+    drag = next(r for r in Seen().ranked(plain=True) if r.instance[0] == "drag")
+    alone = pairs._alone(problem, base, drag)
+    assert alone[1].theta[0] == 1.0
+    _, fit = pairs._closer(problem, base, alone)
+    assert fit.theta[0] == kept
 
 
 def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):

@@ -166,3 +166,20 @@ def test_what_leaves_all_of_the_force_and_gains_little_is_not_gone_on_from(effec
     model = lambda active, share, total: SimpleNamespace(active=active, moving=np.array([share**2]), total=total)
     new = model(("drag", "lag")[:effects], left, gain)
     assert search._astray(new, model((), 1.0, 0.0), Settings()) is over
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse"),
+    [
+        ((0.7, 0.2), (1.0, 0.5), True),
+        ((0.7, 0.2), (0.7, 0.25), False),
+        ((0.01, 0.01), (0.04, 0.04), False),  # by chance torques wander by that much
+        (None, (1.0, 0.5), False),  # the first effect
+    ],
+)
+def test_a_look_back_that_leaves_more_than_there_was_ends_the_search(before, after, worse):
+    """Of a play and a spring, sets of the play and five other effects followed each other for ten minutes."""
+    problem = SimpleNamespace(torque_scale=np.ones(2))
+    left = lambda force: SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array(force)))
+    base = left((2.0, 2.0))
+    assert search._worse(problem, left(after), left(before) if before else base, base) is worse
