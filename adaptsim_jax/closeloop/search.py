@@ -79,6 +79,11 @@ def _astray(model: Fitted, base: Fitted, settings: Settings) -> bool:
     than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
     if len(model.active) - len(base.active) > 1:
         return unexplained(model, base) > settings.promising
+    return _idle(model, base)
+
+
+def _idle(model: Fitted, base: Fitted) -> bool:
+    """Whether a model leaves all of the force and is hardly likelier than none."""
     return unexplained(model, base) > IDLE and model.total - base.total < SLIGHT
 
 
@@ -131,7 +136,7 @@ def _blatant(problem: Problem, model: Fitted, seen: View) -> bool:
 
 def _paired(problem: Problem, found: Found, current: Fitted, seen: View, settings: Settings, say):
     """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
-    more than they do."""
+    more than they do; else, where none of them may be named, the likeliest set of all for trying."""
     base = found.base
     if not anything(problem, base, found.ranked, seen, settings):
         return problem, current
@@ -145,14 +150,15 @@ def _paired(problem: Problem, found: Found, current: Fitted, seen: View, setting
         more = with_look_alikes(problem, base, likeliest, trials, seen)
         trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
     order = sorted(trials, key=lambda t: -t.merit(settings.price))
-    front = [t for t in order if plausible(t, base) and unexplained(t, base) < IDLE][: settings.pairs]
+    front = [t for t in order if plausible(t, base) and not _idle(t, base)][: settings.pairs]
     trials = abreast(lambda t: settled_plainly(problem, t, seen), front)
     trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
     found.tried += trials
-    best = choose(problem, [t for t in trials if plausible(t, base)], base, settings)
-    if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
-        return problem, current
     merit = lambda model: seen_anew(problem, model, seen.response).merit(settings.price)
+    fair = [t for t in trials if plausible(t, base)]
+    best = choose(problem, fair, base, settings)
+    if best is None or not earns(problem, best, base, base, settings) or unexplained(best, base) > settings.explained:
+        return problem, current if found.added else max([current, *fair], key=merit)
     if found.added and merit(best) < merit(found.final):
         return problem, current
     found.final = base
