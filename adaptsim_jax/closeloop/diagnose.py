@@ -164,7 +164,7 @@ def examine(
     leading = None if verdict.named else found.leading or (found.final if found.added else None)
     if leading is not None:
         tried = held_out(problem, leading, view(problem, leading))
-        add_leading(report, problem, leading, found, tried)
+        leading = leading if add_leading(report, problem, leading, found, tried) else None
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)
     if problem.recording.smoothing:

@@ -135,9 +135,15 @@ def _error(problem: Problem, before: HeldOut, after: HeldOut | None, rng) -> dic
     }  # fmt: skip
 
 
-def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: Found, after: HeldOut) -> None:
-    """Put what the likeliest set of effects reaches into the report, where that set explains too little for a name."""
+def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: Found, after: HeldOut) -> bool:
+    """Put what the likeliest set of effects reaches into the report, where that set explains too little for a name; whether it
+    simulates left-out trials any better than the declared model, and so is worth trying."""
     names = [e for e in model.active if e not in found.base.active]
+    words = " and ".join(f"{name.replace('_', ' ')} at {where}" for name, where in names)
+    if after.rmse() >= report["error"]["before"]:
+        worse = f"The likeliest set, {words}, simulates held-out trials no better than the declared model."
+        report["not_established"].append(worse)
+        return False
     layout = problem.model.layout
     effects = []
     for name, where in names:
@@ -149,12 +155,12 @@ def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: 
     interval = after.interval(None, np.random.default_rng(0))
     told = {"effects": effects, "after": reached, "interval": interval, "unexplained_left": left}
     report["error"]["leading"] = told
-    words = " and ".join(f"{name.replace('_', ' ')} at {where}" for name, where in names)
     report["not_established"].append(
         f"The likeliest set, {words}, would bring the held-out error from {1e3 * report['error']['before']:.3g} to "
         f"{1e3 * reached:.3g} mrad and leave {100 * left:.0f} % of the unexplained torque: not enough for a name. "
         "leading.toml has it, to be tried."
     )
+    return True
 
 
 def add_ceiling(error: dict[str, Any], found: Ceiling | None) -> None:
