@@ -11,6 +11,7 @@ time tau. The components are estimated by restricted maximum likelihood (Patters
 projected out; whitening with the result makes residuals nearly independent, with unit variance.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,7 @@ from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.restricted import Terms, factored, maximised
 
 COLUMNS = 256  # of atoms that are whitened at a time: what lies between stays small
+INFLATED = 2.0  # times a sensor's variance: beyond this the components are looked for from large forces, too
 CORRELATION_TIMES = (0.02, 0.1, 0.5)  # s: faster than a row, a motion's phase, slower than a window
 
 
@@ -142,7 +144,14 @@ def estimate(
         first = np.clip(np.concatenate([start.sensor, start.force.ravel() * scale[n_sensor:]]), 1e-7, 1e12)
     low = np.array([0.05] * n_sensor + [1e-8] * len(force))
     high = np.array([50.0] * n_sensor + [1e12] * len(force))
-    a = np.exp(maximised(terms, np.log(first), np.log(low), np.log(high))) / scale
+    likeliest = maximised(terms, np.log(first), np.log(low), np.log(high))
+    noisy = np.exp(likeliest.log[:n_sensor]).max()
+    if noisy > INFLATED:  # sensors that are said to be worse than they are may hide forces: two optima, far apart
+        other = np.concatenate([np.ones(n_sensor), np.full(len(force), noisy)])
+        with suppress(np.linalg.LinAlgError):
+            forced = maximised(terms, np.log(other), np.log(low), np.log(high))
+            likeliest = min(likeliest, forced, key=lambda point: point.value)
+    a = np.exp(likeliest.log) / scale
     return Components(a[:n_sensor], a[n_sensor:].reshape(lin.impulse.shape[2], len(CORRELATION_TIMES)))
 
 

@@ -43,8 +43,8 @@ class Point:
     drift: np.ndarray
 
 
-def maximised(terms: Terms, first: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Log components `[C]` of the highest restricted likelihood within bounds, sensors first, from `first`.
+def maximised(terms: Terms, first: np.ndarray, low: np.ndarray, high: np.ndarray) -> Point:
+    """The highest restricted likelihood within bounds that log components `[C]`, sensors first, lead to from `first`.
 
     Raises `LinAlgError` where already the covariance at `first` has no factor.
     """
@@ -65,7 +65,7 @@ def maximised(terms: Terms, first: np.ndarray, low: np.ndarray, high: np.ndarray
             damping = max(damping * 10.0, 1e-2)
         if 0 < gain < TOLERANCE:
             break
-    return at.log
+    return at
 
 
 def _stepped(at: Point, damping: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:

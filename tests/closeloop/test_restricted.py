@@ -55,7 +55,7 @@ def test_the_information_is_what_the_curvature_is_on_average():
 def test_the_maximum_is_as_high_as_any_that_a_search_without_derivatives_finds(first, sizes, stray):
     terms = drawn(3, sizes, stray)
     low, high = np.log([0.05, 1e-8, 1e-8]), np.log([50.0, 1e12, 1e12])
-    found = restricted.maximised(terms, np.log(first), low, high)
+    found = restricted.maximised(terms, np.log(first), low, high).log
     assert np.all(found >= low) and np.all(found <= high)
     starts = [np.log(s) for s in ([1, 1, 1], [1, 1e-3, 10], [1, 10, 1e-3], [1, 1e-6, 1e-6], [1, 1e4, 1e4])]
     options = {"maxiter": 4000, "xatol": 1e-6, "fatol": 1e-8}
@@ -69,7 +69,7 @@ def test_the_maximum_is_as_high_as_any_that_a_search_without_derivatives_finds(f
 def test_a_step_to_where_no_covariance_has_a_factor_is_not_the_end(monkeypatch):
     terms, evaluated, asked = drawn(5, (1.0, 30.0, 0.0)), restricted._evaluated, []
     first, low, high = np.log([1.0, 1e-6, 1e-6]), np.log([0.05, 1e-8, 1e-8]), np.log([50.0, 1e12, 1e12])
-    free = restricted.maximised(terms, first, low, high)
+    free = restricted.maximised(terms, first, low, high).log
 
     def picky(terms, log):
         asked.append(log)
@@ -78,7 +78,7 @@ def test_a_step_to_where_no_covariance_has_a_factor_is_not_the_end(monkeypatch):
         return evaluated(terms, log)
 
     monkeypatch.setattr(restricted, "_evaluated", picky)
-    found = restricted.maximised(terms, first, low, high)
+    found = restricted.maximised(terms, first, low, high).log
     assert len(asked) > 5
     assert evaluated(terms, found).value == pytest.approx(evaluated(terms, free).value, abs=0.02)
 
