@@ -4,6 +4,8 @@ import re
 from collections import Counter, defaultdict
 from statistics import median
 
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import binomtest
 
 from tests.generators.suites import ALIASES, SAME, Case
@@ -53,12 +55,19 @@ def localised(record: dict) -> bool:
     return any(where == "base" or where in found for _, where in record["hidden"])
 
 
+def matched(hidden: list[Named], found: list[set[Named]]) -> list[bool]:
+    """Whether each hidden effect is in the class of a named one, of its own: one name is not two effects."""
+    fits = np.array([[h in c for c in found] for h in hidden], bool).reshape(len(hidden), len(found))
+    rows, columns = linear_sum_assignment(fits, maximize=True)
+    return [bool(h in rows and fits[h, columns[list(rows).index(h)]]) for h in range(len(hidden))]
+
+
 def score_case(suite: str, case: Case, truth: dict, report: dict) -> dict:
     """What was hidden, what was named, and whether each name is right."""
     found = classes(report)
     hidden = [(e["name"], e["where"]) for e in truth["effects"]]
     confounded = [e["confounded"] for e in truth["effects"]]
-    hits = [any(h in c for c in found) for h in hidden]
+    hits = matched(hidden, found)
     verdict = report["verdict"]
     if suite != "outside":
         quiet = verdict in (*NOTHING, "confounded_with_declared") and not found

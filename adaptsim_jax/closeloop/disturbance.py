@@ -23,6 +23,7 @@ from adaptsim_jax.closeloop.restricted import Terms, factored, maximised
 
 COLUMNS = 256  # of atoms that are whitened at a time: what lies between stays small
 INFLATED = 2.0  # times a sensor's variance: beyond this the components are looked for from large forces, too
+FAR_ABOVE = 100.0  # times that: the forces to start from, which shrink more easily than they grow
 CORRELATION_TIMES = (0.02, 0.1, 0.5)  # s: faster than a row, a motion's phase, slower than a window
 
 
@@ -147,7 +148,7 @@ def estimate(
     likeliest = maximised(terms, np.log(first), np.log(low), np.log(high))
     noisy = np.exp(likeliest.log[:n_sensor]).max()
     if noisy > INFLATED:  # sensors that are said to be worse than they are may hide forces: two optima, far apart
-        other = np.concatenate([np.ones(n_sensor), np.full(len(force), noisy)])
+        other = np.concatenate([np.ones(n_sensor), np.full(len(force), FAR_ABOVE * noisy)])
         with suppress(np.linalg.LinAlgError):
             forced = maximised(terms, np.log(other), np.log(low), np.log(high))
             likeliest = min(likeliest, forced, key=lambda point: point.value)

@@ -29,6 +29,16 @@ def test_right_wrong_joint_and_class():
     assert judged([("coulomb", "joint1")], [], "within_noise")["hits"] == [False]
 
 
+def test_one_name_is_not_two_effects():
+    tilt = {"name": "tilt", "where": "base", "alternatives": ["periodic_disturbance@joint1"]}
+    hum = {"name": "periodic_disturbance", "where": "joint1"}
+    hidden = [("periodic_disturbance", "joint1"), ("tilt", "base")]
+    assert sum(judged(hidden, [tilt], suite="two")["hits"]) == 1
+    assert judged(hidden, [tilt, hum], suite="two")["hits"] == [True, True]
+    assert judged(hidden, [hum | {"alternatives": ["tilt@base"]}, tilt], suite="two")["hits"] == [True, True]
+    assert judged(hidden, [], "structured_unattributed", suite="two")["hits"] == [False, False]
+
+
 def test_what_physics_makes_the_same_counts_and_nothing_else():
     offset = {"name": "encoder_offset", "where": "joint1"}
     assert judged([("tilt", "base")], [offset])["hits"] == [True]
