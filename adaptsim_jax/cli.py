@@ -147,6 +147,7 @@ def _set_up_memory() -> None:
         from adaptsim_jax import memory
 
         memory.keep_freed()
+        memory.collect_rarely()
 
 
 def _file_system(error: OSError) -> int:

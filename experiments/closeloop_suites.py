@@ -20,7 +20,7 @@ from pathlib import Path
 
 import jax
 
-from adaptsim_jax import memory
+from adaptsim_jax import compile_flags, memory
 from experiments.closeloop_scores import row, score_case, summarise, table
 from experiments.closeloop_truth import true_error
 from tests.generators import make_datasets, write_dataset
@@ -104,6 +104,7 @@ def main() -> None:
     p.add_argument("--generate-only", action="store_true", help="write the data sets and their truths, no diagnosis")
     a = p.parse_args()
     memory.keep_freed()
+    compile_flags.small_steps()  # as the command does; workers inherit them
     for name in ("cases", "data", "reports"):
         (a.out / name).mkdir(parents=True, exist_ok=True)
     pool = ProcessPoolExecutor(a.workers, get_context("spawn"), memory.keep_freed) if a.workers > 1 else None

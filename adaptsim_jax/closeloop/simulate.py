@@ -49,27 +49,37 @@ def driven(model: Model, theta, eff, mask, windows: Windows) -> Drive:
     """Commands as they reach the joints, and memories warmed along the measured motion."""
     time = jnp.asarray(windows.times).T
     dt = jnp.diff(time, axis=0)
-    half, applied = trial_command(model, eff, mask, windows)
     clock = jnp.asarray(windows.clock)[windows.trial]
     memory = _warm_memory(model, theta, eff, mask, windows)
-    return Drive(*gather_command(half, applied, windows, dt), dt, time, clock, memory)
+    half, recorded = half_rows(windows)
+    given = lambda: gather_command(half, recorded, windows, dt)
+    changed = lambda: gather_command(half, commanded(model, eff, mask, half, recorded), windows, dt)
+    effects = list(model.layout.placed("command"))
+    # all of it within the question: without command effects nothing of it has a derivative
+    u, ramp = jax.lax.cond(_any(model, effects, mask), changed, given) if effects else given()
+    return Drive(u, ramp, dt, time, clock, memory)
+
+
+def half_rows(windows: Windows) -> tuple[jax.Array, jax.Array]:
+    """Times `[2 T, N]` s and the trials' recorded torque `[2 T, U, N]` N m, two half rows for each row: a late command changes
+    within a row."""
+    t, u = jnp.asarray(windows.time).T, jnp.asarray(windows.torque).transpose(1, 2, 0)
+    middle = 0.5 * (t + jnp.concatenate([t[1:], t[-1:]]))
+    return jnp.stack([t, middle], 1).reshape(-1, t.shape[1]), jnp.repeat(u, 2, axis=0)
+
+
+def commanded(model: Model, eff, mask, t, u) -> jax.Array:
+    """The torque `u [2 T, U, N]` N m of half rows at `t [2 T, N]` s with the command effects that act applied."""
+    for effect in model.layout.placed("command"):
+        act = lambda u, effect=effect: effect.apply(timeless(model.layout.params(effect, eff, 1)), t[:, None, :], u)
+        u = jax.lax.cond(_any(model, [effect], mask), act, lambda u: u, u)
+    return u
 
 
 def trial_command(model: Model, eff, mask, windows: Windows) -> tuple[jax.Array, jax.Array]:
-    """Times `[2 T, N]` s and the trials' torque with the command effects applied `[2 T, U, N]` N m, two half rows for each
-    row: a late command changes within a row."""
-    t, u = jnp.asarray(windows.time).T, jnp.asarray(windows.torque).transpose(1, 2, 0)
-    middle = 0.5 * (t + jnp.concatenate([t[1:], t[-1:]]))
-    t = jnp.stack([t, middle], 1).reshape(-1, t.shape[1])
-    u = jnp.repeat(u, 2, axis=0)
-    effects = list(model.layout.placed("command"))
-
-    def act(u):
-        for effect in effects:
-            u = effect.apply(timeless(model.layout.params(effect, eff, 1)), t[:, None, :], u)
-        return u
-
-    return t, jax.lax.cond(_any(model, effects, mask), act, lambda u: u, u) if effects else u
+    """Times of half rows `[2 T, N]` s, and the trials' torque `[2 T, U, N]` N m with the command effects applied."""
+    t, recorded = half_rows(windows)
+    return t, commanded(model, eff, mask, t, recorded)
 
 
 def timeless(p: dict) -> dict:

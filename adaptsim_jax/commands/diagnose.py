@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -29,11 +30,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Close the loop on a folder of measured data."""
+    from adaptsim_jax import compile_flags
     from adaptsim_jax.closeloop.recording import read_recording
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.progress import progress
 
     recording = read_recording(args.data)  # refused within a second, and before JAX is loaded
+    if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
+        compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
         from adaptsim_jax.closeloop.diagnose import diagnose
 

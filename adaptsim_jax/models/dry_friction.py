@@ -64,8 +64,8 @@ def _in_parts(v, torque, level, width, inertia, h):
         return v + h * (torque + mean) / inertia, mean
 
     means = jax.lax.scan(part, v, length=PARTS)[1]
-    middles = (jnp.arange(PARTS, dtype=means.dtype) + 0.5) / PARTS - 0.5
-    return means.mean(0), 12.0 * jnp.tensordot(middles, means, 1) / PARTS
+    middles = ((jnp.arange(PARTS, dtype=means.dtype) + 0.5) / PARTS - 0.5).reshape(PARTS, *(1,) * v.ndim)
+    return means.mean(0), 12.0 * (middles * means).sum(0) / PARTS
 
 
 def _sharp(v, torque, level, inertia, h):

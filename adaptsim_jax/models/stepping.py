@@ -69,44 +69,59 @@ def _later(t, h):
 
 class Acting(NamedTuple):
     """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2), and the friction
-    times the width within which it turns (W)."""
+    times the width within which it turns (W); None for what was not asked for."""
 
-    force: jax.Array
-    level: jax.Array
-    inertia: jax.Array
-    blur: jax.Array
+    force: jax.Array | None
+    level: jax.Array | None
+    inertia: jax.Array | None
+    blur: jax.Array | None
 
 
-def acting(model: Model, theta, eff, memory, x, u, t, on=None, effects: list | None = None) -> Acting:
+PUSHING = ("force", "inertia")
+RUBBING = ("level", "blur")
+
+
+def acting(
+    model: Model,
+    theta,
+    eff,
+    memory,
+    x,
+    u,
+    t,
+    on=None,
+    effects: list | None = None,
+    only: tuple[str, ...] = Acting._fields,
+) -> Acting:
     """What the force effects do at `x`, `[S, ...]` or as many `[...]`. on `[effects]`: those that are False are skipped, at no
-    cost but the question, which is put to several of them at once first; all count where None. effects: others are left out."""
+    cost but the question, which is put to several of them at once first; all count where None. effects: others are left out.
+    only: fields that are wanted, as each is carried through every question."""
     n = model.plant.joint_dim
     every = list(model.layout.placed("force"))
     memories = dict(zip((e.name for e in every if e.memory), memory, strict=True))
     effects = every if effects is None else effects
 
+    def one(total: Acting, effect, p, w) -> Acting:
+        answer = effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
+        said = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
+        if isinstance(answer, Dry):
+            said |= {"level": answer.level, "blur": answer.level * answer.width}
+        return total._replace(**{field: getattr(total, field) + said[field] for field in said if field in only})
+
     def add(total: Acting, group) -> Acting:
         for effect in group:
             p = model.layout.params(effect, eff, jnp.ndim(x[0]))
-            if effect.inertia:
-                total = total._replace(inertia=total.inertia + effect.apply(p))
-                continue
-            w = memories.get(effect.name, jnp.zeros_like(total.force))
+            w = memories.get(effect.name, zero)
             total = _where_on(model, effect, on, one, total, effect, p, w)
-        return total
-
-    def one(total: Acting, effect, p, w) -> Acting:
-        answer = effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
-        force = answer.force if isinstance(answer, (Dry, Relaxation)) else answer
-        total = total._replace(force=total.force + force)
-        if isinstance(answer, Dry):
-            blur = total.blur + answer.level * answer.width
-            total = total._replace(level=total.level + answer.level, blur=blur)
         return total
 
     x = [jnp.asarray(z) for z in x]
     zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
-    total = Acting(zero, zero, zero, zero)
+    total = Acting(*(zero if field in only else None for field in Acting._fields))
+    if "inertia" in only:  # numbers that no state changes: zero where the effect is off
+        inert = [effect.apply(model.layout.params(effect, eff, jnp.ndim(x[0]))) for effect in effects if effect.inertia]
+        total = total._replace(inertia=sum(inert, total.inertia))
+    effects = [effect for effect in effects if not effect.inertia]
     if on is None:
         return add(total, effects)
     for at in range(0, len(effects), TOGETHER):
@@ -169,7 +184,7 @@ def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps
             slope, total = inner
             a, b = ab
             at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
-            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on, smooth)
+            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on, smooth, PUSHING)
             here = u if ramp is None else u + ((i + a) / substeps - 0.5) * ramp
             rubs = rub + (a - 0.5) * rise
             force = [f + r + p for f, r, p in zip(act.force, rubs, push.force, strict=True)]
@@ -229,15 +244,15 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
         speed that is typical of the step."""
         z, speed, force = at
         now = _later(t, late * h)
-        act = acting(model, theta, eff, memory, z, u, now, on, smooth)
-        rough = acting(model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, on, dry)
+        act = acting(model, theta, eff, memory, z, u, now, on, smooth, PUSHING)
+        rough = acting(model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, on, dry, RUBBING)
         inertia, level = act.inertia + push.inertia, rough.level
         width = jnp.where(late > 0, rough.blur / jnp.maximum(level, 1e-9), 0.0)  # only once: it is most of the work
         free = plant.deriv(theta, z, u, act.force + push.force, inertia)[n:]
         mass = plant.mass_matrix(theta, z[:n])
         answer = jnp.stack([jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)])  # [force, acceleration]
         stop = free + v / jnp.where(wide > 0, wide, 1.0)
-        hold = within(-(jnp.einsum("ij...,j...->i...", mass, stop) + inertia * stop), level)
+        hold = within(-((mass * stop[None]).sum(1) + inertia * stop), level)
         force = jnp.where(late > 0, force, hold)
 
         def turn(rubs, j):

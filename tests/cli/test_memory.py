@@ -44,3 +44,9 @@ def test_the_settings_of_a_user_stand():
 def test_other_systems_are_left_alone(monkeypatch):
     monkeypatch.setattr(memory.platform, "libc_ver", lambda: ("", ""))
     assert memory.keep_freed() is False
+
+
+def test_garbage_is_looked_for_rarely():
+    code = "import gc; from adaptsim_jax import memory; memory.collect_rarely(); print(gc.get_threshold()[0])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == memory.YOUNG
