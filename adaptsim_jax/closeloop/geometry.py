@@ -6,6 +6,7 @@ percent leaves structure that precise encoders see, and that is nobody's effect.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,8 +57,11 @@ def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect], explai
 
 
 def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitted:
+    """The declared model fitted with another `l1` [m], in the same steps."""
     changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
-    return declared_base(*prepare_within_reach(changed, problem.audit, problem.noise, effects))
+    other, start = prepare_within_reach(changed, problem.audit, problem.noise, effects)
+    other = replace(other, windows=replace(other.windows, substeps=problem.windows.substeps))
+    return declared_base(other, start)
 
 
 def _foretold(force: Sequence[float]) -> float:
