@@ -7,7 +7,7 @@ the graph stays small and vectorises.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from adaptsim_jax.models.effect import Dry, Motion, Relaxation
 from adaptsim_jax.models.effects import Layout
 from adaptsim_jax.models.plant import Plant, solve_mass
 
+Sum = Any  # an array `[n, ...]`, or None
 TOGETHER = 5  # effects that are asked about at once
 
 
@@ -71,10 +72,10 @@ class Acting(NamedTuple):
     """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2), and the friction
     times the width within which it turns (W); None for what was not asked for."""
 
-    force: jax.Array | None
-    level: jax.Array | None
-    inertia: jax.Array | None
-    blur: jax.Array | None
+    force: Sum
+    level: Sum
+    inertia: Sum
+    blur: Sum
 
 
 PUSHING = ("force", "inertia")
