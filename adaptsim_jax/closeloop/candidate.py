@@ -9,7 +9,7 @@ from adaptsim_jax.closeloop.basis import generic_forces
 from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, at_point
-from adaptsim_jax.closeloop.refit import Point, Refit, refit
+from adaptsim_jax.closeloop.refit import LEAST, Point, Refit, refit
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.sensitivity import Path, signatures
 
@@ -59,12 +59,14 @@ def refit_more(
     problem: Problem, start: Candidate, factor: np.ndarray, *, keep: np.ndarray | None = None, iterations: int = 2
 ) -> Candidate:
     """Refit a candidate from where it stands, under another covariance or on other windows (`keep [W]`)."""
-    known, x0 = start.refit.linearised, start.refit.point.x0
-    return _refit(problem, start.active, start.names, start.theta, start.eff, x0, known, factor, keep, iterations)
+    known, x0, damping = start.refit.linearised, start.refit.point.x0, start.refit.damping
+    return _refit(
+        problem, start.active, start.names, start.theta, start.eff, x0, known, factor, keep, iterations, damping
+    )
 
 
 def _refit(
-    problem, active, names, theta, eff, x0, known: FitResult | Linearised, factor, keep, iterations
+    problem, active, names, theta, eff, x0, known: FitResult | Linearised, factor, keep, iterations, damping=LEAST
 ) -> Candidate:
     split = _Split(problem, names, theta, eff)
 
@@ -76,7 +78,8 @@ def _refit(
         known = compressed(problem, linearised(problem, known))
     start = Point(split.pick(theta, eff), x0)
     free = np.ones(len(names), bool)
-    done = refit(linearise, start, factor, *split.bounds(), free, keep=keep, iterations=iterations, known=known)
+    told = {"keep": keep, "iterations": iterations, "known": known, "damping": damping}
+    done = refit(linearise, start, factor, *split.bounds(), free, **told)
     return Candidate(active, *split.full(done.point.z), names, done, problem.phases(active))
 
 

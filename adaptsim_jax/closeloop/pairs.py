@@ -7,6 +7,7 @@ that both effects have inflated a refit stays where it is.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,14 @@ SAME = 1.05  # sums of squares within this are alike: then fewer parameters coun
 Alone = tuple[Active, FitResult]
 
 
+class Start(NamedTuple):
+    """Where a fit begins: theta `[P]`, effect parameters `[E]`, initial states `[W, S]`."""
+
+    theta: np.ndarray
+    eff: np.ndarray
+    x0: np.ndarray
+
+
 def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
     """Each of the effects that fit best alone, by itself and with the plain score's leaders about the model that has it, refitted
     whole.
@@ -34,7 +43,8 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
     All candidates are fitted alone, for the score about a declared model that went astray puts the right one anywhere: of a play
     and a stop at one joint the stop came twelfth, and left least error."""
     candidates = [r for r in seen.ranked(base.candidate.active, plain=True) if r.score.retained > NEW]
-    alone = [f for f in abreast(lambda r: _alone(problem, base, r), candidates) if f[1].code != DIVERGED]
+    plain = _without(problem, base)
+    alone = [f for f in abreast(lambda r: _alone(problem, base, plain, r), candidates) if f[1].code != DIVERGED]
     firsts = abreast(lambda first: _closer(problem, base, first), _least(problem, alone)[:FIRSTS])
     return [m for pairs in abreast(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
 
@@ -96,10 +106,19 @@ def swapped_plainly(
     return fitted_plainly(problem, active, model.candidate.theta, eff, base.parts, seen.response)
 
 
-def _alone(problem: Problem, base: Fitted, ranked: Ranked) -> Alone:
+def _without(problem: Problem, base: Fitted) -> Start:
+    """The base's own least-squares fit: the way there, half of all steps, is the same for every effect."""
+    c = base.candidate
+    start = Start(c.theta, c.eff, problem.windows.start)
+    fit = fit_plain(problem, base.active, *start)
+    return start if fit.code == DIVERGED else Start(fit.theta, fit.eff, fit.x0)
+
+
+def _alone(problem: Problem, base: Fitted, plain: Start, ranked: Ranked) -> Alone:
     """The least-squares fit with one effect."""
-    active, eff = (*base.active, ranked.instance), started(problem, base, ranked)
-    return active, fit_plain(problem, active, base.candidate.theta, eff, problem.windows.start)
+    active = (*base.active, ranked.instance)
+    eff = merged(problem, plain.eff, started(problem, base, ranked), ranked.instance)
+    return active, fit_plain(problem, active, plain.theta, eff, plain.x0)
 
 
 def _closer(problem: Problem, base: Fitted, alone: Alone) -> Alone:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from adaptsim_jax.closeloop.disturbance import Linearised, Whitened, whiten
 
@@ -33,6 +34,7 @@ class Refit:
     free: np.ndarray
     at_bound: np.ndarray
     iterations: int
+    damping: float  # of the last step
 
     @property
     def cost(self) -> np.ndarray:
@@ -40,6 +42,8 @@ class Refit:
 
 
 Linearise = Callable[[Point], Linearised]
+TOLD = 1e-13  # of a parameter's effect on the outputs: with less of it left beside the initial states, the data say nothing
+LEAST = 1e-6  # damping to begin with, relative to the information
 
 
 def refit(
@@ -54,26 +58,27 @@ def refit(
     iterations: int = 8,
     tolerance: float = 0.02,
     known: Linearised | None = None,
+    damping: float = LEAST,
 ) -> Refit:
     """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
 
     factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
-    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. Stops after so many steps
+    states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. damping: of the first step;
+    that with which an earlier refit of the model ended saves what it took to find it. Stops after so many steps
     that lower the cost, or when one lowers it by less than `tolerance` (absolute plus relative 1e-5): below what any test could
     see. Steps that raise it are shortened and do not count: where effects switch, several in a row may.
     """
     keep = np.ones(len(start.x0), bool) if keep is None else keep
     point = Point(np.clip(start.z, low, high), start.x0)
     lin = linearise(point) if known is None else known
-    white = whiten(lin, factor)
-    damping, done = 1e-6, 0
+    damping, done = float(np.clip(damping, LEAST, 1.0)), 0
     while done < iterations:
         old = _objective(lin, factor, keep)
-        trial = _stepped(point, lin, white, factor, low, high, free, keep, damping)
+        trial = _stepped(point, lin, factor, low, high, free, keep, damping)
         trial_lin = linearise(trial)
         new = _objective(trial_lin, factor, keep)
         if np.isfinite(new) and new <= old:
-            point, lin, white, damping = trial, trial_lin, whiten(trial_lin, factor), max(damping * 0.1, 1e-9)
+            point, lin, damping = trial, trial_lin, max(damping * 0.1, 1e-9)
             done += 1
             if old - new < tolerance + 1e-5 * old:
                 break
@@ -81,8 +86,9 @@ def refit(
             damping = max(damping * 30.0, 1e-4)
             if damping > 1e4:
                 break
+    white = whiten(lin, factor)
     covariance, stuck = _covariance(point.z, white, low, high, free, keep)
-    return Refit(point, lin, white, covariance, free, stuck, done)
+    return Refit(point, lin, white, covariance, free, stuck, done, damping)
 
 
 def _objective(lin: Linearised, factor: np.ndarray, keep: np.ndarray) -> float:
@@ -98,28 +104,31 @@ def _information(white: Whitened, keep: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.einsum("wmi,wmj->ij", j, j, optimize=True), np.einsum("wmi,wm->i", j, white.residual[keep])
 
 
-def _stepped(point: Point, lin: Linearised, white: Whitened, factor, low, high, free, keep, damping) -> Point:
-    hess, slope = _information(white, keep)
-    live = free & ~((point.z <= low) & (slope < 0)) & ~((point.z >= high) & (slope > 0))
-    step = np.zeros_like(point.z)
+def _stepped(point: Point, lin: Linearised, factor, low, high, free, keep, damping) -> Point:
+    """A damped Gauss-Newton step of everything at once: initial states are eliminated as they will be stepped, damped."""
+    jac, rows = factor @ lin.jac_state, factor @ np.concatenate([lin.jac_theta, lin.residual[..., None]], -1)
+    normal, right = np.swapaxes(jac, 1, 2) @ jac, np.swapaxes(jac, 1, 2) @ rows
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-12))[..., None]
+    scaled = normal / scale / np.swapaxes(scale, 1, 2) + (1e-10 + damping) * np.eye(normal.shape[1])
+    back = np.linalg.solve(scaled, right / scale) / scale  # [W, S, G+1]
+    whole = np.einsum("wmi,wmj->ij", rows[keep], rows[keep], optimize=True)
+    gram = whole - np.einsum("wsi,wsj->ij", right[keep], back[keep], optimize=True)
+    step, live = np.zeros_like(point.z), free & (np.diag(gram) > TOLD * np.diag(whole) + 1e-30)[:-1]
     if live.any():
-        step[live] = _solve(hess[np.ix_(live, live)], slope[live], damping)
-    z = np.clip(point.z + step, low, high)
-    rest = lin.residual - lin.jac_theta @ (z - point.z)
-    jac, rest = factor @ lin.jac_state, np.einsum("wij,wj->wi", factor, rest)
-    normal = np.swapaxes(jac, 1, 2) @ jac
-    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-12))
-    scaled = normal / scale[:, :, None] / scale[:, None, :] + (1e-10 + damping) * np.eye(normal.shape[1])
-    right = np.einsum("wms,wm->ws", jac, rest) / scale
-    return Point(z, point.x0 + np.linalg.solve(scaled, right[..., None])[..., 0] / scale)
+        hess, slope = gram[:-1, :-1][np.ix_(live, live)], gram[:-1, -1][live]
+        step[live] = _solve(hess, slope, (low - point.z)[live], (high - point.z)[live], damping)
+    return Point(np.clip(point.z + step, low, high), point.x0 + back[..., -1] - back[..., :-1] @ step)
 
 
-def _solve(hess: np.ndarray, slope: np.ndarray, damping: float) -> np.ndarray:
-    """Scaled, damped solve that leaves alone the directions on which the data say nothing."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(hess), 1e-30))
+def _solve(hess: np.ndarray, slope: np.ndarray, low: np.ndarray, high: np.ndarray, damping: float) -> np.ndarray:
+    """Scaled, damped solve between `low` and `high` that leaves alone the directions on which the data say nothing. A step merely
+    clipped there may raise even the linearised cost: what is held changes where the rest should go."""
+    scale = 1.0 / np.sqrt(np.diag(hess))
     value, vector = np.linalg.eigh(hess * scale[:, None] * scale[None, :])
-    inverse = np.where(value > 1e-10, 1.0 / (np.maximum(value, 1e-30) + damping), 0.0)
-    return scale * (vector @ (inverse * (vector.T @ (scale * slope))))
+    seen = value > 1e-10
+    root = np.where(seen, np.sqrt(np.maximum(value, 1e-30) + damping), 1.0)
+    ways, far = (vector * root).T, np.where(seen, vector.T @ (scale * slope) / root, 0.0)
+    return scale * lsq_linear(ways, far, (low / scale, high / scale), method="bvls").x
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of a model that runs away

@@ -49,7 +49,7 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
     monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, theta, *_: made(active, theta))
 
     def alone(problem, active, theta, *_):
-        error, size = errors[active[-1][0]]
+        error, size = errors[active[-1][0]] if active else errors.get("nothing", (None, 0))
         error, code = (error, 0) if error is not None else (0.0, pairs.DIVERGED)
         error = error / theta[0]  # from further away, less is left
         return SimpleNamespace(code=code, cost=np.array([error]), names=["p"] * size, theta=theta, eff=None, x0=None)
@@ -102,10 +102,23 @@ def test_what_fits_best_alone_is_fitted_from_what_the_motion_suggests_too(monkey
     problem = layout()
     problem.theta0 = np.array([suggested, 1.0])
     drag = next(r for r in Seen().ranked(plain=True) if r.instance[0] == "drag")
-    alone = pairs._alone(problem, base, drag)
+    alone = pairs._alone(problem, base, pairs._without(problem, base), drag)
     assert alone[1].theta[0] == 1.0
     _, fit = pairs._closer(problem, base, alone)
     assert fit.theta[0] == kept
+
+
+def test_each_effect_is_fitted_alone_from_where_the_fit_without_it_ended(monkeypatch):
+    base, problem = fake_fits(monkeypatch, {"nothing": (9.0, 2), "drag": (4.0, 3)}), layout()
+    ended = SimpleNamespace(code=0, theta=np.array([0.5, 1.0]), eff=None, x0="there")
+    made = pairs.fit_plain
+    monkeypatch.setattr(pairs, "fit_plain", lambda *a: ended if not a[1] else made(*a))
+    plain = pairs._without(problem, base)
+    assert plain.x0 == "there"
+    drag = next(r for r in Seen().ranked(plain=True) if r.instance[0] == "drag")
+    assert pairs._alone(problem, base, plain, drag)[1].theta[0] == 0.5
+    ended.code = pairs.DIVERGED  # then from the base itself
+    assert pairs._without(problem, base).theta[0] == 1.0
 
 
 def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):

@@ -39,3 +39,72 @@ def test_steps_that_raise_the_cost_are_shortened_and_do_not_count(iterations):
     settled = refit(linearise, start, np.eye(ROWS)[None], -bound, bound, free, iterations=20)
     assert settled.point.z[0] == pytest.approx(0.0, abs=1e-3)
     assert settled.cost.sum() <= done.cost.sum()
+
+
+def line(design: np.ndarray, measured: np.ndarray):
+    """A linear model without use for its initial state."""
+    rows = len(measured)
+
+    def linearise(point: Point) -> Linearised:
+        return Linearised(
+            residual=(measured - design @ point.z - point.x0[0, 0] * np.cos(np.arange(rows)))[None],
+            jac_state=np.cos(np.arange(rows))[None, :, None],
+            jac_theta=design[None],
+            atoms=np.zeros((1, rows, 0)),
+            impulse=np.zeros((1, rows, 1, 0)),
+            dt=np.ones((1, rows)),
+            channel=np.zeros(rows, int),
+            trial=np.zeros(1, int),
+            used=np.ones((1, rows), bool),
+        )
+
+    return linearise
+
+
+def bounded_line(size: float = 1.0):
+    """Two nearly alike columns, a third on its own: free, the first would go to -10 and the second to 12."""
+    rng = np.random.default_rng(3)
+    one, other, third = rng.normal(size=(3, 30))
+    design = np.stack([one, one + 0.1 * other, third], 1) * np.array([1.0, 1.0, size])
+    return design, design @ np.array([-10.0, 12.0, 0.5 / size])
+
+
+def test_one_step_goes_to_the_optimum_within_the_bounds():
+    """A step that is merely clipped would take the second to 12 beside a first at 0, far above where it began."""
+    design, measured = bounded_line()
+    low, high = np.array([0.0, -np.inf, -np.inf]), np.full(3, np.inf)
+    start = Point(np.array([0.5, 1.5, 0.0]), np.zeros((1, 1)))
+    done = refit(line(design, measured), start, np.eye(30)[None], low, high, np.ones(3, bool), iterations=1)
+    state = np.cos(np.arange(30.0))[:, None]
+    best = np.linalg.lstsq(np.hstack([design[:, 1:], state]), measured, rcond=None)[0]
+    np.testing.assert_allclose(done.point.z, [0.0, best[0], best[1]], atol=1e-3)
+    assert list(done.at_bound) == [True, False, False]
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-160])
+def test_what_the_data_say_nothing_of_stays_where_it_is(size):
+    """The limit of an amplifier that only the trial left out has met; scaled to its own information it would go anywhere."""
+    design, _ = bounded_line()
+    design[:, 2] *= size
+    measured = design[:, :2] @ np.array([1.0, 2.0]) + 0.01 * np.sin(np.arange(30.0))
+    start = Point(np.array([0.0, 0.0, 0.4]), np.zeros((1, 1)))
+    low, high = np.zeros(3), np.array([9.0, 9.0, 0.95])
+    done = refit(line(design, measured), start, np.eye(30)[None], low, high, np.ones(3, bool))
+    assert done.point.z[2] == 0.4
+    np.testing.assert_allclose(done.point.z[:2], [1.0, 2.0], atol=0.1)
+
+
+def test_a_second_refit_begins_with_the_damping_that_the_first_one_found():
+    calls = []
+
+    def counted(point):
+        calls.append(point)
+        return linearise(point)
+
+    bound, free, factor = np.array([50.0]), np.array([True]), np.eye(ROWS)[None]
+    start = Point(np.array([3.0]), np.zeros((1, 1)))
+    first = refit(counted, start, factor, -bound, bound, free, iterations=1)
+    fresh = len(calls)
+    again = refit(counted, start, factor, -bound, bound, free, iterations=1, damping=first.damping)
+    assert len(calls) - fresh < fresh - 1
+    assert abs(again.point.z[0]) < 3.0
