@@ -14,9 +14,9 @@ import numpy as np
 from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.leaders import NEW, look_alikes
-from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, fit_plain
+from adaptsim_jax.closeloop.problem import DIVERGED, UNFINISHED, Active, Diverged, Problem, fit_plain
 from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, settled, unmoved
-from adaptsim_jax.closeloop.start import merged, started
+from adaptsim_jax.closeloop.start import merged, own_starts, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
@@ -122,11 +122,16 @@ def _alone(problem: Problem, base: Fitted, plain: Start, ranked: Ranked) -> Alon
 
 
 def _closer(problem: Problem, base: Fitted, alone: Alone) -> Alone:
-    """The fit of one effect, or that from the other declared parameters where it leaves less."""
+    """The fit of one effect, or that from the other declared parameters, or from the effect's own starts beside them, where one
+    leaves less; carried on where it ran out of steps."""
     active, fit = alone
-    others = _starts(problem, base.candidate.theta)[1:]
-    fits = [fit, *(fit_plain(problem, active, theta, fit.eff, problem.windows.start) for theta in others)]
-    return active, min(fits, key=lambda f: (f.code == DIVERGED, float(f.cost.sum())))
+    starts = [(theta, fit.eff) for theta in _starts(problem, base.candidate.theta)[1:]]
+    starts += [(problem.theta0, eff) for eff in own_starts(problem, active[-1], fit.eff)]
+    fits = [fit, *(fit_plain(problem, active, *start, problem.windows.start) for start in starts)]
+    best = min(fits, key=lambda f: (f.code == DIVERGED, float(f.cost.sum())))
+    if best.code == UNFINISHED:
+        best = fit_plain(problem, active, best.theta, best.eff, best.x0)
+    return active, best
 
 
 def settled_plainly(problem: Problem, model: Fitted, seen: View) -> Fitted:

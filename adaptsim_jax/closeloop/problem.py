@@ -24,7 +24,7 @@ from adaptsim_jax.models.plant import Plant
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 
-DIVERGED = 3  # index into fit.CODES
+UNFINISHED, DIVERGED = 1, 3  # indices into fit.CODES
 FAR = 0.15  # rad that a window may stray, times the growth of errors within it, before it is cut shorter
 
 

@@ -35,3 +35,22 @@ def merged(problem: Problem, eff: np.ndarray, other: np.ndarray, instance: Insta
     out = eff.copy()
     out[at] = other[at]
     return out
+
+
+def own_starts(problem: Problem, instance: Instance, eff: np.ndarray) -> list[np.ndarray]:
+    """Effect parameters `[E]` with those of one instance as its effect would have a fit start (`Effect.starts`), for what is held
+    in `eff`."""
+    layout = problem.model.layout
+    found = layout.instances[layout.index(*instance)]
+    effect, names = found.effect, [p.name for p in found.effect.parameters]
+    held = [p.name for p in effect.parameters if p.held]
+    given = effect.starts(problem.reach, found.joint) if effect.starts else []
+    out = []
+    for values in given:
+        if any(values.get(name) != eff[found.at.start + names.index(name)] for name in held):
+            continue
+        own = eff.copy()
+        for name, value in values.items():
+            own[found.at.start + names.index(name)] = value
+        out.append(np.clip(own, *problem.bounds))
+    return out

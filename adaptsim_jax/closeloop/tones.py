@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from adaptsim_jax.closeloop.score import Atom, Scorer
 from adaptsim_jax.closeloop.windows import Windows
-from adaptsim_jax.models.effects_force import FINEST
+from adaptsim_jax.models.effects_grids import FINEST
 
 
 def tone_of(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) -> float | None:

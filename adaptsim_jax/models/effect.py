@@ -128,7 +128,8 @@ class Effect:
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
-    as it does not act linearly. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
+    as it does not act linearly. `starts(reach, joint) -> [{parameter: value}, ...]`: where plain fits of it start as well, if a
+    linear score is a poor guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
     effects that this one includes as a special case. `clocked`: it follows `motion.clock`, a sine of which (amplitudes sine,
     cosine; shape frequency) may have another phase in each trial.
     `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
@@ -151,6 +152,7 @@ class Effect:
     clocked: bool = False
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
+    starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
     amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
     formula: str = ""
 

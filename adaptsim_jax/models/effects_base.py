@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 
 from adaptsim_jax.models.effect import Effect, Motion, Parameter
-from adaptsim_jax.models.effects_force import at_phase, frequencies, no_period
+from adaptsim_jax.models.effects_force import at_phase, no_period
+from adaptsim_jax.models.effects_grids import frequencies
 
 
 def _turned(m: Motion, angle):

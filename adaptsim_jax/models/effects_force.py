@@ -3,12 +3,12 @@
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.models import effects_grids
 from adaptsim_jax.models.effect import Dry, Effect, Motion, Parameter, Relaxation
 from adaptsim_jax.models.trig import sin_cos
 
 LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must
 HERTZ_DEPTH = 0.1  # rad
-FINEST = 1.0 / 12.0  # Hz between frequencies of the grid
 MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
 LEAST_FADING = 0.2  # of friction within a trial, for it to be a drift
 WIDTH = Parameter(
@@ -96,43 +96,6 @@ def rotor_inertia(p):
     return p["inertia"]
 
 
-def _speeds(reach, joint):
-    top = float(reach.speed[joint])
-    return [{"speed": top * s} for s in (0.05, 0.1, 0.2, 0.4)]
-
-
-def _orders(reach, joint):
-    return [{"order": float(k)} for k in range(2, 31)]
-
-
-def frequencies(reach, joint):
-    """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most half of Nyquist. In long
-    trials no finer than `FINEST`: one between is found by `closeloop/tones.py`, and its neighbour gives way to it."""
-    top = min(15.0, 0.25 / reach.dt)
-    step = max(0.5 / reach.duration, FINEST)
-    grid = np.arange(step, top, step)[:160]
-    if reach.tone:
-        grid[np.argmin(np.abs(grid - reach.tone))] = reach.tone
-    return [{"frequency": float(f)} for f in grid]
-
-
-def _stops(reach, joint):
-    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
-    span = high - low
-    upper = [{"angle": high - span * s, "side": 1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
-    return upper + [{"angle": low + span * s, "side": -1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
-
-
-def _deflections(reach, joint):
-    span = float(reach.q_high[joint] - reach.q_low[joint])
-    fitting = [d for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [0.1 * span + 1e-3]
-    return [{"deflection": d, "damping": s} for d in fitting for s in (0.0, 0.01)]
-
-
-def _decays(reach, joint):
-    return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
-
-
 def _no_ripple(value, error, q, duration) -> str:
     """A part of a period is any smooth function of the angle; once a turn is gravity's own."""
     low, high = np.quantile(q, [0.005, 0.995]) if len(q) else (0.0, 0.0)
@@ -190,7 +153,7 @@ FORCE = (
             WIDTH,
         ),
         stribeck, "dry friction that is higher at creeping speed", "long stretches of slow motion beside fast ones",
-        ("coulomb", "presliding"), contains=("coulomb",), grid=_speeds, amiss=_no_stribeck,
+        ("coulomb", "presliding"), contains=("coulomb",), grid=effects_grids.speeds, amiss=_no_stribeck,
         formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
     ),
     Effect(
@@ -228,7 +191,7 @@ FORCE = (
             Parameter("second_cosine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
         ),
         cogging, "torque ripple periodic in the joint's angle (magnets, gear teeth)", "slow sweeps over many periods",
-        ("spring",), grid=_orders, amiss=_no_ripple,
+        ("spring",), grid=effects_grids.orders, amiss=_no_ripple,
         formula="sine sin(order q) + cosine cos(order q) + second harmonic",
     ),
     Effect(
@@ -239,7 +202,7 @@ FORCE = (
             Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
         ),
         friction_drift, "friction that changes as the joint warms up within a trial",
-        "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=_decays,
+        "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=effects_grids.decays,
         amiss=_no_drift,
         formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
     ),
@@ -251,7 +214,7 @@ FORCE = (
             Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
         ),
         periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
-        "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=frequencies,
+        "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=effects_grids.frequencies,
         amiss=no_period,
         formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t through all trials",
     ),
@@ -266,7 +229,8 @@ FORCE = (
             Parameter("exponent", "1", 0.7, 2.5, 1.0, None, optional=True, meaning="of depth; 1.5 is Hertz's", late=True),
         ),
         hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
-        ("spring", "cogging"), smooth=False, grid=_stops, amiss=_no_stop,
+        ("spring", "cogging"), smooth=False, grid=effects_grids.stops,
+        starts=effects_grids.stiff_stops, amiss=_no_stop,
         formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
     ),
     Effect(
@@ -284,7 +248,7 @@ FORCE = (
         ),
         presliding, "friction that acts as a spring before the joint slides (Dahl, LuGre)",
         "many small reversals of less than the break-away deflection", ("coulomb", "stribeck", "backlash"),
-        memory=True, smooth=False, contains=("coulomb",), grid=_deflections,
+        memory=True, smooth=False, contains=("coulomb",), grid=effects_grids.deflections,
         formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
     ),
     Effect(

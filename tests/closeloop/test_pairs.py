@@ -8,7 +8,10 @@ import pytest
 from adaptsim_jax.closeloop import pairs
 from adaptsim_jax.closeloop.disturbance import Whitened
 from adaptsim_jax.closeloop.score import Atom, Scorer
+from adaptsim_jax.closeloop.start import own_starts
 from adaptsim_jax.closeloop.view import Ranked
+from adaptsim_jax.models.effect import Reach
+from adaptsim_jax.models.effects import Layout, catalogue
 
 ALIKE = {"drag": ("friction",), "friction": (), "ripple": (), "lag": ()}
 PLACES = [(name, "joint1") for name in ALIKE]
@@ -45,6 +48,7 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
     )
     monkeypatch.setattr(pairs, "started", lambda *_: None)
     monkeypatch.setattr(pairs, "merged", lambda *_: None)
+    monkeypatch.setattr(pairs, "own_starts", lambda *_: [])
     monkeypatch.setattr(pairs, "doubtful", lambda *_: set(doubted))
     monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, theta, *_: made(active, theta))
 
@@ -106,6 +110,44 @@ def test_what_fits_best_alone_is_fitted_from_what_the_motion_suggests_too(monkey
     assert alone[1].theta[0] == 1.0
     _, fit = pairs._closer(problem, base, alone)
     assert fit.theta[0] == kept
+
+
+def test_what_fits_best_alone_is_fitted_from_its_own_starts_and_carried_on(monkeypatch):
+    """From the linear score's amplitude a stop that is hit hard ended at a twelfth of its stiffness."""
+    base, problem = fake_fits(monkeypatch, {"drag": (9.0, 3)}), layout()
+    ended = lambda code, cost, eff: SimpleNamespace(
+        code=code, cost=np.array([cost]), names=["p"], theta=problem.theta0, eff=eff, x0="there"
+    )
+    calls = []
+
+    def fit_plain(problem, active, theta, eff, x0):
+        calls.append(eff)
+        return ended(pairs.UNFINISHED, 2.0, "on the way") if eff == "stiff" else ended(0, 1.0, "at the end")
+
+    monkeypatch.setattr(pairs, "fit_plain", fit_plain)
+    monkeypatch.setattr(pairs, "own_starts", lambda *_: ["stiff"])
+    alone = ((("drag", "joint1"),), ended(0, 5.0, "soft"))
+    assert pairs._closer(problem, base, alone)[1].eff == "at the end"
+    assert calls == ["stiff", "on the way"]
+    soft = ((("drag", "joint1"),), ended(0, 1.0, "soft"))
+    assert pairs._closer(problem, base, soft)[1].eff == "soft"
+
+
+def test_a_stop_has_stiff_starts_of_its_own_at_the_side_where_it_is():
+    effects = Layout(catalogue("pendulum"), ("joint1", "joint2"))
+    two = np.ones(2)
+    reach = Reach(10.0 * two, 20.0 * two, two, -1.0 * two, 2.0 * two, 6.0, 0.005, two)
+    problem = SimpleNamespace(model=SimpleNamespace(layout=effects), reach=reach, bounds=effects.bounds(reach))
+    at = effects.instances[effects.index("hard_stop", "joint2")].at
+    eff = effects.off()
+    eff[at.start + 2] = -1.0  # a lower one
+    starts = own_starts(problem, ("hard_stop", "joint2"), eff)
+    assert len(starts) == 2
+    for start in starts:
+        stiffness, angle, side, loss, damping, _ = start[at]
+        assert (stiffness, side, loss, damping) == (300.0, -1.0, 0.0, 0.0) and -1.0 <= angle <= -0.9
+        np.testing.assert_array_equal(np.delete(start, at), np.delete(eff, at))
+    assert own_starts(problem, ("spring", "joint2"), eff) == []
 
 
 def test_each_effect_is_fitted_alone_from_where_the_fit_without_it_ended(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from adaptsim_jax.closeloop.disturbance import Whitened
 from adaptsim_jax.closeloop.score import Atom, Scorer
 from adaptsim_jax.closeloop.tones import tone_of
-from adaptsim_jax.models.effects_force import FINEST, frequencies
+from adaptsim_jax.models.effects_grids import FINEST, frequencies
 
 RATE, WINDOW = 50.0, 50  # Hz, rows
 
