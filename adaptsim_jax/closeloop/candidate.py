@@ -78,7 +78,7 @@ def _refit(
         known = compressed(problem, linearised(problem, known))
     start = Point(split.pick(theta, eff), x0)
     free = np.ones(len(names), bool)
-    told = {"keep": keep, "iterations": iterations, "known": known, "damping": damping}
+    told = {"keep": keep, "iterations": iterations, "known": known, "damping": damping, "slow": split.slow}
     done = refit(linearise, start, factor, *split.bounds(), free, **told)
     return Candidate(active, *split.full(done.point.z), names, done, problem.phases(active))
 
@@ -94,6 +94,8 @@ class _Split:
         self.cut = len(plant.theta_names)
         self.low = np.concatenate([plant.low, problem.bounds[0]])[self.index]
         self.high = np.concatenate([plant.high, problem.bounds[1]])[self.index]
+        flat = layout.vector(lambda p, i: p.late and p.default == p.low).astype(bool)  # sharp is where it has no slope
+        self.slow = np.concatenate([np.zeros(self.cut, bool), flat])[self.index]
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         return self.low, self.high

@@ -43,6 +43,7 @@ class Refit:
 
 Linearise = Callable[[Point], Linearised]
 TOLD = 1e-13  # of a parameter's effect on the outputs: with less of it left beside the initial states, the data say nothing
+MOST_OF_THE_WAY = 0.9  # to a bound where there is no slope
 LEAST = 1e-6  # damping to begin with, relative to the information
 
 
@@ -59,12 +60,14 @@ def refit(
     tolerance: float = 0.02,
     known: Linearised | None = None,
     damping: float = LEAST,
+    slow: np.ndarray | None = None,
 ) -> Refit:
     """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
 
     factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
     states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. damping: of the first step;
-    that with which an earlier refit of the model ended saves what it took to find it. Stops after so many steps
+    that with which an earlier refit of the model ended saves what it took to find it. slow `[G]`: entries without a slope at `low`,
+    from which nothing leads back: a step goes no more than nine tenths of the way there. Stops after so many steps
     that lower the cost, or when one lowers it by less than `tolerance` (absolute plus relative 1e-5): below what any test could
     see. Steps that raise it are shortened and do not count: where effects switch, several in a row may.
     """
@@ -74,7 +77,8 @@ def refit(
     damping, done = float(np.clip(damping, LEAST, 1.0)), 0
     while done < iterations:
         old = _objective(lin, factor, keep)
-        trial = _stepped(point, lin, factor, low, high, free, keep, damping)
+        least = low if slow is None else np.where(slow, point.z + MOST_OF_THE_WAY * (low - point.z), low)
+        trial = _stepped(point, lin, factor, least, high, free, keep, damping)
         trial_lin = linearise(trial)
         new = _objective(trial_lin, factor, keep)
         if np.isfinite(new) and new <= old:

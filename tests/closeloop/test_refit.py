@@ -1,5 +1,7 @@
 """The Gauss-Newton refit on a toy model, apart from any mechanism."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -108,3 +110,17 @@ def test_a_second_refit_begins_with_the_damping_that_the_first_one_found():
     again = refit(counted, start, factor, -bound, bound, free, iterations=1, damping=first.damping)
     assert len(calls) - fresh < fresh - 1
     assert abs(again.point.z[0]) < 3.0
+
+
+def test_a_bound_without_slope_is_approached_and_not_reached_in_a_step():
+    """The width within which a friction turns: at zero it is sharp, and nothing tells how wide it should be."""
+
+    def bent(point: Point) -> Linearised:
+        flat, z, half = line(np.ones((ROWS, 1)), np.full(ROWS, 0.2)), float(point.z[0]), 0.02
+        lin = flat(Point(np.array([z**2 / (z**2 + half**2)]), point.x0))
+        return replace(lin, jac_theta=2.0 * z * half**2 / (z**2 + half**2) ** 2 * lin.jac_theta)
+
+    start, factor = Point(np.array([0.2]), np.zeros((1, 1))), np.eye(ROWS)[None] * 1e3
+    bounds = np.zeros(1), np.ones(1), np.array([True])
+    assert refit(bent, start, factor, *bounds).point.z[0] == 0.0
+    assert refit(bent, start, factor, *bounds, slow=np.array([True])).point.z[0] == pytest.approx(0.01, rel=1e-3)
