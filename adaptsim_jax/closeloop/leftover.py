@@ -8,6 +8,7 @@ from adaptsim_jax.closeloop.basis import generic_names
 from adaptsim_jax.closeloop.disturbance import Components
 from adaptsim_jax.closeloop.lines import Line, line
 from adaptsim_jax.closeloop.problem import Problem
+from adaptsim_jax.closeloop.regulated import regulated
 from adaptsim_jax.closeloop.view import View
 
 
@@ -15,13 +16,15 @@ from adaptsim_jax.closeloop.view import View
 class Leftover:
     """The generic dictionary about one model. p_value is corrected for the groups tried; share is the held-out fall of
     the whitened sum of squares; places: `(joint, variable, share, p_value)`, first those at the joint where most force is
-    unexplained, the surest of them first; line: a sharp line in the spectrum of the unexplained force, one of the places."""
+    unexplained, the surest of them first; line: a sharp line in the spectrum of the unexplained force, one of the places; answered:
+    whether the commands answer to the motion, so that chance follows it a little (`regulated.py`)."""
 
     p_value: float
     share: float
     gain: float
     places: tuple[tuple[str, str, float, float], ...]
     line: Line | None = None
+    answered: bool = False
 
     def where(self) -> str:
         """The first place in words, to go after "it sits at"."""
@@ -58,7 +61,7 @@ def leftover(problem: Problem, view: View, parts: Components, force: np.ndarray)
     much = dict(zip(problem.plant.joints, force, strict=True))
     # of those at one joint the surest: a large gain that trials do not share says nothing
     places.sort(key=lambda p: (-much[p[0]], p[3], -p[4]))
-    return Leftover(best, share, gain, tuple(p[:4] for p in places), sharp)
+    return Leftover(best, share, gain, tuple(p[:4] for p in places), sharp, regulated(problem.windows))
 
 
 def residual_torque(problem: Problem, lin, parts) -> list[dict]:

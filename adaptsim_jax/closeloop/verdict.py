@@ -24,6 +24,9 @@ class Verdict:
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
 WELL_PREDICTED = 0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise
 NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
+ANSWERED_SHARE = (
+    0.05  # where commands answer to the motion, smooth forces predict up to 0.03 of what a wandering torque leaves
+)
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
 MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
 BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
@@ -54,7 +57,7 @@ def decide(
         if np.max(force) > settings.large:
             return Verdict("structured_unattributed", _large(force), False)
         if powered:
-            return Verdict("within_noise", _chance(beyond), False)
+            return Verdict("within_noise", _chance(beyond, before, settings), False)
         return Verdict("underpowered", _weak(beyond), False)
     left = unexplained(found.final, found.base)
     if left > settings.explained and after.p_value < settings.alpha and after.share > 0.02:
@@ -67,9 +70,15 @@ def decide(
     return Verdict("explained", f"The residual is explained by {names}.", True)
 
 
-def _chance(beyond: float) -> str:
+def _chance(beyond: float, left: Leftover, settings: Settings) -> str:
     if beyond < BEYOND_FLOOR:
         return "The declared model explains the data to within their noise."
+    if left.answered and left.p_value < settings.alpha:
+        return (
+            f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
+            f"follows the motion only as the commands of a controller answer to such torques ({100 * left.share:.0f} % of it); "
+            "commands that do not depend on the motion would tell more."
+        )
     return (
         f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
         "follows nothing that would predict it in other trials."
@@ -146,7 +155,10 @@ def _structured(found: Found, before: Leftover, settings: Settings, flexible: fl
 
 def _predicted(left: Leftover, settings: Settings) -> bool:
     """Whether some smooth force predicts what is left, or its spectrum has a line."""
-    sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
+    if left.answered:
+        sure = left.p_value < settings.alpha and left.share > ANSWERED_SHARE
+    else:
+        sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
     return sure or left.line is not None
 
 

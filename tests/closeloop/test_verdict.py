@@ -1,5 +1,6 @@
 """What may be said of what was found, and when a name is refused."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -111,6 +112,18 @@ def test_structure_that_is_no_chance_is_no_noise_and_noise_is_said_as_it_is():
     chance = decide(nothing, left(0.0, 1.0), left(0.0, 1.0), Settings(), True, 1.0, np.zeros(2), 27.0)
     assert chance.name == "within_noise"
     assert "27 times the sensors' noise" in chance.message
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.03, "within_noise"), (0.07, "structured_unattributed")])
+def test_where_commands_answer_to_the_motion_a_little_that_follows_it_is_chance(share, expected):
+    """A rig that a controller balances under a wandering torque: 1e-48 and 3 % of nothing."""
+    nothing = SimpleNamespace(added=(), tried=[], base=None)
+    said = lambda at: decide(nothing, at, at, Settings(), True, 1.0, np.zeros(2), 30.0)
+    answered = said(replace(left(share, 1e-48), answered=True))
+    assert answered.name == expected
+    assert ("controller" in answered.message) is (expected == "within_noise")
+    assert said(left(share, 1e-48)).name == "structured_unattributed"
+    assert "controller" not in said(replace(left(0.0, 1.0), answered=True)).message
 
 
 def test_pieces_abreast_keep_their_order_and_raise():
