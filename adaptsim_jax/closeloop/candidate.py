@@ -49,7 +49,13 @@ def refit_candidate(
     iterations: int = 10,
 ) -> Candidate:
     """Refit declared parameters and the active effects' parameters under the covariance behind `factor`."""
-    first = at_point(problem, active, theta, eff, x0)
+    return refit_from(problem, active, at_point(problem, active, theta, eff, x0), factor, iterations=iterations)
+
+
+def refit_from(
+    problem: Problem, active: Active, first: FitResult, factor: np.ndarray, *, iterations: int = 10
+) -> Candidate:
+    """The same from where a fit of those effects ended. Raises `Diverged` where it ran away."""
     if first.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its refit starts")
     return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, iterations)
@@ -161,9 +167,16 @@ def survey(
     """Signatures of every candidate and of the generic dictionary about one model, rows compressed; without `candidates` the
     linearisation and the path alone."""
     result = at_point(problem, active, theta, eff, x0)
+    return *surveyed(problem, result, candidates=candidates), result
+
+
+def surveyed(
+    problem: Problem, result: FitResult, *, candidates: bool = True
+) -> tuple[tuple[Atom, ...], Linearised, Path]:
+    """The same about a fit, where it ended."""
     effects, basis = (None, generic_forces) if candidates else ((), None)
     compress = partial(compressed, problem)
     seen = signatures(
         problem.model, result, problem.windows, problem.reach, effects=effects, basis=basis, compress=compress
     )
-    return seen.atoms, seen.lin, seen.path, result
+    return seen.atoms, seen.lin, seen.path

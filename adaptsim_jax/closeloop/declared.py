@@ -8,8 +8,9 @@ import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.audit import Audit
-from adaptsim_jax.closeloop.candidate import survey
+from adaptsim_jax.closeloop.candidate import surveyed
 from adaptsim_jax.closeloop.clocks import clocks
+from adaptsim_jax.closeloop.disturbance import Components
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.noise import NoiseFloor
 from adaptsim_jax.closeloop.problem import (
@@ -20,7 +21,7 @@ from adaptsim_jax.closeloop.problem import (
     declared_fit,
     prepare_within_reach,
 )
-from adaptsim_jax.closeloop.rivals import Fitted, fitted, respond, unmoved
+from adaptsim_jax.closeloop.rivals import Fitted, Response, ended, fitted_from, respond
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.stepsize import stepped
 from adaptsim_jax.closeloop.tones import tone_of
@@ -65,8 +66,8 @@ def declared_base(problem: Problem, start: FitResult) -> Fitted:
         if fits and not np.any(fits[0].parts.force_std() > SUSPICIOUS * problem.torque_scale):
             break
         with suppress(Diverged, np.linalg.LinAlgError):
-            result = declared_fit(problem) if second else start
-            fits.append(_declared_from(problem, result.theta, result.eff, result.x0))
+            result = declared_fit(problem) if second else _free(problem, start)
+            fits.append(_declared_from(problem, result))
     if not fits:
         raise Diverged("the declared model runs away from every start; look at the signs and units of the torques")
     base = max(fits, key=lambda m: (_sane(problem, m), m.total))
@@ -85,19 +86,27 @@ def _as_it_is(problem: Problem, result: FitResult) -> Fitted | None:
     and parameters refitted as if they were follow them anywhere."""
     if result.code == DIVERGED:
         return None
-    _, lin, _, result = survey(problem, problem.base, result.theta, result.eff, result.x0, candidates=False)
-    response = respond(lin)
-    parts = disturbance.estimate(lin, response.kernels)
-    return unmoved(problem, problem.base, result.theta, result.eff, result.x0, parts, response)
+    response, parts = _left(problem, result)
+    return ended(problem, problem.base, result, parts, response)
 
 
-def _declared_from(problem: Problem, theta, eff, x0) -> Fitted:
-    if at_point(problem, problem.base, theta, eff, x0).code == DIVERGED:  # before its candidates are surveyed
+def _declared_from(problem: Problem, result: FitResult) -> Fitted:
+    if result.code == DIVERGED:  # before its response to forces is asked for
         raise Diverged("the declared model runs away")
-    _, lin, _, result = survey(problem, problem.base, theta, eff, x0, candidates=False)
+    response, parts = _left(problem, result)
+    return fitted_from(problem, problem.base, result, parts, response)
+
+
+def _left(problem: Problem, result: FitResult) -> tuple[Response, Components]:
+    """How outputs answer to forces about a fit, and the forces that it leaves."""
+    _, lin, _ = surveyed(problem, result, candidates=False)
     response = respond(lin)
-    parts = disturbance.estimate(lin, response.kernels)
-    return fitted(problem, problem.base, theta, result.eff, x0, parts, response)
+    return response, disturbance.estimate(lin, response.kernels)
+
+
+def _free(problem: Problem, start: FitResult) -> FitResult:
+    """A fit of initial states alone, with the declared parameters free to move on from there."""
+    return at_point(problem, problem.base, start.theta, start.eff, start.x0)
 
 
 def timed(problem: Problem, base: Fitted, first: View, alpha: float) -> tuple[Problem, View]:

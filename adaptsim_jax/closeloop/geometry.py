@@ -5,7 +5,7 @@ moment about its joint into the coupling of both (`pendulum_rigid.base_mass_matr
 percent leaves structure that precise encoders see, and that is nobody's effect.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -50,7 +50,7 @@ def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect], explai
         abreast(total, (-STEP, STEP))
         if _foretold([fits[offset].moving.sum() for offset in (-STEP, 0.0, STEP)]) > DOUBT * explained:
             return None
-        offset = _likeliest(total)
+        offset = _likeliest(total, lambda offset: unexplained(fits[offset], base) > DOUBT * explained)
     except Diverged:
         return None
     return Remeasured(recording.geometry["l1"] * (1.0 + offset), fits[offset], unexplained(fits[offset], base))
@@ -73,8 +73,11 @@ def _foretold(force: Sequence[float]) -> float:
     return float(np.sqrt(max(1.0 + (slope * best + 0.5 * bend * best**2) / max(middle, 1e-300), 0.0)))
 
 
-def _likeliest(total) -> float:
-    """The offset [1] with the largest total that a few parabolas lead to, within `FARTHEST`."""
+def _likeliest(total, far: Callable[[float], bool] = lambda offset: False) -> float:
+    """The offset [1] with the largest total that a few parabolas lead to, within `FARTHEST`.
+
+    far: whether an offset leaves so much that it is not near the right one. What is left falls in proportion on the way there, so
+    where a likeliest one is far and a step on from it is no likelier, there is none, and no more are tried."""
     centre, step = 0.0, STEP
     for _ in range(ROUNDS):
         low, middle, high = abreast(total, (centre - step, centre, centre + step))
@@ -82,7 +85,7 @@ def _likeliest(total) -> float:
         leap = np.clip(-slope / bend, -3.0, 3.0) if bend < 0 else 3.0 * np.sign(slope)
         tried = float(np.clip(centre + leap * step, -FARTHEST, FARTHEST))
         best = max((centre - step, centre, centre + step, tried), key=total)
-        if abs(leap) <= 1.0:
+        if abs(leap) <= 1.0 or (best != tried and far(best)):
             return best
         centre = best
     return centre

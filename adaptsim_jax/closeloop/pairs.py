@@ -15,7 +15,7 @@ from adaptsim_jax.closeloop.abreast import abreast
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.leaders import NEW, look_alikes
 from adaptsim_jax.closeloop.problem import DIVERGED, UNFINISHED, Active, Diverged, Problem, fit_plain
-from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, fitted_plainly, settled, unmoved
+from adaptsim_jax.closeloop.rivals import Fitted, Instance, doubtful, ended, fitted_plainly, settled, settled_from
 from adaptsim_jax.closeloop.start import merged, own_starts, started
 from adaptsim_jax.closeloop.view import Ranked, View, view
 
@@ -57,10 +57,15 @@ def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
     return sorted(alone, key=lambda one: (error[one[0]] > alike, size(*one), error[one[0]]))
 
 
+def _error(fit: FitResult) -> tuple[bool, float]:
+    """What orders least-squares fits: those that ran away come last."""
+    return fit.code == DIVERGED, float(fit.cost.sum())
+
+
 def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen: View) -> list[Fitted]:
     """A fit of one effect, and with each of the plain score's leaders about it."""
     try:
-        first = unmoved(problem, active, fit.theta, fit.eff, fit.x0, base.parts, seen.response)
+        first = ended(problem, active, fit, base.parts, seen.response)
         about = view(problem, first)
         single = settled(problem, first, seen.response, rounds=1)
     except (Diverged, np.linalg.LinAlgError):  # its response to forces is not finite
@@ -73,10 +78,9 @@ def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen
 
 
 def _likelier(problem: Problem, base: Fitted, active: Active, theta, eff: np.ndarray, seen: View) -> Fitted | None:
-    """A pair refitted from each of the declared parameters to start from."""
-    starts = _starts(problem, theta)
-    made = [fitted_plainly(problem, active, start, eff, base.parts, seen.response) for start in starts]
-    return max((m for m in made if m is not None), key=lambda m: m.total, default=None)
+    """A pair fitted from each of the declared parameters to start from, and refitted from where the fit ended that leaves less."""
+    fits = [fit_plain(problem, active, start, eff, problem.windows.start) for start in _starts(problem, theta)]
+    return settled_from(problem, active, min(fits, key=_error), base.parts, seen.response)
 
 
 def _starts(problem: Problem, theta) -> list[np.ndarray]:
@@ -128,7 +132,7 @@ def _closer(problem: Problem, base: Fitted, alone: Alone) -> Alone:
     starts = [(theta, fit.eff) for theta in _starts(problem, base.candidate.theta)[1:]]
     starts += [(problem.theta0, eff) for eff in own_starts(problem, active[-1], fit.eff)]
     fits = [fit, *(fit_plain(problem, active, *start, problem.windows.start) for start in starts)]
-    best = min(fits, key=lambda f: (f.code == DIVERGED, float(f.cost.sum())))
+    best = min(fits, key=_error)
     if best.code == UNFINISHED:
         best = fit_plain(problem, active, best.theta, best.eff, best.x0)
     return active, best

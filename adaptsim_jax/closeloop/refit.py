@@ -34,7 +34,7 @@ class Refit:
     free: np.ndarray
     at_bound: np.ndarray
     iterations: int
-    damping: float  # of the last step
+    damping: float  # that a next step would begin with
 
     @property
     def cost(self) -> np.ndarray:

@@ -128,8 +128,9 @@ def _inverted(terms: Terms, size: np.ndarray) -> tuple[np.ndarray, float]:
     logdet = 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum()
     for matrix in lower:  # in place, and half the work of a general inverse
         _potri(matrix.T, lower=0, overwrite_c=1)
-    strict = np.tril(lower, -1)
-    return lower + np.swapaxes(strict, 1, 2), logdet
+    inverse = lower + np.swapaxes(lower, 1, 2)  # above the diagonal there are zeros
+    inverse[:, index, index] *= 0.5
+    return inverse, logdet
 
 
 def factored(cov: np.ndarray) -> np.ndarray:

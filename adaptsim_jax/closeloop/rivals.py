@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.closeloop import disturbance
-from adaptsim_jax.closeloop.candidate import Candidate, refit_candidate, refit_more
+from adaptsim_jax.closeloop.candidate import Candidate, refit_from, refit_more
 from adaptsim_jax.closeloop.disturbance import Components, Kernels, Linearised
-from adaptsim_jax.closeloop.problem import DIVERGED, Active, Diverged, Problem, fit_plain
+from adaptsim_jax.closeloop.fit_result import FitResult
+from adaptsim_jax.closeloop.problem import Active, Diverged, Problem, at_point, fit_plain
 from adaptsim_jax.models.effect import NINETY
 
 Instance = tuple[str, str]  # (effect, where)
@@ -76,8 +77,15 @@ def fitted(
     problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response, *, rounds: int = 4
 ) -> Fitted:
     """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
+    return fitted_from(problem, active, at_point(problem, active, theta, eff, x0), parts, response, rounds=rounds)
+
+
+def fitted_from(
+    problem: Problem, active: Active, fit: FitResult, parts: Components, response: Response, *, rounds: int = 4
+) -> Fitted:
+    """The same from where a least-squares fit of those effects ended."""
     factor = disturbance.whitener(response.lin, parts, response.kernels)
-    candidate = refit_candidate(problem, active, theta, eff, x0, factor)
+    candidate = refit_from(problem, active, fit, factor)
     return settled(problem, _judged(problem, candidate, parts, response), response, rounds=rounds - 1)
 
 
@@ -144,26 +152,28 @@ def fitted_plainly(
     """Fitted with the sensors as the only noise, then settled; None where that runs away. This closes large gaps that the
     covariance inflated by the missing effect would leave open. Initial states start from the data, unless given: a model that
     lacks the effect has bent its own."""
-    with suppress(Diverged, np.linalg.LinAlgError):
-        return settled(
-            problem, _least_squares(problem, active, theta, eff, parts, response, x0), response, rounds=rounds
-        )
-    return None
-
-
-def _least_squares(problem: Problem, active: Active, theta, eff, parts: Components, response: Response, x0) -> Fitted:
-    """The least-squares fit, judged where it is. Raises `Diverged` where it runs away."""
     result = fit_plain(problem, active, theta, eff, problem.windows.start if x0 is None else x0)
-    if result.code == DIVERGED:
-        raise Diverged(f"the model with {active} runs away from where its fit starts")
-    return unmoved(problem, active, result.theta, result.eff, result.x0, parts, response)
+    return settled_from(problem, active, result, parts, response, rounds=rounds)
+
+
+def settled_from(
+    problem: Problem, active: Active, result: FitResult, parts: Components, response: Response, *, rounds: int = 1
+) -> Fitted | None:
+    """A least-squares fit judged where it ended, then settled; None where it ran away."""
+    with suppress(Diverged, np.linalg.LinAlgError):
+        return settled(problem, ended(problem, active, result, parts, response), response, rounds=rounds)
+    return None
 
 
 def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response) -> Fitted:
     """A model judged where it is, nothing refitted."""
+    return ended(problem, active, at_point(problem, active, theta, eff, x0), parts, response)
+
+
+def ended(problem: Problem, active: Active, fit: FitResult, parts: Components, response: Response) -> Fitted:
+    """A fit judged where it ended, nothing refitted. Raises `Diverged` where it ran away."""
     factor = disturbance.whitener(response.lin, parts, response.kernels)
-    start = refit_candidate(problem, active, theta, eff, x0, factor, iterations=0)
-    return _judged(problem, start, parts, response)
+    return _judged(problem, refit_from(problem, active, fit, factor, iterations=0), parts, response)
 
 
 def seen_anew(problem: Problem, model: Fitted, response: Response) -> Fitted:

@@ -35,6 +35,20 @@ def test_parabolas_lead_to_the_likeliest_length(top):
     assert abs(_likeliest(lambda offset: 50.0 * offset)) <= FARTHEST + 1e-9
 
 
+def test_where_the_likeliest_length_is_far_off_and_none_beyond_is_likelier_no_more_are_tried():
+    tried = []
+
+    def total(offset):
+        tried.append(offset)
+        return {-0.01: 50.0, 0.0: 0.0, 0.01: 1000.0}.get(round(offset, 4), 900.0)
+
+    assert _likeliest(total, lambda offset: True) == 0.01
+    assert max(tried) == pytest.approx(0.03) and len(set(tried)) == 4
+    tried.clear()
+    _likeliest(total, lambda offset: False)
+    assert len(set(tried)) > 4
+
+
 @pytest.mark.parametrize("off", [0.003, -0.02, 0.08, -0.14])
 def test_two_lengths_foretell_what_the_right_one_leaves(off):
     """Unexplained force grows with the distance from the right length; its variance is a parabola."""

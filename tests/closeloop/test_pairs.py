@@ -14,6 +14,7 @@ from adaptsim_jax.models.effect import Reach
 from adaptsim_jax.models.effects import Layout, catalogue
 
 ALIKE = {"drag": ("friction",), "friction": (), "ripple": (), "lag": ()}
+PAIR = (1.0, 0)  # the sum of squares of any pair, and its size
 PLACES = [(name, "joint1") for name in ALIKE]
 
 
@@ -51,15 +52,21 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
     monkeypatch.setattr(pairs, "own_starts", lambda *_: [])
     monkeypatch.setattr(pairs, "doubtful", lambda *_: set(doubted))
     monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, theta, *_: made(active, theta))
+    diverged = lambda fit: fit.code == pairs.DIVERGED
+    settled = lambda problem, active, fit, *_: None if diverged(fit) else made(active, fit.theta)
+    monkeypatch.setattr(pairs, "settled_from", settled)
 
-    def alone(problem, active, theta, *_):
-        error, size = errors[active[-1][0]] if active else errors.get("nothing", (None, 0))
+    def plainly(problem, active, theta, *_):
+        if len(active) > 1:
+            error, size = PAIR
+        else:
+            error, size = errors[active[-1][0]] if active else errors.get("nothing", (None, 0))
         error, code = (error, 0) if error is not None else (0.0, pairs.DIVERGED)
         error = error / theta[0]  # from further away, less is left
         return SimpleNamespace(code=code, cost=np.array([error]), names=["p"] * size, theta=theta, eff=None, x0=None)
 
-    monkeypatch.setattr(pairs, "fit_plain", alone)
-    monkeypatch.setattr(pairs, "unmoved", lambda problem, active, *_: made(active))
+    monkeypatch.setattr(pairs, "fit_plain", plainly)
+    monkeypatch.setattr(pairs, "ended", lambda problem, active, *_: made(active))
     monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
     monkeypatch.setattr(pairs, "settled", lambda problem, model, *_, **__: model)
     return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=np.ones(2), eff=None), parts=None)
@@ -91,7 +98,7 @@ def test_of_those_that_leave_alike_the_one_with_fewest_parameters_is_first(monke
 
 @pytest.mark.parametrize(("suggested", "starts"), [(1.1, 1.0), (3.0, 3.0), (0.2, 1.0)])
 def test_a_pair_starts_from_what_the_motion_suggests_too_where_that_is_elsewhere(monkeypatch, suggested, starts):
-    """A play had bent the declared parameters so far that no pair with it came back from there. The likelier of both is kept."""
+    """A play had bent the declared parameters so far that no pair with it came back from there. The fit that leaves less is kept."""
     base = fake_fits(monkeypatch, {"drag": (9.0, 3), "friction": (4.0, 3), "lag": (None, 3)})
     problem = layout()
     problem.theta0 = np.array([suggested, 1.0])
