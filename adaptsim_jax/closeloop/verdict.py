@@ -74,10 +74,11 @@ def _chance(beyond: float, left: Leftover, settings: Settings) -> str:
     if beyond < BEYOND_FLOOR:
         return "The declared model explains the data to within their noise."
     if left.answered and left.p_value < settings.alpha:
+        much = f" ({100 * left.share:.0f} % of it)" if left.share >= 0.005 else ""
         return (
             f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
-            f"follows the motion only as the commands of a controller answer to such torques ({100 * left.share:.0f} % of it); "
-            "commands that do not depend on the motion would tell more."
+            f"follows the motion only as the commands of a controller answer to such torques{much}; commands that do not depend "
+            "on the motion would tell more."
         )
     return (
         f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
@@ -147,7 +148,9 @@ def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, le
 def _structured(found: Found, before: Leftover, settings: Settings, flexible: float) -> bool:
     """Structure that is more than chance: some smooth force, or a rival that was refitted, predicts it in left-out trials, or its
     spectrum has a line."""
-    if _predicted(before, settings) or (before.p_value < settings.alpha and flexible < PREDICTED):
+    answer = before.answered and before.line is None and before.share < ANSWERED_SHARE
+    clear = not answer and _predicted(before, settings)
+    if clear or (before.p_value < settings.alpha and flexible < PREDICTED):
         return True
     fall = 1.0 - settings.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
     return any(t.total - found.base.total > 20.0 and unexplained(t, found.base) < fall for t in found.tried)
@@ -155,10 +158,7 @@ def _structured(found: Found, before: Leftover, settings: Settings, flexible: fl
 
 def _predicted(left: Leftover, settings: Settings) -> bool:
     """Whether some smooth force predicts what is left, or its spectrum has a line."""
-    if left.answered:
-        sure = left.p_value < settings.alpha and left.share > ANSWERED_SHARE
-    else:
-        sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
+    sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
     return sure or left.line is not None
 
 

@@ -124,6 +124,9 @@ def test_where_commands_answer_to_the_motion_a_little_that_follows_it_is_chance(
     assert ("controller" in answered.message) is (expected == "within_noise")
     assert said(left(share, 1e-48)).name == "structured_unattributed"
     assert "controller" not in said(replace(left(0.0, 1.0), answered=True)).message
+    assert "0 %" not in said(replace(left(0.001, 1e-20), answered=True)).message
+    hum = Line("joint1", 4.0, 0.2, 1e-50)
+    assert said(replace(left(share, 1e-48), answered=True, line=hum)).name == "structured_unattributed"
 
 
 def test_pieces_abreast_keep_their_order_and_raise():
