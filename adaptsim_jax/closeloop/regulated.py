@@ -9,9 +9,7 @@ import numpy as np
 
 from adaptsim_jax.closeloop.windows import Windows
 
-ANSWERED = (
-    0.5  # of a command's variance: balancing controllers answer 0.7 to 0.95 of it, tracking and open loop 0 to 0.35
-)
+ANSWERED = 0.5  # of a command's variance: balancing controllers answer 0.7 to 0.93, tracking and open loop 0 to 0.35
 
 
 def regulated(windows: Windows) -> bool:
