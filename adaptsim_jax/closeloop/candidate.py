@@ -38,24 +38,11 @@ class Candidate:
         return found
 
 
-def refit_candidate(
-    problem: Problem,
-    active: Active,
-    theta: np.ndarray,
-    eff: np.ndarray,
-    x0: np.ndarray,
-    factor: np.ndarray,
-    *,
-    iterations: int = 10,
-) -> Candidate:
-    """Refit declared parameters and the active effects' parameters under the covariance behind `factor`."""
-    return refit_from(problem, active, at_point(problem, active, theta, eff, x0), factor, iterations=iterations)
-
-
 def refit_from(
     problem: Problem, active: Active, first: FitResult, factor: np.ndarray, *, iterations: int = 10
 ) -> Candidate:
-    """The same from where a fit of those effects ended. Raises `Diverged` where it ran away."""
+    """Refit declared parameters and the active effects' parameters under the covariance behind `factor`, from where a fit of those
+    effects ended. Raises `Diverged` where it ran away."""
     if first.code == DIVERGED:
         raise Diverged(f"the model with {active} runs away from where its refit starts")
     return _refit(problem, active, first.names, first.theta, first.eff, first.x0, first, factor, None, iterations)

@@ -24,9 +24,7 @@ class Verdict:
 PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
 WELL_PREDICTED = 0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise
 NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
-ANSWERED_SHARE = (
-    0.05  # where commands answer to the motion, smooth forces predict up to 0.03 of what a wandering torque leaves
-)
+ANSWERED_SHARE = 0.05  # of the residual: where commands answer to the motion, up to 0.03 follows it by chance
 REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
 MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
 BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
@@ -73,16 +71,16 @@ def decide(
 def _chance(beyond: float, left: Leftover, settings: Settings) -> str:
     if beyond < BEYOND_FLOOR:
         return "The declared model explains the data to within their noise."
+    what = "nothing that would predict it in other trials."
     if left.answered and left.p_value < settings.alpha:
         much = f" ({100 * left.share:.0f} % of it)" if left.share >= 0.005 else ""
-        return (
-            f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
-            f"follows the motion only as the commands of a controller answer to such torques{much}; commands that do not depend "
-            "on the motion would tell more."
+        what = (
+            f"the motion only as the commands of a controller answer to such torques{much}; commands that do not depend on the "
+            "motion would tell more."
         )
     return (
         f"The declared model leaves {beyond:.0f} times the sensors' noise, as torques do that wander by chance: what is left "
-        "follows nothing that would predict it in other trials."
+        f"follows {what}"
     )
 
 
