@@ -35,7 +35,7 @@ def report_of(
         candidates=_candidates(found, verdict, settings),
         declared={"before": _declared(problem, found.base), "after": _declared(problem, last)},
         not_established=_not_established(problem, found, verdict, powers),
-        leftover=[dict(zip(("joint", "variable", "share", "p_value"), p, strict=True)) for p in after.places[:4]],
+        leftover=[dict(zip(("joint", "variable", "share", "p_value"), p, strict=True)) for p in after.told()],
         unexplained_torque=_torques(problem, found),
         power=[_power(p) for p in powers],
         noise={"message": problem.noise.message, "source": problem.noise.source},

@@ -168,12 +168,12 @@ def _words(name: str) -> str:
 def _unattributed(at: Leftover) -> str:
     share = at.places[0][2]
     much = f" ({100 * share:.0f} % of the residual{'' if at.sharp else ', held out'})" if share >= 0.005 else ""
-    return f"There is structure that no candidate explains; it sits at {at.where()}{much}."
+    return f"There is structure that no candidate explains; it sits at {at.where()}{much}{at.beside()}."
 
 
 def _partly(found: Found, at: Leftover, left: float) -> str:
     best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.final.active)
     return (
         f"The best candidate, {best}, leaves {100 * left:.0f} % of the unexplained torque, which is too much for a name; "
-        f"what is left sits at {at.where()}."
+        f"what is left sits at {at.where()}{at.beside()}."
     )
