@@ -83,6 +83,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "residual": _residual_figures(evidence),
         "seen": [row for row in evidence.get("regressor") or [] if row.get("explained") is not None],
         "leftover": rows_of.leftover_rows(evidence),
+        "quiet": report["verdict"] in ("within_noise", "underpowered"),
         "remains": any((row.get("p_value") or 0.0) < 0.05 for row in evidence.get("leftover") or []),
         "power": rows_of.power_rows(report),
         "torque_share": all(row.get("unit") == rows_of.TORQUE_SHARE for row in report.get("power") or [{}]),

@@ -34,7 +34,7 @@ MEANINGS = {
     "so neither can be held responsible.",
     "structured_unattributed": "What is left is more than chance leaves, yet no effect in the catalogue "
     "accounts for it. No name is forced on it.",
-    "within_noise": "What is left looks like the noise. Nothing needs to be added for motions like these.",
+    "within_noise": "What is left looks like chance. Nothing needs to be added for motions like these.",
     "underpowered": "An effect of a size that matters could hide in these data. "
     "This is not evidence that the model is right.",
     "data_fault": "No model was judged: the findings below come first.",
