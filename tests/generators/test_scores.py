@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.closeloop_scores import classes, declared_errors, parse, row, score_case, summarise, table, wilson
+from experiments.closeloop_scores import classes, declared_errors, localised, parse, row, score_case, summarise, table, wilson
 from tests.generators import Spec
 from tests.generators.suites import Case
 
@@ -44,6 +44,15 @@ def test_what_physics_makes_the_same_counts_and_nothing_else():
     assert judged([("tilt", "base")], [offset])["hits"] == [True]
     assert judged([("tilt", "base")], [offset | {"where": "joint2"}])["hits"] == [False]
     assert classes({"effects": [{"name": "bias", "where": "joint1"}]}) == [{("bias", "joint1")}]
+
+
+def test_the_first_place_counts_and_of_a_scale_of_the_torque_the_other_joint_too():
+    told = [{"joint": "joint2", "variable": "command"}, {"joint": "joint1", "variable": "past"}]
+    record = lambda effect, where, told: {"hidden": [(effect, where)], "leftover": told}
+    assert localised(record("spring", "joint2", told)) and not localised(record("saturation", "joint1", told))
+    assert localised(record("torque_gain", "joint1", told)) and not localised(record("torque_gain", "joint1", told[:1]))
+    assert not localised(record("torque_gain", "joint1", [told[0] | {"variable": "angle"}, told[1]]))
+    assert localised(record("tilt", "base", told)) and not localised(record("spring", "joint1", None))
 
 
 def test_a_confounded_effect_is_right_when_nothing_is_named():
