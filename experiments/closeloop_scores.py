@@ -53,7 +53,9 @@ def localised(record: dict) -> bool:
     """Whether what is left is said to sit at the joint where it is hidden; the base acts on both. A gain of one joint's torque is
     the inverse gain of the other's: where both are told, that is right."""
     told = record["leftover"] or []
-    scale = bool(told) and told[0]["variable"] == "command" and any(name == "torque_gain" for name, _ in record["hidden"])
+    scale = (
+        bool(told) and told[0]["variable"] == "command" and any(name == "torque_gain" for name, _ in record["hidden"])
+    )
     found = [place(at["joint"]) for at in told[: 2 if scale else 1]]
     return any(where == "base" or where in found for _, where in record["hidden"])
 

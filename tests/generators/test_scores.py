@@ -2,7 +2,17 @@
 
 import pytest
 
-from experiments.closeloop_scores import classes, declared_errors, localised, parse, row, score_case, summarise, table, wilson
+from experiments.closeloop_scores import (
+    classes,
+    declared_errors,
+    localised,
+    parse,
+    row,
+    score_case,
+    summarise,
+    table,
+    wilson,
+)
 from tests.generators import Spec
 from tests.generators.suites import Case
 
