@@ -98,14 +98,15 @@ def _doubt(problem: Problem, places: list[tuple], alike: bool) -> tuple[str, str
     """The other joint that it may sit at. A scale of one joint's command is the inverse scale of the other's: masses and
     frictions are in units of the torque."""
     first, variable = places[0][:2]
-    other = next((p[0] for p in places if p[0] != first), None)
-    if other is None:
+    there = [p for p in places if p[0] != first]
+    if not there:
         return None
+    other, sure = there[0][0], there[0][3] < SURE
     torque = np.asarray(problem.windows.torque)
     driven = [joint for joint, std in zip(problem.plant.joints, torque.std((0, 1)), strict=True) if std > 0]
     if variable == "command" and {first, other} <= set(driven):
         return other, "if it is the torque's scale, whose inverse there is the same"
-    return (other, "where as much is unexplained") if alike else None
+    return (other, "where as much is unexplained") if alike and sure else None
 
 
 def residual_torque(problem: Problem, lin, parts) -> list[dict]:
