@@ -11,16 +11,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.closeloop import disturbance
 from adaptsim_jax.closeloop.abreast import abreast
+from adaptsim_jax.closeloop.candidate import Candidate, compressed, linearised
 from adaptsim_jax.closeloop.declared import declared_base
-from adaptsim_jax.closeloop.problem import Diverged, Problem, prepare_within_reach
+from adaptsim_jax.closeloop.problem import Diverged, Problem, at_point, prepare_within_reach
 from adaptsim_jax.closeloop.rivals import Fitted, unexplained
+from adaptsim_jax.closeloop.score import Scorer, folds
 from adaptsim_jax.closeloop.verdict import Verdict
+from adaptsim_jax.closeloop.view import View
 from adaptsim_jax.models.effect import Effect
 
 STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
 FARTHEST = 0.15  # of the length: beyond this nobody measured it
 ROUNDS = 4
+SMALL = 1e-3  # of the length: the change by which its effect on the outputs is told
+FAINT = 0.25  # times the best candidate's gain: wrong lengths had 0.7 to 1.9 of it, hidden effects 0 to 0.1
 DOUBT = 2.0  # times what may be left: more than this foretold of the best length, and no more lengths are tried
 
 
@@ -32,12 +38,17 @@ class Remeasured(NamedTuple):
     left: float
 
 
-def remeasured(problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float = 1.0) -> Remeasured | None:
+def remeasured(
+    problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float = 1.0, first: View | None = None
+) -> Remeasured | None:
     """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, where the first two
-    show that none will leave as little as the share `explained` of the unexplained force, for a model whose geometry its
-    parameters absorb, or for a mended model, which is of one geometry."""
+    show that none will leave as little as the share `explained` of the unexplained force, where already the linear score about
+    the declared model (`first`) says so, for a model whose geometry its parameters absorb, or for a mended model, which is of
+    one geometry."""
     recording = problem.recording
     if recording.model != "rigid_body" or "l1" not in recording.geometry or recording.model_file is not None:
+        return None
+    if first is not None and _faint(problem, base, first):
         return None
     fits = {0.0: base}
 
@@ -62,6 +73,31 @@ def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitt
     other, start = prepare_within_reach(changed, problem.audit, problem.noise, effects)
     other = replace(other, windows=replace(other.windows, substeps=problem.windows.substeps))
     return declared_base(other, start)
+
+
+def _faint(problem: Problem, base: Fitted, first: View) -> bool:
+    """Whether another length explains far less than the best candidate does, to the first order."""
+    ranked, column = first.ranked(), _outputs_by_length(problem, base.candidate)
+    if not ranked or not np.all(np.isfinite(column)):
+        return False
+    factor = disturbance.whitener(first.lin, base.parts, first.response.kernels)
+    white = disturbance.whiten(replace(first.lin, atoms=column[..., None]), factor)
+    gain, _ = Scorer(white, folds(white.trial, white.rows)).gain([0])
+    return gain < FAINT * ranked[0].score.gain
+
+
+def _outputs_by_length(problem: Problem, model: Candidate) -> np.ndarray:
+    """How the outputs change with the length `[W, M]`, standard deviations for each 1 of it, by a central difference."""
+
+    def residual(scale: float) -> np.ndarray:
+        constants = {**problem.plant.constants, "l1": problem.plant.constants["l1"] * scale}
+        plant = replace(problem.plant, constants=constants)
+        other = replace(problem, plant=plant, model=replace(problem.model, plant=plant))
+        fit = at_point(other, model.active, model.theta, model.eff, model.refit.point.x0)
+        return compressed(problem, linearised(problem, fit)).residual
+
+    with np.errstate(invalid="ignore"):  # a model that runs away
+        return (residual(1.0 - SMALL) - residual(1.0 + SMALL)) / (2.0 * SMALL)
 
 
 def _foretold(force: Sequence[float]) -> float:
@@ -92,13 +128,18 @@ def _likeliest(total, far: Callable[[float], bool] = lambda offset: False) -> fl
 
 
 def misdeclared(
-    verdict: Verdict, problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float
+    verdict: Verdict,
+    problem: Problem,
+    base: Fitted,
+    effects: Sequence[Effect],
+    explained: float,
+    first: View | None = None,
 ) -> Verdict:
     """`verdict`, unless it is `structured_unattributed` and another `l1` leaves no more than the share `explained` of the
-    unexplained force."""
+    unexplained force. first: the view of the declared model, which may spare the fits."""
     if verdict.name != "structured_unattributed":
         return verdict
-    found = remeasured(problem, base, effects, explained)
+    found = remeasured(problem, base, effects, explained, first)
     if found is None or found.left > explained or abs(found.l1 / problem.recording.geometry["l1"] - 1.0) >= FARTHEST:
         return verdict
     message = (

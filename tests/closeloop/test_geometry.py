@@ -7,7 +7,7 @@ import pytest
 
 from adaptsim_jax.closeloop.audit import audit, usable
 from adaptsim_jax.closeloop.declared import declared
-from adaptsim_jax.closeloop.geometry import FARTHEST, _foretold, _likeliest, misdeclared, remeasured
+from adaptsim_jax.closeloop.geometry import FARTHEST, _faint, _foretold, _likeliest, misdeclared, remeasured
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
@@ -66,8 +66,8 @@ def test_a_force_that_hardly_changes_with_the_length_is_none_of_its():
 def test_a_first_link_measured_wrong_is_said_to_be(tmp_path):
     folder = written(tmp_path, make_trials(seed=5, count=3, seconds=2.0, noise=0.1), l1=1.02 * GEOMETRY["l1"])
     problem, start = prepared(folder)
-    base, _ = declared(problem, start)
-    verdict = misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35)
+    base, first = declared(problem, start)
+    verdict = misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35, first)
     assert verdict.name == "confounded_with_declared" and not verdict.named
     said = float(verdict.message.split(" but ")[1].split(" m ")[0])
     assert said == pytest.approx(GEOMETRY["l1"], rel=3e-3)
@@ -77,8 +77,10 @@ def test_a_first_link_measured_wrong_is_said_to_be(tmp_path):
 def test_a_hidden_force_is_not_taken_for_a_wrong_length(tmp_path):
     trials = make_trials(seed=6, count=3, seconds=2.0, noise=0.1, extra=lambda t, q, v, u: -0.05 * np.tanh(v / 0.01))
     problem, start = prepared(written(tmp_path, trials))
-    base, _ = declared(problem, start)
-    assert misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35) is STRUCTURED
+    base, first = declared(problem, start)
+    assert _faint(problem, base, first)
+    assert misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35, first) is STRUCTURED
+    assert misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35) is STRUCTURED  # the fits say the same
 
 
 def test_the_geometry_of_a_mended_model_is_left_alone(tmp_path):
