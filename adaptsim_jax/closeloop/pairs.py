@@ -21,7 +21,7 @@ from adaptsim_jax.closeloop.view import Ranked, View, view
 
 MOST = 4  # plain refits, one from where the other ended
 FIRSTS = 2  # effects that fit best alone
-SECONDS = 4  # beside each of them: the right one was among the first two, in tuning and spent sets
+SECONDS = 3  # beside each of them: the right one was among the first two, in tuning and spent sets
 NEAR = 0.2  # of a declared parameter: a start that far away is another one
 SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
