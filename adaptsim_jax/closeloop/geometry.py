@@ -26,7 +26,7 @@ STEP = 0.01  # of the length: how far apart the fits are that show where the lik
 FARTHEST = 0.15  # of the length: beyond this nobody measured it
 ROUNDS = 4
 SMALL = 1e-3  # of the length: the change by which its effect on the outputs is told
-FAINT = 0.15  # times the best candidate's gain: wrong lengths had 0.4 to 1.9 of it (once 0.02), hidden effects up to 0.09
+FAINT = 0.15  # times the best candidate's gain: wrong lengths had 0.4 to 1.9 of it (once 0.02), effects up to 0.09
 DOUBT = 2.0  # times what may be left: more than this foretold of the best length, and no more lengths are tried
 
 
