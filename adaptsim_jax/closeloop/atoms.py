@@ -110,7 +110,8 @@ def make_reach(plant: Plant, theta: np.ndarray, windows: Windows) -> Reach:
     live = _live(windows)
     q, v, u = (z[live] for z in (windows.motion_q, windows.motion_v, np.abs(windows.torque)))
     with jax.enable_x64(True):
-        inertia = np.asarray(plant.inertia_at(jnp.asarray(theta), jnp.asarray(np.median(q, 0))[:, None]))[:, 0]
+        middle = np.median(q, 0)[:, None]
+        inertia = np.asarray(jax.jit(Plant.inertia_at)(plant, theta, middle))[:, 0]  # by themselves thirty programs
     torque = np.quantile(u if np.any(u) else gravity_torque(plant, theta, windows), 0.998, axis=0)
     torque = np.maximum(torque, 0.05 * torque.max() + 1e-6)
     speed = np.maximum(np.quantile(np.abs(v), 0.9, axis=0), 0.05)

@@ -16,6 +16,7 @@ from adaptsim_jax.closeloop.fit_problem import FitPoint, FitProblem
 from adaptsim_jax.closeloop.fit_result import FitResult, fit_result
 from adaptsim_jax.closeloop.simulate import Model, driven, first_angles, measure, trajectory
 from adaptsim_jax.closeloop.windows import Windows
+from adaptsim_jax.kept_programs import kept
 
 ROOM = (6, 9, 12, 20)  # effect parameters that a compiled fit has room for: friction and a spring fit the first
 Array = Any  # of JAX in a trace, of NumPy outside
@@ -203,7 +204,7 @@ def _nowhere(problem: FitProblem, theta, eff, x0) -> FitPoint:
     return FitPoint(theta, eff, x0, empty(length, channels, windows), jac, gram, empty(windows), cost)
 
 
-@jax.jit
+@kept(FitPoint)
 def _solve(model: Model, problem: FitProblem, start, settings: FitSettings):
     """Levenberg-Marquardt. A trial point is linearised at once, as most steps are taken."""
 

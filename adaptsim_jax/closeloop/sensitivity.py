@@ -19,6 +19,7 @@ from adaptsim_jax.closeloop.disturbance import Linearised
 from adaptsim_jax.closeloop.fit_result import FitResult
 from adaptsim_jax.closeloop.score import Atom
 from adaptsim_jax.closeloop.simulate import (
+    Drive,
     Model,
     Push,
     driven,
@@ -28,6 +29,7 @@ from adaptsim_jax.closeloop.simulate import (
     switched_on,
 )
 from adaptsim_jax.closeloop.windows import Windows
+from adaptsim_jax.kept_programs import kept
 from adaptsim_jax.models.effect import Reach
 
 
@@ -120,7 +122,7 @@ def _linearised(result: FitResult, windows: Windows, path: Path, atoms: np.ndarr
     )
 
 
-@jax.jit
+@kept(Drive)
 def _path(model: Model, windows: Windows, theta, eff, mask, x0):
     """The fields of `Path`, and what drives the windows with the states `[L+1, S, W]` that come of it."""
     eff = model.layout.masked(eff, mask)
@@ -132,13 +134,13 @@ def _path(model: Model, windows: Windows, theta, eff, mask, x0):
     return (drive.time.T, drive.dt.T, first(x), first(drive.u), impulse), (drive, x)
 
 
-@jax.jit
+@kept()
 def _rows(model: Model, windows: Windows, theta, eff, mask, motion, columns: Columns):
     drive, x = motion
     return force_rows(model, theta, model.layout.masked(eff, mask), mask, windows, drive, x, columns)
 
 
-@jax.jit
+@kept()
 def _changes(model: Model, windows: Windows, eff, mask, motion, columns: Columns):
     drive, x = motion
     return measured_change(model, model.layout.masked(eff, mask), mask, windows, drive, x, columns, _weight(windows))
