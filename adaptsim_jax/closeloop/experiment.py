@@ -28,6 +28,7 @@ from adaptsim_jax.models.stepping import make_model
 CSV = "next_experiment.csv"
 SIZES = (1.0, 0.6, 0.35, 0.2)
 MARGIN = 1.15  # angles and speeds may go this far beyond the recorded ones
+APART = 1.0  # sensor standard deviation: two models nearer than this are one to any trial
 BATCHES = 2  # of as many commands as there are trials: each costs two simulations of the recording's size
 
 
@@ -58,6 +59,11 @@ class Plan:
         """What to run and why, for a person."""
         how = "added to what your balancing controller commands" if self.balanced else "from rest, as it stands"
         a, b = self.separates
+        if self.distance < APART:
+            return (
+                f"No command tried tells {a} from {b}: after every refit they come less than {_short(APART)} sensor standard "
+                f"deviation apart. Measure one of them by itself, at the rig; {CSV} ({self.shape}) comes closest."
+            )
         times = self.distance / max(self.recorded, 1e-9)
         gain = f", {_short(times)} times as far as a trial of these" if self.recorded > 0.5 else ""
         return (
