@@ -11,11 +11,11 @@ import functools
 import hashlib
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Any
 
 import jax
@@ -139,9 +139,9 @@ def spelled(value: Any) -> str:
     """A fixed value in words, the same in every process and for no other value. Raises `Unnamed` where there are none."""
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
         return repr(value)
-    if isinstance(value, type):
+    if isinstance(value, type) and _digested(value, "builtins"):
         return f"{value.__module__}.{value.__qualname__}"
-    if isinstance(value, FunctionType) and value.__module__.partition(".")[0] == PACKAGE:
+    if isinstance(value, FunctionType) and _digested(value):
         bound = [cell.cell_contents for cell in value.__closure__ or ()]
         where = repr(
             (value.__code__.co_code, list(value.__code__.co_positions()))
@@ -152,10 +152,15 @@ def spelled(value: Any) -> str:
         return f"slice{spelled([value.start, value.stop, value.step])}"
     if isinstance(value, functools.partial):
         return f"partial{spelled([value.func, value.args, value.keywords])}"
-    if isinstance(value, Mapping):
+    if type(value) in (dict, MappingProxyType):
         return f"{{{', '.join(f'{spelled(k)}: {spelled(v)}' for k, v in value.items())}}}"
     if isinstance(value, list | tuple):
         return f"{spelled(type(value))}({', '.join(spelled(item) for item in value)})"
     if is_dataclass(value) and not isinstance(value, type):
         return f"{spelled(type(value))}{spelled({f.name: getattr(value, f.name) for f in fields(value)})}"
     raise Unnamed(f"{value!r} has no text of its own")
+
+
+def _digested(value: Any, *others: str) -> bool:
+    """Whether the sources of a function or class are among those of `origin`: else it may change, and its name would not."""
+    return value.__module__.partition(".")[0] in (PACKAGE, *others)

@@ -4,7 +4,7 @@ import functools
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -114,10 +114,20 @@ def test_the_same_words_in_every_process():
     assert run("1").stdout == run("2").stdout != ""
 
 
-def test_what_is_not_of_this_package_is_traced_each_time(folder):
-    mine = pendulum()
-    theirs = replace(catalogue("pendulum")[0], apply=lambda p, motion: motion.v)
-    model = make_model(mine.plant, (theirs,))
+@dataclass(frozen=True)
+class Drag:
+    """A callable whose text says nothing of what it does."""
+
+    size: float = 1.0
+
+    def __call__(self, p, motion):
+        return -self.size * motion.v
+
+
+@pytest.mark.parametrize("apply", [lambda p, motion: motion.v, Drag(), functools.partial(Drag(), motion=None), Drag])
+def test_what_is_not_of_this_package_is_traced_each_time(folder, apply):
+    theirs = replace(catalogue("pendulum")[0], apply=apply)
+    model = make_model(pendulum().plant, (theirs,))
     with pytest.raises(kept_programs.Unnamed):
         structure(jax.tree.structure(model))
     np.testing.assert_array_equal(Kept(_unchanged)(SPEEDS), SPEEDS)  # a function of the tests
