@@ -28,6 +28,7 @@ PACKAGE = __name__.partition(".")[0]
 FOLDER = "traced"  # in that of the compile cache
 DIGEST = hashlib.sha256().digest_size
 SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_rank_promotion", "jax_numpy_dtype_promotion")
+PLAIN = (tuple, list, dict, type(None))
 logger = logging.getLogger(__name__)
 
 
@@ -139,7 +140,7 @@ def spelled(value: Any) -> str:
     """A fixed value in words, the same in every process and for no other value. Raises `Unnamed` where there are none."""
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
         return repr(value)
-    if isinstance(value, type) and _digested(value, "builtins"):
+    if isinstance(value, type) and (value in PLAIN or _digested(value)):
         return f"{value.__module__}.{value.__qualname__}"
     if isinstance(value, FunctionType) and _digested(value):
         bound = [cell.cell_contents for cell in value.__closure__ or ()]
@@ -161,6 +162,6 @@ def spelled(value: Any) -> str:
     raise Unnamed(f"{value!r} has no text of its own")
 
 
-def _digested(value: Any, *others: str) -> bool:
+def _digested(value: Any) -> bool:
     """Whether the sources of a function or class are among those of `origin`: else it may change, and its name would not."""
-    return value.__module__.partition(".")[0] in (PACKAGE, *others)
+    return (value.__module__ or "").partition(".")[0] == PACKAGE

@@ -124,7 +124,19 @@ class Drag:
         return -self.size * motion.v
 
 
-@pytest.mark.parametrize("apply", [lambda p, motion: motion.v, Drag(), functools.partial(Drag(), motion=None), Drag])
+PASTED: dict = {}  # as into a shell that has no name: its functions are of no module, its classes of `builtins`
+exec("def drag(p, motion):\n return motion.v\nclass Pasted: pass", PASTED)
+THEIRS = [
+    lambda p, motion: motion.v,
+    Drag(),
+    functools.partial(Drag(), motion=None),
+    Drag,
+    PASTED["drag"],
+    PASTED["Pasted"],
+]
+
+
+@pytest.mark.parametrize("apply", THEIRS)
 def test_what_is_not_of_this_package_is_traced_each_time(folder, apply):
     theirs = replace(catalogue("pendulum")[0], apply=apply)
     model = make_model(pendulum().plant, (theirs,))
