@@ -18,6 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from adaptsim_jax.models.once import once
+
 Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
 
 
@@ -72,10 +74,7 @@ class Plant:
     def rates(self, theta: jax.Array, x: Rows, u: Rows, force: Rows, inertia: Rows) -> list[jax.Array]:
         """`deriv` a state at a time: all that is stacked there is a sequence here."""
         n = self.joint_dim
-        q, v = jnp.stack(x[:n]), jnp.stack(x[n:])
-        push = self.push(self.constants, theta, q, v)
-        total = [u[i] + force[i] + push[i] for i in range(n)]
-        return [*x[n:], *solve_mass(self.mass(self.constants, theta, q), inertia, total)]
+        return [*x[n:], *_accelerations(self, theta, list(x), [u[i] + force[i] for i in range(n)], list(inertia))]
 
     def output(self, x: jax.Array) -> jax.Array:
         """What the sensors would see of `x: [S, ...]`: positions, then velocities."""
@@ -153,15 +152,55 @@ jax.tree_util.register_dataclass(
 )
 
 
+@jax.custom_jvp
+def _accelerations(plant: Plant, theta, x: list, pushed: list, inertia: list) -> list:
+    """Accelerations of the joints at `x` under the forces `pushed` besides the plant's own."""
+    mass, push = _mass_and_push(plant, theta, x)
+    return solve_mass(mass, inertia, [f + push[i] for i, f in enumerate(pushed)])
+
+
+def _mass_and_push(plant: Plant, theta, x: list):
+    q, v = jnp.stack(x[: plant.joint_dim]), jnp.stack(x[plant.joint_dim :])
+    return plant.mass(plant.constants, theta, q), plant.push(plant.constants, theta, q, v)
+
+
+def _by_the_balance(primals, tangents):
+    """The derivative from the balance of forces at the accelerations that there are: no quotient is differentiated, and what the
+    joints share is computed once."""
+    n, (leaves, tree) = primals[0].joint_dim, jax.tree.flatten(primals)
+    zero = lambda t: isinstance(t, jax.custom_derivatives.SymbolicZero)
+    slopes = jax.tree.leaves(tangents, is_leaf=zero)
+    moving = [i for i, t in enumerate(slopes) if not zero(t)]
+    acceleration = _accelerations(*primals)
+    acceleration = once(acceleration, acceleration[0])
+
+    def balance(some):
+        """What pushes the joints beyond what these accelerations need, as some of the arguments change."""
+        changed = list(leaves)
+        for i, leaf in zip(moving, some, strict=True):
+            changed[i] = leaf
+        plant, theta, x, pushed, inertia = jax.tree.unflatten(tree, changed)
+        mass, push = _mass_and_push(plant, theta, x)
+        needs = lambda i: sum(mass[i][j] * acceleration[j] for j in range(n)) + inertia[i] * acceleration[i]
+        return [pushed[i] + push[i] - needs(i) for i in range(n)]
+
+    _, rest = jax.jvp(balance, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+    plant, theta, x, _, inertia = primals
+    return acceleration, solve_mass(_mass_and_push(plant, theta, x)[0], inertia, once(rest, acceleration[0]))
+
+
+_accelerations.defjvp(_by_the_balance, symbolic_zeros=True)
+
+
 def solve_mass(mass: Rows, inertia: Rows, total: Rows) -> list[jax.Array]:
     """`(mass + diag(inertia))^-1 total`, a joint at a time, in closed form for one and two (batched LAPACK on 2x2 is slow)."""
     n = len(total)
     if n == 1:
-        return [total[0] / (mass[0][0] + inertia[0])]
+        return [total[0] * (1.0 / (mass[0][0] + inertia[0]))]
     if n == 2:
         m11, m12, m22 = mass[0][0] + inertia[0], mass[0][1], mass[1][1] + inertia[1]
-        det = m11 * m22 - m12 * m12
-        return [(m22 * total[0] - m12 * total[1]) / det, (m11 * total[1] - m12 * total[0]) / det]
+        shrink = 1.0 / (m11 * m22 - m12 * m12)  # one quotient, for along many directions they are most of the work
+        return [(m22 * total[0] - m12 * total[1]) * shrink, (m11 * total[1] - m12 * total[0]) * shrink]
     wide = lambda z: z + jnp.zeros_like(total[0])
     full = jnp.stack([jnp.stack([wide(m) for m in row], -1) for row in mass], -2)
     full = full + jnp.stack([wide(m) for m in inertia], -1)[..., None] * jnp.eye(n)

@@ -253,23 +253,24 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
         mass = plant.mass_matrix(theta, z[:n])
         answer = jnp.stack([jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)])  # [force, acceleration]
         stop = free + v / jnp.where(wide > 0, wide, 1.0)
-        hold = within(-((mass * stop[None]).sum(1) + inertia * stop), level)
+        hold = within(-(sum(mass[:, k] * stop[None, k] for k in range(n)) + inertia * stop), level)
         force = jnp.where(late > 0, force, hold)
 
         def turn(rubs, j):
             """One joint's, the others' given."""
             force, rise = rubs
             own = answer[j, j]
-            torque = (free[j] + (answer[:, j] * force).sum(0)) / own - force[j]
+            torque = (free[j] + sum(answer[k, j] * force[k] for k in range(n))) / own - force[j]
             mean, slope = mean_of(v[j], torque, level[j], width[j], 1.0 / own, h)
             return (force.at[j].set(mean), rise.at[j].set(slope)), None
 
         (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.arange(n))
-        end = v + wide * (free + (answer * force[:, None]).sum(0))
+        end = v + wide * (free + sum(answer[k] * force[None, k] for k in range(n)))
         half = 0.5 * (v + end)
         middle = jnp.concatenate([x[:n] + 0.25 * wide * (v + half), half])
         return (middle, typical_speed(v, end), force), rise
 
-    # loops, as a program with each joint and time written out would take several times as long to compile
+    # loops, as a program with each joint and time written out would take several times as long to compile; sums over the joints
+    # are written out, as a reduction of two numbers goes through a library that takes longer than all the rest
     (_, _, force), rise = jax.lax.scan(rub, (x, v, jnp.zeros_like(v)), jnp.array([0.0, 0.5], x.dtype))
     return force, rise[-1]

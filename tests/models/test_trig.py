@@ -1,4 +1,4 @@
-"""Sine and cosine behind a branch are those of JAX, with their derivatives of any order and kind."""
+"""Sine and cosine are those of NumPy to the last place, with their derivatives of any order and kind."""
 
 import chex
 import jax
@@ -32,7 +32,8 @@ def sines_in_wide_loops(force) -> int:
     x, ways = jnp.asarray(ANGLES), jnp.eye(len(ANGLES))
     jacobian = jax.jit(lambda x: jax.vmap(lambda way: jax.jvp(force, (x,), (way,))[1])(ways))
     loops = jacobian.lower(x).compile().as_text().split("\n\n")
-    return sum("sine(" in loop and f"[{len(x)},{len(x)}]" in loop for loop in loops)
+    fused = [loop for loop in loops if not loop.startswith("ENTRY")]  # what stands in the entry runs once
+    return sum("sine(" in loop and f"[{len(x)},{len(x)}]" in loop for loop in fused)
 
 
 @pytest.mark.skipif(jax.default_backend() != "cpu", reason="how the CPU's compiler fuses")
@@ -45,3 +46,19 @@ def test_not_a_number_and_one_angle():
     sin, cos = sin_cos(jnp.array([jnp.nan, 1.0]))
     assert np.isnan(sin[0]) and np.isnan(cos[0]) and np.isclose(sin[1], np.sin(1.0))
     chex.assert_trees_all_close(sin_cos(0.3), (jnp.sin(0.3), jnp.cos(0.3)))
+
+
+def test_double_precision_is_to_the_last_place():
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(4)
+        quarters = np.arange(-40, 41) * (0.5 * np.pi)
+        for x in (rng.uniform(-4.0, 4.0, 4000), rng.uniform(-1e3, 1e3, 4000), rng.uniform(-1e6, 1e6, 4000), quarters):
+            sin, cos = jax.jit(sin_cos)(jnp.asarray(x))
+            np.testing.assert_allclose(sin, np.sin(x), rtol=0.0, atol=2.3e-16)
+            np.testing.assert_allclose(cos, np.cos(x), rtol=0.0, atol=2.3e-16)
+
+
+def test_an_angle_gone_astray_stays_a_sine():
+    with jax.enable_x64(True):
+        sin, cos = sin_cos(jnp.array([1e9, -1e300, jnp.inf]))
+        assert np.all(np.abs(np.asarray([sin, cos]))[:, :2] <= 1.0 + 1e-9) and np.isnan(sin[2])
