@@ -1,6 +1,7 @@
-"""Low dissipation: our scooping engine against Drake with finer meshes and smaller steps, and with finer points and steps of ours.
+"""Our scooping engine against Drake with finer meshes and smaller steps, and with finer points and steps of ours.
 
-    python experiments/scooping_mesh.py --out OUT
+    python experiments/scooping_mesh.py --out OUT                        low dissipation
+    python experiments/scooping_mesh.py --out OUT --relaxation 0.2       the chosen setting's
 
 Outcomes of each engine are kept in OUT, a file each, so that a run that was stopped goes on; `--drake` chooses Drake's settings.
 """
@@ -23,19 +24,24 @@ from adaptsim_jax.models.backends.scooping_drake import DrakeContact
 from adaptsim_jax.models.backends.scooping_parity import LOW_RELAXATION
 from adaptsim_jax.models.scooping_hydro import Numerics
 
-OURS = replace(Numerics(), relaxation=LOW_RELAXATION)
-DENSE = replace(OURS, grid=((8, 3), (10, 3), (2, 3), (4, 2)))
-ENGINES = {
-    "ours": ("hydro", {"numerics": OURS}),
-    "ours, more points": ("hydro", {"numerics": DENSE}),
-    "ours, 1.25 ms": ("hydro", {"numerics": replace(OURS, dt=0.00125)}),
-}
+POINTS = ((8, 3), (10, 3), (2, 3), (4, 2))
 
 
-def drake_engine(text: str) -> tuple[str, tuple[str, dict]]:
+def own_engines(relaxation: float) -> dict[str, tuple[str, dict]]:
+    """Ours as it is, with more points and with half the step, by name."""
+    ours = replace(Numerics(), relaxation=relaxation)
+    numerics = {
+        "ours": ours,
+        "ours, more points": replace(ours, grid=POINTS),
+        "ours, 1.25 ms": replace(ours, dt=0.00125),
+    }
+    return {name: ("hydro", {"numerics": n}) for name, n in numerics.items()}
+
+
+def drake_engine(text: str, relaxation: float) -> tuple[str, tuple[str, dict]]:
     """`MM` or `MM@MS` of Drake's mesh and step, as a name and what makes it."""
     mesh, _, step = text.partition("@")
-    contact = DrakeContact(float(step or 2.5) / 1e3, LOW_RELAXATION, float(mesh) / 1e3)
+    contact = DrakeContact(float(step or 2.5) / 1e3, relaxation, float(mesh) / 1e3)
     return f"Drake {mesh} mm" + (f", {step} ms" if step else ""), ("drake", {"contact": contact})
 
 
@@ -57,10 +63,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--drake", nargs="*", default=["10", "3", "2", "3@1.25"], metavar="MM[@MS]")
+    parser.add_argument("--relaxation", type=float, default=LOW_RELAXATION, help="s, of all engines")
     parser.add_argument("--out", required=True)
     args = parser.parse_args()
     out = output_folder(Path(args.out))
-    engines = ENGINES | dict(drake_engine(text) for text in args.drake)
+    engines = own_engines(args.relaxation) | dict(drake_engine(text, args.relaxation) for text in args.drake)
     found = {name: outcomes(out, name, made, args.samples) for name, made in engines.items()}
     rows = []
     for a, b in itertools.combinations(found, 2):

@@ -24,7 +24,7 @@ from adaptsim_jax import compile_cache
 from adaptsim_jax.adapt.presets import pushing_native
 from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.compare import stamped
-from adaptsim_jax.baselines.compare_learned import RUNS, about, trip_rows
+from adaptsim_jax.baselines.compare_learned import about, travelled, trip_rows
 from adaptsim_jax.baselines.learned import Bout, Trip
 from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.files import atomic_file, output_folder, without_nan
@@ -39,14 +39,15 @@ def run_some(out: Path, method: str, seeds: list[int], config, one, world, targe
     """One method with some seeds together in every target; a file for each seed. `cache` holds what methods share."""
     clock = lambda: time.process_time() + served_seconds()
     begin, arena = clock(), Arena(one, world, targets)
-    trip = RUNS[method](Bout(config, arena, np.array(seeds), cache=cache))
+    trip = travelled(method, Bout(config, arena, np.array(seeds), cache=cache))
     cpu = (clock() - begin) / len(seeds)
     for i, seed in enumerate(seeds):
-        means = {} if trip.means is None else {"means": trip.means[:, i : i + 1]}
+        some = {"means": trip.means, "fresh": trip.fresh}
+        some = {key: value[:, i : i + 1] for key, value in some.items() if value is not None}
         counts = {"failed": arena.failed * (i == 0), "made": arena.made * (i == 0)}  # of all, told once
         rewards = trip.rewards[:, i : i + 1]
         with atomic_file(path_of(out, method, seed)) as file:
-            np.savez(file, rewards=rewards, spent=trip.spent, cpu=cpu, **counts, **means)
+            np.savez(file, rewards=rewards, spent=trip.spent, cpu=cpu, **counts, **some)
         print(f"{method}, seed {seed}: {rewards.max((2, 3))[:, 0].round(3)}, {cpu:.0f} s of CPU time", flush=True)
 
 
@@ -60,7 +61,8 @@ def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, space)
     if not parts:
         return []
     together = lambda key: np.concatenate([p[key] for p in parts], 1)
-    trip = Trip(together("rewards"), together("means") if "means" in parts[0] else None, parts[0]["spent"])
+    means, fresh = (together(key) if all(key in part for part in parts) else None for key in ("means", "fresh"))
+    trip = Trip(together("rewards"), means, parts[0]["spent"], fresh)
     rows = trip_rows(method, names, trip, oracle, space, sum(p["failed"] for p in parts), sum(p["made"] for p in parts))
     return [row | {"cpu_seconds": float(sum(p["cpu"] for p in parts))} for row in rows]
 
@@ -96,6 +98,12 @@ def main() -> None:
         "--visits", choices=("own", "deployed"), help="of the push: which actions are tried in the target"
     )
     parser.add_argument("--tests", type=int, help="test contexts that rewards are averaged over (the task's)")
+    parser.add_argument(
+        "--fresh",
+        type=int,
+        default=0,
+        help="of scooping: contexts beyond the tests, in which all policies are scored again",
+    )
     parser.add_argument("--bottle", default="paper")
     parser.add_argument("--no-oracle", action="store_true", help="leave out the best actions, which are dear in Drake")
     parser.add_argument("--iterations", type=int, default=8)
@@ -119,6 +127,8 @@ def main() -> None:
         options["visits"] = args.visits
     if args.tests:
         options["tests"] = args.tests
+    if args.fresh:
+        options["fresh"] = args.fresh
     if args.target == "drake" and args.task == "pushing":
         options["coefficients"] = "drake"  # the planar twin of Drake is what we adapt in
     one = make_one_shot(args.task, options)

@@ -34,12 +34,14 @@ class Seen(NamedTuple):
 
 
 class Arena:
-    """`targets [T, D]` (physical) in a `world`. Counts the trials that failed, by target: `failed [T]`, of `made [T]`."""
+    """`targets [T, D]` (physical) in a `world`. Counts the trials that failed, by target: `failed [T]`, of `made [T]`, and keeps
+    what was earned in the task's `fresh` contexts: a mean `[B]` each time that a batch was scored."""
 
     def __init__(self, one: OneShot, world: World, targets: np.ndarray):
         self.one, self.world = one, world
         self.targets = np.asarray(targets, np.float32)
         self.failed, self.made = np.zeros(len(targets), int), np.zeros(len(targets), int)
+        self.fresh: list[np.ndarray] = []
         self._draw = jax.jit(
             jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)), static_argnums=1
         )
@@ -91,12 +93,16 @@ class Arena:
 
     def score(self, where: np.ndarray, policies) -> np.ndarray:
         """Mean reward `[B]` over the test contexts."""
-        return self.score_actions(where, np.asarray(self._act_tests(policies, jnp.asarray(self.one.tests))))
+        return self.score_actions(where, np.asarray(self._act_tests(policies, jnp.asarray(self.one.scored))))
 
     def score_actions(self, where: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """The same for `actions [B, G, d]`, one for each test context."""
-        contexts = np.broadcast_to(self.one.tests, (len(where), *self.one.tests.shape))
-        return np.asarray(self._reward(self.run(where, contexts, actions), jnp.asarray(contexts))).mean(1)
+        """The same for `actions [B, G + F, d]`, one for each of the task's `scored` contexts."""
+        contexts = np.broadcast_to(self.one.scored, (len(where), *self.one.scored.shape))
+        rewards = np.asarray(self._reward(self.run(where, contexts, actions), jnp.asarray(contexts)))
+        count = len(self.one.tests)
+        if self.one.fresh is not None:
+            self.fresh.append(rewards[:, count:].mean(1))
+        return rewards[:, :count].mean(1)
 
     def run(self, where: np.ndarray, contexts: np.ndarray, actions: np.ndarray) -> Any:
         """Outcomes `[B, N, ...]` of `actions [B, N, d]` in each one's target."""

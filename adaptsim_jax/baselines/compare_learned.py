@@ -14,7 +14,7 @@ from adaptsim_jax.baselines.bayesopt import bayesopt
 from adaptsim_jax.baselines.direct import learn_in_target, udr, udr_target
 from adaptsim_jax.baselines.learned import Bout, Trip, adaptsim, sysid_bayes, sysid_point
 from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig
-from adaptsim_jax.baselines.summary import physical, row
+from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, World
@@ -59,10 +59,16 @@ def compare_learned(
             ]
         else:
             arena = Arena(one, world, targets)
-            trip = RUNS[method](Bout(config, arena, seeds, report, cache))
+            trip = travelled(method, Bout(config, arena, seeds, report, cache))
             rows += trip_rows(method, names, trip, oracle, one.task.space, arena.failed, arena.made)
         report(1, 1)
     return rows, about(one, world, names, targets, oracle)
+
+
+def travelled(method: str, bout: Bout) -> Trip:
+    """What `method` did, with what its policies earned in the fresh contexts."""
+    trip, fresh = RUNS[method](bout), bout.arena.fresh
+    return trip._replace(fresh=np.stack(fresh, -1).reshape(trip.rewards.shape)) if fresh else trip
 
 
 def trip_rows(
@@ -86,9 +92,22 @@ def trip_rows(
             flat = trip.means[i].reshape(S, -1, space.dim)[np.arange(S), best]
             last = trip.means[i][:, :, -1].reshape(-1, space.dim)
             extras |= {"best_params": physical(space, flat), "final_params": physical(space, last)}
+        if trip.fresh is not None:
+            extras["fresh"] = on_fresh(trip.rewards[i], trip.fresh[i])
         curves = trip.rewards[i].max(axis=1)
         out.append(row(method, name, curves, oracle=oracle[i], target_trials=int(trip.spent[-1]), **extras))
     return out
+
+
+def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
+    """What policies earn in contexts that did not choose them, `rewards` and `fresh` `[S, N, I + 1]`: of each seed's best by the
+    tests its mean, 95 % interval and values, where several are best the mean of those; and the mean of the last iteration's."""
+    S = len(rewards)
+    flat, kept = rewards.reshape(S, -1), fresh.reshape(S, -1)
+    best = flat == flat.max(1, keepdims=True)
+    chosen = (kept * best).sum(1) / best.sum(1)
+    low, high = bootstrap_interval(chosen)
+    return {"mean": chosen.mean(), "low": low, "high": high, "per_seed": chosen, "final_mean": fresh[..., -1].mean()}
 
 
 def about(one: OneShot, world: World, names: list[str], targets: np.ndarray, oracle: np.ndarray) -> dict[str, Any]:

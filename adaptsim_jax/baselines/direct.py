@@ -105,11 +105,11 @@ class Predictor(nn.Module):
 
 
 def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
-    """`choose(key, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> [G, d]`: actions for the test contexts.
+    """`choose(key, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> [G + F, d]`: actions for the `scored` contexts.
 
     Trials that failed are left out of the fit. Ties and a network without data fall to the first action.
     """
-    grid, tests = jnp.asarray(action_grid((config.grid,) * one.action_dim)), jnp.asarray(one.tests)
+    grid, tests = jnp.asarray(action_grid((config.grid,) * one.action_dim)), jnp.asarray(one.scored)
 
     def choose(key, contexts, actions, outcomes, used):
         x, y = jax.vmap(one.inputs)(contexts, actions), jax.vmap(one.outputs)(outcomes)

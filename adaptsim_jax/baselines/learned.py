@@ -25,11 +25,13 @@ from adaptsim_jax.progress import silent
 
 class Trip(NamedTuple):
     """What a method did: `rewards [T, S, N, I + 1]` of its policies over the test contexts, `means [T, S, N, I + 1, D]` (unit
-    coordinates; None where it adapts no E), target trials spent by each visit `spent [I + 1]`, cumulated."""
+    coordinates; None where it adapts no E), target trials spent by each visit `spent [I + 1]`, cumulated; `fresh [T, S, N, I + 1]`:
+    rewards over the task's fresh contexts, None where it has none."""
 
     rewards: np.ndarray
     means: np.ndarray | None
     spent: np.ndarray
+    fresh: np.ndarray | None = None
 
 
 @dataclass

@@ -39,6 +39,7 @@ def table(results: Mapping[str, Any]) -> str:
         f"{look.reward_of(results, long=True)}, {look.seeds(results['seeds'])}, "
         f"{results['iterations']} iterations, {results['starts']} initial distributions.",
         *(_of_one(across) if look.one_seed(rows) else _over_seeds(across)),
+        *_fresh(rows, across),
         *_discrepancies(rows, across),
         *_failures(rows),
         f"Target rollouts for one target: {_trials(rows, methods)}.",
@@ -102,6 +103,25 @@ def _discrepancies(rows, across) -> list[str]:
         "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed over the 12 observed "
         "points; median over seeds):",
         across(_discrepancy),
+    ]
+
+
+def _fresh(rows, across) -> list[str]:
+    """What policies earn in contexts that did not choose them; nothing where there are none."""
+    if not any("fresh" in r for r in rows):
+        return []
+
+    def best(r):
+        if "fresh" not in r:
+            return "-"
+        mean, low, high = (_number(r["fresh"][key]) for key in ("mean", "low", "high"))
+        return mean if look.one_seed([r]) else f"{mean} [{low}, {high}]"
+
+    return [
+        "The policies of the best iteration in fresh contexts, by which none was chosen [95 % interval of the mean over seeds]:",
+        across(best),
+        "Those of the last iteration, of all starts, in fresh contexts:",
+        across(lambda r: _number(r["fresh"]["final_mean"]) if "fresh" in r else "-"),
     ]
 
 

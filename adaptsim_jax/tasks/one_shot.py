@@ -35,6 +35,7 @@ class OneShot:
     """A `Task` of one decision a trial, as pure functions of one sample (`[...]` where any leading axes may stand).
 
     tests: `[G, g]` contexts that a policy is scored on, the same for all. trials: a visit of the adaptation.
+    fresh: `[F, g]` more of them, by which nothing is chosen: the best of many policies by `tests` is partly the luckiest.
     """
 
     task: Task
@@ -69,6 +70,12 @@ class OneShot:
     # (policy, mended by `remember` once there are trials) -> policy as `act` makes a visit with it, part of its trials to learn
     # more for what is deployed; None: a visit's trials are the policy's own, not mended
     probe: Callable[[Any], Any] | None = None
+    fresh: np.ndarray | None = None
+
+    @property
+    def scored(self) -> np.ndarray:
+        """`[G + F, g]`: `tests`, then `fresh`."""
+        return self.tests if self.fresh is None else np.concatenate([self.tests, self.fresh])
 
 
 def action_grid(points: tuple[int, ...]) -> np.ndarray:

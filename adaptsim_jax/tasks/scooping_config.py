@@ -30,7 +30,8 @@ SETTINGS = {
 class ScoopingConfig:
     """Options of the task.
 
-    trajectories: trials an iteration; tests: places and errors that the reward of a simulated target is averaged over.
+    trajectories: trials an iteration; tests: places and errors that the reward of a simulated target is averaged over; fresh: more
+    of them, in which `compare` scores each policy once more, none being chosen by them.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included (`wide`).
     source: of the trials that policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase 1
     learns from, likewise. lucks: execution errors that a trial of the bank is averaged over. checks: places and errors that the
@@ -44,6 +45,7 @@ class ScoopingConfig:
 
     trajectories: int = 2
     tests: int = 6
+    fresh: int = 0
     targets: Literal["omega", "wide"] = "wide"
     source: Literal["bank", "simulator"] = "bank"
     rehearsal: Literal["bank", "simulator"] = "bank"
@@ -126,6 +128,8 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
     for name in ("trajectories", "tests", "trials", "lucks"):
         if getattr(config, name) < 1:
             raise BadInput(f"scooping, {name} = {getattr(config, name)}: give at least 1")
+    if config.fresh < 0:
+        raise BadInput(f"scooping, fresh = {config.fresh}: give 0 for none, or more, such as 96")
     if config.checks < 0:
         raise BadInput(f"scooping, checks = {config.checks}: give 0 to keep the last policy of a training, or more")
     if config.learning_rate <= 0:

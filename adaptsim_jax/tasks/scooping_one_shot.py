@@ -37,11 +37,13 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     learner = make_goal_learner(naf, problem, config.training, task.naf_rates(config))
     trials = lambda contexts, actions, outcomes: Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
     policies = naf_policies(naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials)
-    tests, probes = task.test_contexts(config.tests), config.correct and config.trajectories > 1
+    tests, fresh = np.split(task.test_contexts(config.tests + config.fresh), [config.tests])
+    probes = config.correct and config.trajectories > 1
 
     return OneShot(
         task=replace(made, rollout=made.rehearse or made.rollout, score=_own_score if probes else made.score),
         tests=tests,
+        fresh=fresh if config.fresh else None,
         trials=config.trajectories,
         action_dim=3,
         draw=task.draw_context,

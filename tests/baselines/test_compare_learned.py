@@ -1,6 +1,7 @@
 """The comparison of methods whose policies are learned, on a probe with known answers, and the push in more than one engine."""
 
 import json
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from adaptsim_jax.adapt.training import TrainConfig
 from adaptsim_jax.baselines.arena import Arena, lanes
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.compare import compare
-from adaptsim_jax.baselines.compare_learned import compare_learned
+from adaptsim_jax.baselines.compare_learned import compare_learned, on_fresh
 from adaptsim_jax.baselines.direct import DirectConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig, default_comparison
@@ -87,6 +88,33 @@ def test_the_same_numbers_again_and_other_methods_do_not_matter(found):
         probes.probe(), ["wd", "ood-1"], CompareConfig(**{**vars(TINY), "methods": ("sysid_point",)})
     )
     assert again[1]["per_seed"] == cell(found, "sysid_point", "ood-1")["per_seed"]
+
+
+@pytest.fixture(scope="module")
+def found_fresh():
+    few = CompareConfig(**{**vars(TINY), "methods": ("adaptsim", "udr", "learn_in_target")})
+    one = replace(probes.probe(), fresh=np.array([[0.0], [1.0]], np.float32))
+    return compare_learned(one, ["wd", "ood-1"], few)
+
+
+def test_fresh_contexts_score_what_others_chose_and_change_nothing_else(found, found_fresh):
+    for r in found_fresh[0]:
+        plain = cell(found, r["method"], r["setting"])
+        assert "fresh" not in plain and r["per_seed"] == plain["per_seed"] and r["curve"] == plain["curve"]
+        assert len(r["fresh"]["per_seed"]) == 2 and r["fresh"]["low"] <= r["fresh"]["mean"] <= r["fresh"]["high"]
+    # UDR believes in a gain of 1.5 and no bias: in 1.4 and 0.1 it lands at 0.1 for 0, and at 1.4 / 1.5 + 0.1 for 1
+    assert cell(found_fresh, "udr", "wd")["fresh"]["mean"] == pytest.approx(1 - (0.1 + 0.1 - 0.1 / 1.5) / 2, abs=1e-5)
+    assert cell(found_fresh, "udr", "wd")["fresh"]["final_mean"] == cell(found_fresh, "udr", "wd")["fresh"]["mean"]
+    text = table({**found_fresh[1], "seeds": 2, "iterations": 2, "starts": 2, "command": "", "rows": found_fresh[0]})
+    assert "in fresh contexts, by which none was chosen" in text
+
+
+def test_of_several_best_policies_the_fresh_mean_counts():
+    rewards = np.array([[[0.5, 1.0, 1.0]], [[0.2, 0.1, 0.0]]])  # [S, N, I + 1]
+    fresh = np.array([[[0.9, 0.6, 0.8]], [[0.3, 0.7, 0.5]]])
+    told = on_fresh(rewards, fresh)
+    np.testing.assert_allclose(told["per_seed"], [0.7, 0.3])
+    np.testing.assert_allclose([told["mean"], told["final_mean"]], [0.5, 0.65])
 
 
 def test_trials_that_fail_earn_nothing_and_are_counted():
