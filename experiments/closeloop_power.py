@@ -1,11 +1,11 @@
 """Power of `diagnose` against the size of what is hidden: a figure and a table of the power suite's finished cases.
 
     for seed in 17400 17402 17404; do
-        python -m experiments.closeloop_suites --suite power --count 9 --seed $seed --out DIR
+        python -m experiments.closeloop_suites --suite power --count 13 --seed $seed --out DIR
     done
     python -m experiments.closeloop_power DIR --figure docs/results/figures/closeloop_power.png
 
-Each seed is one rig with one effect at nine sizes, in multiples of the size that just matters. The figure: the share named rightly
+Each seed is one rig with one effect at thirteen sizes, in multiples of the size that just matters. The figure: the share named rightly
 with its 95 % Wilson interval, and below it what was said of each recording.
 """
 

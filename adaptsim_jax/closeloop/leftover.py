@@ -13,6 +13,7 @@ from adaptsim_jax.closeloop.view import View
 
 ALIKE = 1.5  # ratio of unexplained shares of the torque at two joints, below which they do not say which it is
 SURE = 0.05  # p-value of a further place that is told
+FOLLOWED = {"past": "what it did just before", "other": "the other joint's motion"}  # groups whose names say too little
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Leftover:
         joint = joint.replace("joint", "joint ")
         if self.sharp:
             return f"{joint}, where the unexplained torque has a {variable}"
-        return f"{joint} and follows its {variable}"
+        return f"{joint} and follows {FOLLOWED.get(variable, f'its {variable}')}"
 
     def beside(self) -> str:
         """The doubt as a clause, to end a sentence with; empty without one."""

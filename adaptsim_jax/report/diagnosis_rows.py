@@ -10,7 +10,8 @@ from adaptsim_jax.report import diagnosis_words as words
 
 
 def effect_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with intervals."""
+    """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with intervals; not those that a finer shape
+    would have and that stayed at zero."""
     rows = []
     for effect in report["effects"]:
         parameters = [
@@ -20,6 +21,7 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
                 "interval": None not in (p["low"], p["high"]),
             }
             for name, p in effect["parameters"].items()
+            if not p["value"] == p["low"] == p["high"] == 0.0
         ]
         rows.append(
             {
@@ -108,7 +110,7 @@ def leftover_rows(evidence: Mapping) -> list[dict[str, Any]]:
     return [
         {
             "joint": words.plain(str(row.get("joint", ""))),
-            "variable": row.get("variable", ""),
+            "variable": words.FOLLOWED.get(row.get("variable", ""), row.get("variable", "")),
             "share": fmt.percent(row["share"]),
             "bar": min(100.0, max(0.0, 100 * row["share"])),
             "p": fmt.p_value(row.get("p_value")),

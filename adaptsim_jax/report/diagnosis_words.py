@@ -59,6 +59,8 @@ WHOLE = {
     "spring": "torsional spring",
 }
 """Names that say too little by themselves."""
+FOLLOWED = {"past": "what the joint did just before", "other": "the other joint's motion"}
+"""The same of what is left over."""
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl": "Dahl"}
 
 

@@ -47,6 +47,18 @@ def test_a_hidden_spring_is_placed_by_its_force_and_where_forces_are_alike_by_wh
     assert [place for place, *_ in alike.told()[:2]] == ["joint2", "joint1"]
 
 
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [
+        ("speed", "joint 2 and follows its speed"),
+        ("other", "joint 2 and follows the other joint's motion"),
+        ("past", "joint 2 and follows what it did just before"),
+    ],
+)
+def test_a_place_in_words(variable, words):
+    assert Leftover(1e-9, 0.1, 50.0, (("joint2", variable, 0.1, 1e-9),)).where() == words
+
+
 def test_what_is_told_is_first_and_sure():
     places = (("joint1", "angle", 0.1, 1e-9), ("joint1", "speed", 0.0, 0.4), ("joint2", "past", 0.02, 1e-3))
     plain = Leftover(1e-9, 0.1, 50.0, places)

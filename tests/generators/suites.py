@@ -20,7 +20,7 @@ EFFECT_CONDITIONS = (
     "quantised",
     "coloured",
 )
-POWER_MULTIPLES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
+POWER_MULTIPLES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
 
 # Effects that no recording can tell apart, by physics: turning the base and turning the first encoder's zero both
 # shift q1 against gravity, and nothing else in the equations of motion depends on q1.
@@ -101,7 +101,7 @@ def two_cases(n: int, seed: int) -> list[Case]:
 
 
 def power_cases(n: int, seed: int) -> list[Case]:
-    """The same rig and effect at nine sizes; `n` counts data sets."""
+    """The same rig and effect at all of `POWER_MULTIPLES`; `n` counts data sets."""
     out = []
     for i in range(n):
         base = single_spec(seed + i // len(POWER_MULTIPLES))

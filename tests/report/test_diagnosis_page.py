@@ -201,6 +201,20 @@ def test_poor_evidence_is_drawn_without_a_warning():
     assert "What the declared model leaves" in page.titles
 
 
+def test_finer_shapes_that_stayed_at_zero_are_not_listed_as_found():
+    report = REPORTS["explained"]()
+    zero, fitted = ({"value": 0.0, "low": low, "high": high, "unit": "rad/s"} for low, high in ((0.0, 0.0), (0.0, 0.1)))
+    report["effects"][0]["parameters"] |= {"softness": zero, "width": fitted}
+    text = Page(render(report, {})).text
+    assert "width" in text and "softness" not in text
+
+
+def test_what_the_rest_goes_with_is_said_in_words():
+    places = [{"joint": "joint2", "variable": v, "share": 0.1, "p_value": 1e-9} for v in ("other", "past", "speed")]
+    text = Page(render(REPORTS["structured_unattributed"](), {"leftover": places})).text
+    assert "the other joint's motion" in text and "what the joint did just before" in text and "speed" in text
+
+
 def test_text_from_files_is_escaped():
     report = REPORTS["explained"]()
     report["message"] = "<script>alert(1)</script> & co"
