@@ -157,7 +157,7 @@ def examine(
     verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
     if found.added or verdict.name == "structured_unattributed":
         verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)
-        verdict = misdeclared(verdict, problem, base, effects, settings.explained, first)
+        verdict = misdeclared(verdict, problem, base, effects, settings.explained, first, found.final)
     errors, rng = (error_before, error_after), np.random.default_rng(seed)
     report, evidence = report_of(problem, found, after, *errors, powers, verdict, settings, rng)
     add_ceiling(report["error"], flexible)

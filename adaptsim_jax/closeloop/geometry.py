@@ -23,6 +23,7 @@ from adaptsim_jax.closeloop.view import View
 from adaptsim_jax.models.effect import Effect
 
 STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
+FINE = 0.001  # the same close to it
 FARTHEST = 0.15  # of the length: beyond this nobody measured it
 ROUNDS = 4
 SMALL = 1e-3  # of the length: the change by which its effect on the outputs is told
@@ -41,10 +42,10 @@ class Remeasured(NamedTuple):
 def remeasured(
     problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float = 1.0, first: View | None = None
 ) -> Remeasured | None:
-    """The likeliest `l1`, by parabolas through the likelihoods of declared fits; None where no fit is to be had, where the first two
-    show that none will leave as little as the share `explained` of the unexplained force, where already the linear score about
-    the declared model (`first`) says so, for a model whose geometry its parameters absorb, or for a mended model, which is of
-    one geometry."""
+    """The likeliest `l1`, by parabolas through the likelihoods of declared fits and through their unexplained force; None where no
+    fit is to be had, where the first two show that none will leave as little as the share `explained` of that force, where already
+    the linear score about the declared model (`first`) says so, for a model whose geometry its parameters absorb, or for a mended
+    model, which is of one geometry."""
     recording = problem.recording
     if recording.model != "rigid_body" or "l1" not in recording.geometry or recording.model_file is not None:
         return None
@@ -57,11 +58,20 @@ def remeasured(
             fits[offset] = _with_length(problem, effects, recording.geometry["l1"] * (1.0 + offset))
         return fits[offset].total
 
+    def forces(centre: float, step: float) -> list[float]:
+        """Variance of the unexplained force about an offset."""
+        offsets = (centre - step, centre, centre + step)
+        abreast(total, offsets)
+        return [fits[offset].moving.sum() for offset in offsets]
+
     try:
-        abreast(total, (-STEP, STEP))
-        if _foretold([fits[offset].moving.sum() for offset in (-STEP, 0.0, STEP)]) > DOUBT * explained:
+        seen = forces(0.0, STEP)
+        if _foretold(seen) > DOUBT * explained:
             return None
         offset = _likeliest(total, lambda offset: unexplained(fits[offset], base) > DOUBT * explained)
+        near = STEP * _vertex(seen)
+        closer = near + FINE * _vertex(forces(near, FINE))
+        offset = max((offset, near, float(np.clip(closer, -FARTHEST, FARTHEST))), key=total)
     except Diverged:
         return None
     return Remeasured(recording.geometry["l1"] * (1.0 + offset), fits[offset], unexplained(fits[offset], base))
@@ -104,9 +114,16 @@ def _foretold(force: Sequence[float]) -> float:
     """The least share of the unexplained force that any length within `FARTHEST` would leave, by the parabola (the line, where that
     bends down) through its variance at lengths one step apart."""
     low, middle, high = force
-    bend, slope, most = max(low + high - 2.0 * middle, 0.0), 0.5 * (high - low), FARTHEST / STEP
-    best = float(np.clip(-slope / bend, -most, most)) if bend > 0 else -most * np.sign(slope)
+    bend, slope, best = max(low + high - 2.0 * middle, 0.0), 0.5 * (high - low), _vertex(force)
     return float(np.sqrt(max(1.0 + (slope * best + 0.5 * bend * best**2) / max(middle, 1e-300), 0.0)))
+
+
+def _vertex(force: Sequence[float]) -> float:
+    """Steps from the middle to where the parabola through variances a step apart is lowest (its slope leads, where that bends down),
+    within `FARTHEST`. Sensors that are good to a thousandth of the length make likelihoods no parabola over a hundredth of it."""
+    low, middle, high = force
+    bend, slope, most = low + high - 2.0 * middle, 0.5 * (high - low), FARTHEST / STEP
+    return float(np.clip(-slope / bend, -most, most)) if bend > 0 else -most * float(np.sign(slope))
 
 
 def _likeliest(total, far: Callable[[float], bool] = lambda offset: False) -> float:
@@ -134,16 +151,21 @@ def misdeclared(
     effects: Sequence[Effect],
     explained: float,
     first: View | None = None,
+    mended: Fitted | None = None,
 ) -> Verdict:
-    """`verdict`, unless it is `structured_unattributed` and another `l1` leaves no more than the share `explained` of the
-    unexplained force. first: the view of the declared model, which may spare the fits."""
-    if verdict.name != "structured_unattributed":
+    """`verdict`, unless another `l1` leaves no more than the share `explained` of the unexplained force, and the verdict is
+    `structured_unattributed` or names effects whose model, `mended`, is less likely than that. first: the view of the declared
+    model, which may spare the fits."""
+    if verdict.name != "structured_unattributed" and not verdict.named:
         return verdict
     found = remeasured(problem, base, effects, explained, first)
     if found is None or found.left > explained or abs(found.l1 / problem.recording.geometry["l1"] - 1.0) >= FARTHEST:
         return verdict
+    if verdict.named and (mended is None or found.model.total <= mended.total):
+        return verdict
+    beside = "which is likelier than any effect" if verdict.named else "and no effect does so"
     message = (
         f"The declared model explains the data if l1 is not {problem.recording.geometry['l1']:.4g} but {found.l1:.4g} m "
-        f"(that leaves {100 * found.left:.0f} % of the unexplained torque, and no effect does so): measure it again."
+        f"(that leaves {100 * found.left:.0f} % of the unexplained torque, {beside}): measure it again."
     )
     return Verdict("confounded_with_declared", message, False)

@@ -1,13 +1,14 @@
 """What the declared model cannot know by itself: a first link that was measured wrong, and the scale of a free swing."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from adaptsim_jax.closeloop.audit import audit, usable
 from adaptsim_jax.closeloop.declared import declared
-from adaptsim_jax.closeloop.geometry import FARTHEST, _faint, _foretold, _likeliest, misdeclared, remeasured
+from adaptsim_jax.closeloop.geometry import FARTHEST, _faint, _foretold, _likeliest, _vertex, misdeclared, remeasured
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.problem import prepare_within_reach
 from adaptsim_jax.closeloop.recording import read_recording
@@ -17,6 +18,7 @@ from tests.closeloop.small_rig import GEOMETRY, TRUE, make_trials, written
 
 EFFECTS = tuple(e for e in catalogue() if e.name in ("coulomb", "quadratic_drag"))
 STRUCTURED = Verdict("structured_unattributed", "There is structure.", False)
+NAMED = Verdict("explained", "The residual is explained by coulomb at joint 1.", True)
 
 
 def prepared(folder):
@@ -57,6 +59,14 @@ def test_two_lengths_foretell_what_the_right_one_leaves(off):
     assert left == pytest.approx(np.sqrt(0.01 / force(0.0)), abs=1e-6)
 
 
+@pytest.mark.parametrize("off", [0.0, 0.006, -0.013, 0.1])
+def test_the_unexplained_force_leads_to_the_length_in_one_step(off):
+    assert 0.01 * _vertex([3.0 * (offset - off) ** 2 for offset in (-0.01, 0.0, 0.01)]) == pytest.approx(off, abs=1e-9)
+    assert 0.01 * _vertex([1.0 - offset**2 + offset * off for offset in (-0.01, 0.0, 0.01)]) == pytest.approx(
+        -FARTHEST * np.sign(off), abs=1e-9
+    )
+
+
 def test_a_force_that_hardly_changes_with_the_length_is_none_of_its():
     assert _foretold([1.012, 1.0, 0.986]) > 0.85
     assert _foretold([1.0, 1.0, 1.0]) == 1.0
@@ -70,7 +80,13 @@ def test_a_first_link_measured_wrong_is_said_to_be(tmp_path):
     verdict = misdeclared(STRUCTURED, problem, base, EFFECTS, 0.35, first)
     assert verdict.name == "confounded_with_declared" and not verdict.named
     said = float(verdict.message.split(" but ")[1].split(" m ")[0])
-    assert said == pytest.approx(GEOMETRY["l1"], rel=3e-3)
+    assert said == pytest.approx(GEOMETRY["l1"], rel=1e-3)
+    astray, better = SimpleNamespace(total=base.total + 1.0), SimpleNamespace(total=np.inf)
+    verdict = misdeclared(NAMED, problem, base, EFFECTS, 0.35, first, astray)  # an effect that stands in for the length
+    assert verdict.name == "confounded_with_declared" and "likelier than any effect" in verdict.message
+    assert misdeclared(NAMED, problem, base, EFFECTS, 0.35, first, better) is NAMED
+    chance = Verdict("within_noise", "Chance.", False)
+    assert misdeclared(chance, problem, base, EFFECTS, 0.35, first) is chance
 
 
 @pytest.mark.slow
