@@ -198,8 +198,12 @@ def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None
             e["share"] = share
             if turn < rounds - 1:
                 low, high = effects.SMALLEST.get(e["name"], 0.0), effects.LARGEST.get(e["name"], np.inf)
-                target = e["multiple"] * sizing.JUST_MATTERS
+                target = sizing.aimed_at(e["multiple"]) * sizing.JUST_MATTERS
                 e["params"]["size"] = sizing.next_size(sizes, shares, target, low, high)
+    for _, e in jobs:
+        shrink = e["multiple"] / sizing.aimed_at(e["multiple"])
+        e["params"]["size"] = max(e["params"]["size"] * shrink, effects.SMALLEST.get(e["name"], 0.0))
+        e["reached"] = e["share"].counted / sizing.JUST_MATTERS * shrink
 
 
 def effect_table(drafts: list[Draft], lanes: int) -> effects.Table:
@@ -269,7 +273,7 @@ def _truth(d: Draft) -> dict:
                 "name": e["name"],
                 "where": where,
                 "multiple": e["multiple"],
-                "multiple_reached": share.counted / sizing.JUST_MATTERS,
+                "multiple_reached": e["reached"],
                 "share_raw": share.raw,
                 "share_unexplained": share.unexplained,
                 "confounded": share.confounded,

@@ -19,6 +19,7 @@ from tests.generators.simulate import Run
 from tests.generators.worlds import Rig, base_parameters, regressor
 
 JUST_MATTERS = 0.03
+LEAST = 0.05  # multiple below which what a quiet run leaves is its integration's: smaller sizes are in proportion
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,11 @@ def measure(rig: Rig, run: Run, lanes: slice, valid: np.ndarray) -> Share:
     theta = np.linalg.lstsq(rows / scale, target, rcond=1e-10)[0]
     rest = target - rows / scale @ theta
     return Share(float(np.sqrt(2 * np.mean(target**2))), float(np.sqrt(2 * np.mean(rest**2))), torque)
+
+
+def aimed_at(multiple: float) -> float:
+    """The multiple to size by quiet runs, from which the size is then scaled down in proportion."""
+    return multiple if multiple >= LEAST else 2 * LEAST
 
 
 def next_size(sizes: list[float], shares: list[float], target: float, low: float, high: float) -> float:

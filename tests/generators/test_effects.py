@@ -120,6 +120,16 @@ def test_lag_of_the_sensor_trails_the_motion():
 
 
 @pytest.mark.slow
+def test_small_sizes_are_in_proportion():
+    """A two-hundredth of what just matters is a twentieth of its tenth."""
+    tenth, tiny = (
+        make_datasets([Spec(70, "clean", (("coulomb", 2, m),), **SHORT)])[0].truth["effects"][0] for m in (0.1, 0.005)
+    )
+    assert tiny["parameters"]["size"] == pytest.approx(tenth["parameters"]["size"] / 20)
+    assert tiny["multiple_reached"] == pytest.approx(tenth["multiple_reached"] / 20)
+
+
+@pytest.mark.slow
 def test_sizes_are_what_was_asked_for():
     """Three times the size that just matters: the declared model leaves 9 % of the torque unexplained."""
     specs = [Spec(70 + i, "clean", ((n, j, 3.0),), **SHORT) for i, (n, j) in enumerate(PLACES)]
