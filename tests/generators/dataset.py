@@ -201,9 +201,10 @@ def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None
                 target = sizing.aimed_at(e["multiple"]) * sizing.JUST_MATTERS
                 e["params"]["size"] = sizing.next_size(sizes, shares, target, low, high)
     for _, e in jobs:
-        shrink = e["multiple"] / sizing.aimed_at(e["multiple"])
-        e["params"]["size"] = max(e["params"]["size"] * shrink, effects.SMALLEST.get(e["name"], 0.0))
-        e["reached"] = e["share"].counted / sizing.JUST_MATTERS * shrink
+        sized = e["params"]["size"]
+        small = sized * e["multiple"] / sizing.aimed_at(e["multiple"])
+        e["params"]["size"] = max(small, effects.SMALLEST.get(e["name"], 0.0))
+        e["reached"] = e["share"].counted / sizing.JUST_MATTERS * e["params"]["size"] / sized
 
 
 def effect_table(drafts: list[Draft], lanes: int) -> effects.Table:
