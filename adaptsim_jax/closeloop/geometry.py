@@ -6,6 +6,7 @@ percent leaves structure that precise encoders see, and that is nobody's effect.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -69,11 +70,12 @@ def remeasured(
         if _foretold(seen) > DOUBT * explained:
             return None
         offset = _likeliest(total, lambda offset: unexplained(fits[offset], base) > DOUBT * explained)
-        near = STEP * _vertex(seen)
-        closer = near + FINE * _vertex(forces(near, FINE))
-        offset = max((offset, near, float(np.clip(closer, -FARTHEST, FARTHEST))), key=total)
     except Diverged:
         return None
+    near = STEP * _vertex(seen)
+    with suppress(Diverged):  # a length far off, at which there is no fit: the likeliest so far stands
+        closer = near + FINE * _vertex(forces(near, FINE))
+        offset = max((offset, near, float(np.clip(closer, -FARTHEST, FARTHEST))), key=total)
     return Remeasured(recording.geometry["l1"] * (1.0 + offset), fits[offset], unexplained(fits[offset], base))
 
 
