@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.generators import Spec, make_dataset, make_datasets, make_sample, write_dataset
-from tests.generators.suites import SUITES, disguise, outside_cases
+from tests.generators.suites import POWER_MULTIPLES, SUITES, disguise, outside_cases
 
 SHORT = {"n_trials": 2, "seconds": 1.5, "angle_zero": "hanging"}
 
@@ -89,7 +89,7 @@ def test_suites_are_reproducible_and_their_seeds_apart():
         assert first == again and len({c.name for c in first}) == len(first)
         assert not {c.spec.seed for c in first} & {c.spec.seed for c in scoring}, name
         for c in first:
-            assert all(c.variant or m >= (0.05 if name == "power" else 3.0) for _, _, m in c.spec.effects)
+            assert all(c.variant or m >= (POWER_MULTIPLES[0] if name == "power" else 3.0) for _, _, m in c.spec.effects)
     for c in outside_cases(60, 0):
         assert c.spec.effects[0][0] in c.exclude
         assert ("tilt" in c.exclude) == ("encoder_offset" in c.exclude)
