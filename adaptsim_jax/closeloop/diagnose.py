@@ -34,7 +34,7 @@ from adaptsim_jax.closeloop.rivals import Fitted, seen_anew, unexplained
 from adaptsim_jax.closeloop.scales import rescaled
 from adaptsim_jax.closeloop.schema import check, new_report
 from adaptsim_jax.closeloop.sharpen import sharpened, sharpened_early
-from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, told, unsmoothed
+from adaptsim_jax.closeloop.smoothing import fit_unfiltered, revised, told
 from adaptsim_jax.closeloop.task_reward import task_reward
 from adaptsim_jax.closeloop.trial import Recording
 from adaptsim_jax.closeloop.trim import trimmed
@@ -112,12 +112,14 @@ def examine(
     settings: Settings,
     seed: int,
     say: Progress,
+    smoothed: float | None = None,
 ) -> Diagnosis:
-    """Everything between reading and writing. A filter that only shows once an effect is named has the angles without it
-    examined anew."""
+    """Everything between reading and writing. smoothed: by a filter of which `s` [s^2], 0 for none; looked for where None. One that
+    shows only once an effect is named has the angles without it examined anew, and one that an effect had passed for those as
+    they were written."""
     say(2, STAGES, "declared model")
     try:
-        problem, base, first = fit_unfiltered(recording, checked, noise, effects)
+        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed)
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
     problem, first = sharpened_early(*timed(problem, base, first, settings.alpha), base)
@@ -126,16 +128,11 @@ def examine(
     say(3, STAGES, "candidates")
     fair = seen_anew(problem, base, first.response)
     problem, found = hunt.search(problem, fair, first, settings, say=lambda note: say(4, STAGES, note))
-    if (
-        found.added
-        and not problem.recording.smoothing
-        and (s := smoothing_of(problem, found.final, found.view or first))
-    ):
-        sharp = unsmoothed(recording, s)
-        return examine(sharp, checked, noise_floor(sharp, checked), effects, settings, seed, say)
     say(5, STAGES, "what is left")
     problem, found = sharpened(problem, found, first)
     found = polished(problem, found, first)
+    if found.added and smoothed is None and (s := revised(problem, found.final, found.view or first)) is not None:
+        return examine(recording, checked, noise, effects, settings, seed, say, s)
     found, tested = trimmed(problem, found, first, settings)
     found = rescaled(problem, found, first, settings)
     seen = found.view or first

@@ -32,10 +32,16 @@ WIDEST = 20.0  # steps squared: more than a moving average of 21 samples is no f
 
 
 def fit_unfiltered(
-    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
+    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect], known: float | None = None
 ) -> tuple[Problem, Fitted, View]:
-    """`fit_declared`, of a recording whose angles a filter has smoothed without what it did to them."""
+    """`fit_declared`, of a recording whose angles a filter has smoothed without what it did to them. known: how far they are
+    smoothed, `s` [s^2], 0 for not at all; looked for where None."""
+    if known:
+        recording = unsmoothed(recording, known)
+        noise = noise_floor(recording, checked)
     found = fit_declared(recording, checked, noise, effects)
+    if known is not None:
+        return found
     s = smoothing_of(*found)
     if s is None:
         return found
@@ -57,6 +63,16 @@ def smoothing_of(problem: Problem, base: Fitted, first: View) -> float | None:
     if not 0.0 < s < WIDEST * step**2 or float(chi2.sf(gain, 1)) > SURE:
         return None
     return s if gain > max((r.score.gain for r in first.ranked(base.active)), default=0.0) else None
+
+
+def revised(problem: Problem, model: Fitted, seen: View) -> float | None:
+    """What a model with named effects says of the filter: how far it smooths, if it shows only about that model; 0 if the one that
+    was taken off was an effect's doing, so that the angles are now too sharp by all that was put into them; None if all is well."""
+    taken = problem.recording.smoothing
+    if not taken:
+        return smoothing_of(problem, model, seen)
+    more, gain = _extent(seen, _whitened(problem, model, seen))
+    return 0.0 if gain > WORTH and more < -0.5 * taken else None
 
 
 def _extent(first: View, white: Whitened) -> tuple[float, float]:
