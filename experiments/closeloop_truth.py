@@ -22,8 +22,10 @@ from adaptsim_jax.models.effects import catalogue
 BRISTLE_DAMPING = 0.01  # s, of the generator's LuGre joint
 STOP_DAMPING = 0.002  # s, of its stop
 MEMBERS = {  # a generator's parameters in the catalogue's words
-    "coulomb": lambda p: {"level": p["size"]},
-    "stribeck": lambda p: {"level": p["size"], "excess": p["size"] * (p["ratio"] - 1.0), "speed": p["velocity"]},
+    "coulomb": lambda p: {"level": p["size"], "width": p.get("width", 0.0)},
+    "stribeck": lambda p: {
+        "level": p["size"], "excess": p["size"] * (p["ratio"] - 1.0), "speed": p["velocity"], "width": p.get("width", 0.0),
+    },
     "quadratic_drag": lambda p: {"drag": p["size"]},
     "spring": lambda p: {"stiffness": p["size"], "preload": p["size"] * p["rest"]},
     "bias": lambda p: {"torque": p["size"] * p["sign"]},

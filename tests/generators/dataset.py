@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.generators import conditions, effects, sizing
+from tests.generators import conditions, effects, forces, sizing
 from tests.generators.conditions import CONDITIONS, Condition
 from tests.generators.excitation import OPEN_KINDS, Trial, make_trial
 from tests.generators.recording import Dataset
 from tests.generators.simulate import Drive, Run, simulate
-from tests.generators.worlds import Rig, draw_rig, lanes_of
+from tests.generators.worlds import Rig, draw_rig, lanes_of, mass_matrix
 
 BATCH = 24  # data sets simulated together
 SIZING_STEP = 2.5e-3
@@ -87,6 +87,7 @@ def _batch(specs: list[Spec], engine: str) -> list[Dataset]:
     else:
         table = effect_table(drafts, drive.times.shape[1])
         run = simulate(_lanes(drafts), table, drive, table.step())
+        _tell_widths(drafts, table.step())
     return [_finish(d, run, drive) for d in drafts]
 
 
@@ -213,6 +214,17 @@ def effect_table(drafts: list[Draft], lanes: int) -> effects.Table:
         for e in d.hidden:
             table.add(e["name"], max(e["joint"] - 1, 0), d.lanes, e["params"])
     return table
+
+
+def _tell_widths(drafts: list[Draft], step: float) -> None:
+    """Put the speed within which dry friction turned into its parameters: on light links it is no small one."""
+    for d in drafts:
+        m11, m12, m22 = (m[0] for m in mass_matrix(lanes_of([d.rig], [1]), np.zeros((2, 1))))
+        inertia = (m11 * m22 - m12**2) / np.array([m22, m11])
+        for e in d.hidden:
+            if e["name"] in ("coulomb", "stribeck"):
+                level = e["params"]["size"] * e["params"].get("ratio", 1.0)
+                e["params"]["width"] = float(forces.stick_speed(level, inertia[e["joint"] - 1], step))
 
 
 def _sensors(drafts: list[Draft], drive: Drive, nominal: Run) -> None:
