@@ -11,7 +11,7 @@ from adaptsim_jax.closeloop.diagnose import diagnose
 from adaptsim_jax.closeloop.extend import extend
 from adaptsim_jax.closeloop.noise import noise_floor
 from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.smoothing import fit_unfiltered, smoothing_of, unsmoothed
+from adaptsim_jax.closeloop.smoothing import fit_unfiltered, revised, smoothing_of, unsmoothed
 from adaptsim_jax.closeloop.view import generic_p_value, view
 from adaptsim_jax.models.effects import catalogue
 from tests.generators import Spec, make_datasets, write_dataset
@@ -65,6 +65,20 @@ def test_a_filter_that_an_effect_hides_shows_once_that_effect_is_in_the_model(tm
     mended = extend(problem, base, bias, first)
     s = smoothing_of(problem, mended, view(problem, mended))
     assert s == pytest.approx(filtered.trials[0].dt ** 2 / 8, rel=0.1)
+
+
+@pytest.mark.parametrize("was_filtered", [True, False])
+def test_a_filter_that_was_none_is_put_back_once_the_effect_is_in_the_model(tmp_path, was_filtered):
+    (dataset,) = make_datasets([Spec(911, "low_noise", (("bias", 2, 3.72),))])
+    if was_filtered:
+        dataset = disguise(dataset, "filtered", 911)
+    read = read_recording(write_dataset(dataset, tmp_path / "set"))
+    checked = audit(read)
+    sharp = unsmoothed(usable(read, checked), read.trials[0].dt ** 2 / 8)
+    problem, base, first = fit_declared(sharp, checked, noise_floor(sharp, checked), catalogue("pendulum"))
+    bias = next(r for r in first.ranked() if r.instance == ("bias", "joint2"))
+    mended = extend(problem, base, bias, first)
+    assert revised(problem, mended, view(problem, mended)) == (None if was_filtered else 0.0)
 
 
 def test_the_effect_that_hid_a_filter_is_named_and_its_look_alike_is_not(tmp_path):
