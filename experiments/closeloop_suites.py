@@ -48,10 +48,10 @@ def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tupl
     return report, time.perf_counter() - start
 
 
-def true_of(folder: Path, truth: dict) -> dict:
-    """The true model's held-out error; empty where it cannot be had, and why."""
+def true_of(folder: Path, truth: dict, report: dict) -> dict:
+    """The true model's held-out error over stretches as long as the report's; empty where it cannot be had, and why."""
     try:
-        return true_error(folder, truth)
+        return true_error(folder, truth, report["error"]["stretch_s"])
     except Exception as problem:
         return {"problem": f"{problem}"}
 
@@ -84,7 +84,7 @@ def run_suite(
         for (case, folder, truth), (report, seconds) in results:
             record = score_case(suite, case, truth, report) | {"seconds": seconds}
             if true:
-                record["true_model"] = true_of(folder, truth)
+                record["true_model"] = true_of(folder, truth, report)
             (out / "cases" / f"{case.name}.json").write_text(json.dumps(record, indent=1, default=float))
             (out / "reports" / f"{case.name}.json").write_text(json.dumps(report, indent=1, default=str))
             if not keep:

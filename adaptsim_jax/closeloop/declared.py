@@ -34,12 +34,12 @@ NEXT_TO_NONE = 0.01  # of the RMS torque: with more force left than this, steps 
 
 
 def fit_declared(
-    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect]
+    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect], *, duration: float = 0.5
 ) -> tuple[Problem, Fitted, View]:
-    """A recording made ready and its declared model fitted: a mended one in steps short enough for its effects, and so one that
-    leaves next to no force, as what is left may be the steps' (a link at 50 rad/s, seen to 50 microradians). Raises Diverged where
-    that runs away from every start."""
-    problem, start = prepare_within_reach(recording, checked, noise, effects)
+    """A recording made ready, in windows of `duration` s or shorter ones, and its declared model fitted: a mended one in steps short
+    enough for its effects, and so one that leaves next to no force, as what is left may be the steps' (a link at 50 rad/s, seen to
+    50 microradians). Raises Diverged where that runs away from every start."""
+    problem, start = prepare_within_reach(recording, checked, noise, effects, duration=duration)
     base, first = declared(problem, start)
     if not problem.base and np.any(base.parts.force_std() > NEXT_TO_NONE * problem.torque_scale):
         return problem, base, first

@@ -125,10 +125,10 @@ def _error(problem: Problem, before: HeldOut, after: HeldOut | None, rng) -> dic
         }  # fmt: skip
     names = [t.name for t in problem.recording.trials]
     per_trial = [_trial_error(name, i, before, after, channels) for i, name in enumerate(names)]
-    length = np.median(problem.windows.dt.sum(1)[problem.windows.real])
+    length = float(np.median(problem.windows.dt.sum(1)[problem.windows.real]))
     return {
         "metric": f"RMSE of joint angles simulated over {length:.2g} s stretches of held-out trials, initial states fitted",
-        "unit": "rad", "before": before.rmse(), "after": None if after is None else after.rmse(),
+        "stretch_s": length, "unit": "rad", "before": before.rmse(), "after": None if after is None else after.rmse(),
         "noise_floor": floor_of(problem),
         "ceiling": None, "per_channel": per_channel, "per_trial": per_trial,
         "intervals": {"before": before.interval(None, rng), "after": None if after is None else after.interval(None, rng)},

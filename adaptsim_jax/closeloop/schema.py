@@ -9,6 +9,7 @@ them; all but the last two are checked:
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
     task_reward           {before, after, oracle}                           in [0, 1]
+    error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
     power                 [{name, where, size, unit, power}]                share found of what was injected
 
