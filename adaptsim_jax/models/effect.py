@@ -27,7 +27,7 @@ SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motio
 class Parameter:
     """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
 
-    low and high are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
+    low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
     serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1 where only positive values are that
     effect. A `held` shape is chosen on the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is
     `default` there. `meaning`: what it is, where its name does not say. A `late` one stays at its default until its effect has
@@ -41,6 +41,7 @@ class Parameter:
     default: float
     off: float | None = 0.0
     sign: int = 0
+    plausible: float | None = None
     held: bool = False
     optional: bool = False
     meaning: str = ""

@@ -32,15 +32,15 @@ def sway(p, m: Motion):
 def _shaken() -> tuple[Parameter, ...]:
     size = "of the base's acceleration, over g"
     return (
-        Parameter("sine", "1", -1.0, 1.0, 0.0, meaning=size),
-        Parameter("cosine", "1", -1.0, 1.0, 0.0, meaning=size),
+        Parameter("sine", "1", -1.0, 1.0, 0.0, plausible=0.5, meaning=size),
+        Parameter("cosine", "1", -1.0, 1.0, 0.0, plausible=0.5, meaning=size),
         Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
     )
 
 
 BASE = (
     Effect(
-        "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0),), tilt,
+        "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0, plausible=0.4),), tilt,
         "the base is not level: gravity pulls along another direction", "wide angles of joint 1, of both signs",
         ("bias", "encoder_offset"), scope="base",
         formula="gravity(q1 + angle) - gravity(q1), at both joints",

@@ -108,7 +108,7 @@ BEFORE = Parameter(
 
 COMMAND = (
     Effect(
-        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1), BEFORE), delay,
+        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
         "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
         jump=True, grid=_delays,
         formula="command(t - delay)",
@@ -124,20 +124,20 @@ COMMAND = (
         formula="command within +-(1 - cut) peak, the knee round where there is softness",
     ),
     Effect(
-        "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),), dead_zone,
+        "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
         "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
         ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
         formula="command less width, zero within +-width",
     ),
     Effect(
-        "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0),), torque_gain,
+        "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
         "the torque constant is off by a share", "driven motion beside free swings",
         ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
         amiss=_no_gain,
         formula="(1 + gain) command",
     ),
     Effect(
-        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), BEFORE), actuator_lag,
+        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
         "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
         jump=True, grid=_lags,
         formula="lag torque' = command - torque",

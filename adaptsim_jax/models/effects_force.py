@@ -139,7 +139,7 @@ def _no_stop(value, error, q, duration) -> str:
 
 FORCE = (
     Effect(
-        "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1), WIDTH), coulomb,
+        "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5), WIDTH), coulomb,
         "dry friction: a constant torque against the motion", "reversals, and both slow and fast motion",
         ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
         formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would move it",
@@ -147,8 +147,8 @@ FORCE = (
     Effect(
         "stribeck", "force",
         (
-            Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
-            Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, meaning="how much more at rest"),
+            Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
+            Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, plausible=1.0, meaning="how much more at rest"),
             Parameter("speed", "rad/s", 0.02, 20.0, 0.5, None, meaning="at which the excess has fallen to a third"),
             WIDTH,
         ),
@@ -157,7 +157,7 @@ FORCE = (
         formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
     ),
     Effect(
-        "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1),),
+        "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1, plausible=0.1),),
         quadratic_drag, "air drag or turbulent oil: torque with the square of speed", "a wide range of speeds",
         ("coulomb", "friction_drift"),
         formula="-drag v |v|",
@@ -165,7 +165,7 @@ FORCE = (
     Effect(
         "spring", "force",
         (
-            Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1),
+            Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, plausible=2.0),
             Parameter("preload", "N m", -5.0, 5.0, 0.0),
             Parameter("bend", "1/rad", -5.0, 5.0, 0.0, None, optional=True, meaning="lopsidedness", late=True),
             Parameter("hardening", "1/rad^2", -5.0, 5.0, 0.0, None, optional=True, meaning="cubic share", late=True),
@@ -176,7 +176,7 @@ FORCE = (
         formula="preload - stiffness q (1 + bend q + hardening q^2)",
     ),
     Effect(
-        "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0),), bias,
+        "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0, plausible=0.5),), bias,
         "a constant torque: torque-sensor zero, cable pull, imbalance", "a wide range of angles",
         ("tilt", "encoder_offset", "spring"),
         formula="torque",
@@ -184,8 +184,8 @@ FORCE = (
     Effect(
         "cogging", "force",
         (
-            Parameter("sine", "N m", -1.0, 1.0, 0.0),
-            Parameter("cosine", "N m", -1.0, 1.0, 0.0),
+            Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
             Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn"),
             Parameter("second_sine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
             Parameter("second_cosine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
@@ -197,8 +197,8 @@ FORCE = (
     Effect(
         "friction_drift", "force",
         (
-            Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0),
-            Parameter("dry", "N m", -1.0, 1.0, 0.0),
+            Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("dry", "N m", -1.0, 1.0, 0.0, plausible=0.5),
             Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
         ),
         friction_drift, "friction that changes as the joint warms up within a trial",
@@ -209,8 +209,8 @@ FORCE = (
     Effect(
         "periodic_disturbance", "force",
         (
-            Parameter("sine", "N m", -1.0, 1.0, 0.0),
-            Parameter("cosine", "N m", -1.0, 1.0, 0.0),
+            Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+            Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
             Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
         ),
         periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
@@ -234,7 +234,7 @@ FORCE = (
         formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
     ),
     Effect(
-        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1), WIDTH), load_friction,
+        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6), WIDTH), load_friction,
         "gear friction in proportion to the torque that the joint carries", "high and low torque at like speeds",
         ("coulomb", "torque_gain"),
         formula="-share |command| sign(v), or tanh(v / width)",
@@ -242,7 +242,7 @@ FORCE = (
     Effect(
         "presliding", "force",
         (
-            Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
+            Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
             Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None, meaning="at which it breaks away"),
             Parameter("damping", "s", 0.0, 0.1, 0.0, None, meaning="of the bristle; 0 is Dahl, more is LuGre"),
         ),
@@ -252,7 +252,7 @@ FORCE = (
         formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
     ),
     Effect(
-        "rotor_inertia", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),),
+        "rotor_inertia", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, plausible=0.3),),
         rotor_inertia,
         "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the coupling through "
         "the moving stator is smaller by the ratio and left out); at joint 1 a rigid body's own inertia absorbs it",

@@ -85,6 +85,7 @@ def test_entry_is_complete(effect):
     for p in effect.parameters:
         assert p.low <= p.default <= p.high and p.low < p.high
         assert p.off is None or p.low <= p.off <= p.high
+        assert p.sign <= 0 or p.low >= 0 or p.plausible is not None
     for point in effect.grid_points(REACH, 1):
         assert set(point) >= {p.name for p in effect.shapes if not p.optional} or effect.jump
         for p in effect.parameters:
