@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Inertias, Vector, inertia_entries, inertias
@@ -234,11 +233,16 @@ def own_inertia(problem: Problem, vector: Vector) -> tuple[np.ndarray, np.ndarra
     for g in problem.groups:
         v = values_of(problem, g, vector)
         with jax.enable_x64(True):
-            q = jnp.asarray(g.stretches.start[: len(g.joints)])
-            mass = np.moveaxis(np.asarray(dynamics.mass_matrix(g.model.tree, v.inertial, q)), -1, 0)
-            force = np.asarray(dynamics.gravity_force(g.model.tree, v.inertial, q, v.gravity))
+            q = g.stretches.start[: len(g.joints)]
+            mass, force = (np.asarray(z) for z in _at_rest(g.model.tree, v.inertial, v.gravity, q))
+        mass = np.moveaxis(mass, -1, 0)
         arm = v.effects["armature"]["inertia"][:, 0] if "armature" in v.effects else np.zeros(len(g.joints))
         inverse = np.linalg.inv(mass + np.diag(arm))
         inertia[list(g.joints)] = 1.0 / np.median(np.diagonal(inverse, axis1=1, axis2=2), 0)
         weight[list(g.joints)] = np.abs(force).max(1)
     return inertia, weight
+
+
+@jax.jit
+def _at_rest(tree: Tree, inertial, gravity, q):
+    return dynamics.mass_matrix(tree, inertial, q), dynamics.gravity_force(tree, inertial, q, gravity)
