@@ -44,7 +44,7 @@ class Columns:
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
     """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit the model."""
-    raw = [replace_ignored(trial, meta, model) for trial in _kept(path, raw, meta)]
+    raw = [_without_ignored(trial, meta, model) for trial in _kept(path, raw, meta)]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [_columns(trial, names, meta) for trial in raw]
@@ -79,13 +79,14 @@ def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     return kept
 
 
-def replace_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
-    """The trial without the columns that `ignore` names: themselves, or by their joint."""
+def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
+    """The trial without columns that are not ours, and those that `ignore` names: themselves, or by their joint."""
     joints = model.joints if model else ()
     out = {}
     for name, values in trial.columns.items():
         found = role(name, joints)
-        if name not in meta.ignore and not (found and isinstance(found.joint, str) and found.joint in meta.ignore):
+        joint = found.joint if found and isinstance(found.joint, str) else None
+        if found and name not in meta.ignore and joint not in meta.ignore:
             out[name] = values
     gone = tuple(name for name in trial.columns if name not in out)
     return RawTrial(

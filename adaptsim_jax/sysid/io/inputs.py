@@ -50,7 +50,7 @@ class Inputs:
             told = columns.ctrl.get(actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint)))
             if told is None:
                 j = names.joints.index(actuator.joint)
-                told = (targets if actuator.kind in ("motor", "velocity") else angles)[:, j]
+                told = (angles if actuator.kind in ("position", "general") else targets)[:, j]
             out.append(told)
         u = np.stack(out, axis=1)
         _complete(columns, self.kind, self.names, u)

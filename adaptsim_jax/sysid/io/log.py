@@ -20,7 +20,7 @@ GAP = 0.5
 
 @dataclass(frozen=True)
 class ActuatorName:
-    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity."""
+    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity, general, dcmotor."""
 
     name: str
     joint: str

@@ -186,7 +186,7 @@ def _groups(path: Path, value: Any) -> dict[str, str]:
     out: dict[str, str] = {}
     for name, item in value.items():
         if isinstance(item, list):
-            out |= dict.fromkeys(_texts(path, f"trials.group.{name}", item), name)
+            out |= {trial: str(name) for trial in _texts(path, f"trials.group.{name}", item)}
         else:
             out[name] = _text(path, f"trials.group.{name}", item)
     return out

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from adaptsim_jax.config import suggest
 from adaptsim_jax.errors import BadInput
+from adaptsim_jax.sysid.io import lerobot, ros
 from adaptsim_jax.sysid.io.assemble import assemble
 from adaptsim_jax.sysid.io.log import Log, ModelNames
 from adaptsim_jax.sysid.io.log_meta import LogMeta, read_log_meta
@@ -25,14 +27,15 @@ def read_log(
     """Read a log.
 
     `source`: a folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV or NPZ a trial), or one
-    file (CSV, NPZ). `model`: the joints of the model by name and in order, with `ModelNames` also those that slide and
-    the actuators; None: the data's own joints. `meta`: what stands in place of the folder's `meta.toml`, or its path.
+    file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's folder. `model`: the joints of the model by name
+    and in order, with `ModelNames` also those that slide and the actuators; None: the data's own joints. `meta`: what
+    stands in place of the folder's `meta.toml`, or its path.
 
     Raises `BadInput`, one line that names the file, the row, column or key, and the mend.
     """
     source = Path(source)
     if not source.exists():
-        raise BadInput(f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz)")
+        raise BadInput(f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, .mcap, .bag)")
     meta, notes = _meta(source, meta)
     data = Path(meta.data) if meta.data else source
     trials = read_raw(data, meta)
@@ -53,12 +56,33 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
 
 
 def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is."""
-    if data.is_dir():
-        files = table_files(data)
-        if not files:
-            raise BadInput(f"{data}: holds no .csv or .npz file; put one file a trial there")
-        return read_files(files, meta.columns)
-    if data.suffix.lower() in ENDINGS:
-        return read_files([data], meta.columns)
-    raise BadInput(f"{data}: a log ends in {', '.join(ENDINGS)}; convert this file, or give its folder")
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files."""
+    if data.is_dir() and lerobot.is_lerobot(data):
+        return _renamed(lerobot.read_lerobot(data), meta)
+    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
+    if not files and not bags:
+        if data.is_dir():
+            raise BadInput(f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there")
+        raise BadInput(
+            f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
+        )
+    # in a folder of both, [columns] speaks of the tables
+    recorded = [ros.read_bag(path, meta.ros) for path in bags]
+    trials = read_files(files, meta.columns) + (recorded if files else _renamed(recorded, meta))
+    names = [trial.name for trial in trials]
+    return [
+        replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t
+        for t in trials
+    ]
+
+
+def _renamed(trials: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
+    """The trials with their columns under the names that `[columns]` gives them."""
+    ours = {theirs: new for new, theirs in meta.columns.items()}
+    for trial in trials:
+        for theirs, new in ours.items():
+            if theirs not in trial.columns:
+                near = suggest(theirs, trial.columns)
+                raise BadInput(f"{trial.path}: has no column {theirs!r}, which [columns] gives to {new}; {near}")
+    return [replace(t, columns={ours.get(name, name): values for name, values in t.columns.items()}) for t in trials]

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.closeloop.table import DELIMITERS, Table, check_time, read_table
+from adaptsim_jax.closeloop.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
 from adaptsim_jax.errors import BadInput
 from adaptsim_jax.sysid.io.columns import TIME, TRIAL, role
 
 ENDINGS = (".csv", ".npz")
+__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_file", "read_files", "table_files"]
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,8 @@ def read_file(path: Path, name: str, rename: Mapping[str, str]) -> list[RawTrial
     named = {column: ours.get(column, column) for column in header if column in ours or column not in rename}
     wanted = tuple(column for column in header if column in named and role(named[column]) is not None)
     labels = next((column for column in wanted if named[column] in TRIAL), None)
-    table = _read(path, tuple(column for column in wanted if column != labels))
-    table = Table(
-        {named[column]: values for column, values in table.columns.items()},
-        table.lines,
-        tuple(column for column in table.ignored if column != labels),
-        table.row_word,
-    )
+    table = _read(path, {column: named[column] for column in wanted if column != labels})
+    table = Table(table.columns, table.lines, tuple(c for c in table.ignored if c != labels), table.row_word)
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise BadInput(
@@ -95,29 +91,32 @@ def column_names(path: Path) -> list[str]:
     return rows[0]
 
 
-def _read(path: Path, wanted: tuple[str, ...]) -> Table:
-    """`read_table`, and archives whose arrays are `[T, n]`: `q` with n columns gives q1 to qn."""
-    if path.suffix.lower() != ".npz":
-        return read_table(path, wanted)
-    archive = _archive(path)
-    arrays = {name: archive[name] for name in wanted}
+def _read(path: Path, named: Mapping[str, str]) -> Table:
+    """`read_table` of the columns in `named` (theirs -> ours), and archives of arrays `[T, n]`: `q` gives q1 to qn."""
+    archive = _archive(path) if path.suffix.lower() == ".npz" else {}
+    arrays = {name: archive[name] for name in named} if archive else {}
     if all(array.ndim == 1 for array in arrays.values()):
-        return read_table(path, wanted)
-    others = tuple(name for name in archive if name not in wanted)
-    columns: dict[str, np.ndarray] = {}
+        table = read_table(path, tuple(named))
+        columns = {named[name]: values for name, values in table.columns.items()}
+        return Table(columns, table.lines, table.ignored, table.row_word)
+    columns = {}
     for name, array in arrays.items():
-        if array.ndim > 2 or array.dtype.kind not in "fiu":
+        if array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
             what = f"has shape {array.shape} and type {array.dtype}"
             raise BadInput(f"{path}: array {name!r} {what}; save it as numbers, a row for each sample")
         if array.ndim == 1:
-            columns[name] = array.astype(np.float64)
+            columns[named[name]] = array.astype(np.float64)
         else:
-            columns |= {f"{name}{i}": array[:, i - 1].astype(np.float64) for i in range(1, array.shape[1] + 1)}
+            columns |= {f"{named[name]}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
         raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
-    return Table(columns, np.arange(1, len(next(iter(columns.values()))) + 1), others, row_word="row")
+    count = next(iter(lengths.values()))
+    if count < MIN_ROWS:
+        raise BadInput(f"{path}: has {count} data rows; a trial needs at least {MIN_ROWS}, leave this file out")
+    others = tuple(name for name in archive if name not in named)
+    return Table(columns, np.arange(1, count + 1), others, row_word="row")
 
 
 def _archive(path: Path) -> dict[str, np.ndarray]:
