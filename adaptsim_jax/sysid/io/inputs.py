@@ -161,6 +161,12 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...]) 
                     f"{columns.raw.path}: no command for actuator '{actuator.name}' of joint '{actuator.joint}'; add column "
                     f"target_{actuator.joint} or ctrl_{actuator.name}, or take the actuator out of the model"
                 )
+            if not told and actuator.kind == "motor":
+                raise BadInput(
+                    f"{columns.raw.path}: joint '{actuator.joint}' has a target, but its actuator '{actuator.name}' in the model "
+                    f'is a motor; make it <position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it '
+                    "is what the motor was told"
+                )
         for j in columns.by_joint.get("target", {}):
             if names.joints[j] not in {a.joint for a in actuators}:
                 raise BadInput(

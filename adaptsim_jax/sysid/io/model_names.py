@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames
 
+if TYPE_CHECKING:
+    from adaptsim_jax.mechanisms.mjcf import Mechanism
 
-def model_names(mechanism: Any) -> ModelNames:
-    """The names of a `mechanisms.mjcf.Mechanism`: joints, which of them slide, the tree, the actuators."""
+
+def model_names(mechanism: Mechanism) -> ModelNames:
+    """The names of a mechanism: joints, which of them slide, the tree, the actuators."""
     tree = mechanism.tree
     return ModelNames(
         joints=tuple(tree.joint_names),

@@ -1,7 +1,7 @@
 """A log read from what people have: a folder with `meta.toml`, CSV or NPZ files, bags, LeRobot data sets.
 
-Each source gives raw trials of named columns; here they become joints of a model, in SI units. Nothing here imports
-JAX, so that bad input is reported at once.
+Each source gives raw trials of named columns; here they become joints of a model, in SI units. JAX is imported only where a
+model is read, so that bad input is reported at once.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from adaptsim_jax.config import suggest
 from adaptsim_jax.errors import BadInput
@@ -16,7 +17,11 @@ from adaptsim_jax.sysid.io import lerobot, ros
 from adaptsim_jax.sysid.io.assemble import assemble
 from adaptsim_jax.sysid.io.log import Log, ModelNames
 from adaptsim_jax.sysid.io.log_meta import LogMeta, read_log_meta
+from adaptsim_jax.sysid.io.model_names import model_names
 from adaptsim_jax.sysid.io.tables import ENDINGS, RawTrial, read_files, table_files
+
+if TYPE_CHECKING:
+    from adaptsim_jax.mechanisms.mjcf import Mechanism
 
 META = "meta.toml"
 
@@ -28,18 +33,47 @@ def read_log(
 
     `source`: a folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV or NPZ a trial), or one
     file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's folder. `model`: the joints of the model by name
-    and in order, with `ModelNames` also those that slide and the actuators; None: the data's own joints. `meta`: what
-    stands in place of the folder's `meta.toml`, or its path.
+    and in order, with `ModelNames` also those that slide and the actuators; None: those of the model that meta.toml
+    names, else the data's own joints. `meta`: what stands in place of the folder's `meta.toml`, or its path.
 
     Raises `BadInput`, one line that names the file, the row, column or key, and the mend.
     """
+    source, meta, notes = _declared(source, meta)
+    names = ModelNames(tuple(model)) if model is not None and not isinstance(model, ModelNames) else model
+    if names is None and meta.model:
+        names = _names_of(meta.model)[1]
+    return _read(source, names, meta, notes)
+
+
+def read_with_model(
+    source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
+) -> tuple[Mechanism, Log]:
+    """A log and the mechanism that it is of: `model` (a path, MJCF or URDF), else the one that meta.toml names."""
+    source, meta, notes = _declared(source, meta)
+    path = str(model) if model is not None else meta.model
+    if path is None:
+        where = meta.path or source
+        raise BadInput(f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by --model')
+    mechanism, names = _names_of(path)
+    return mechanism, _read(source, names, meta, notes)
+
+
+def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Path, LogMeta, tuple[str, ...]]:
     source = Path(source)
     if not source.exists():
         raise BadInput(f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, .mcap, .bag)")
-    meta, notes = _meta(source, meta)
-    data = Path(meta.data) if meta.data else source
-    trials = read_raw(data, meta)
-    names = model if isinstance(model, ModelNames) or model is None else ModelNames(tuple(model))
+    return source, *_meta(source, meta)
+
+
+def _names_of(path: str) -> tuple[Mechanism, ModelNames]:
+    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+
+    mechanism = read_mechanism(path)
+    return mechanism, model_names(mechanism)
+
+
+def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
+    trials = read_raw(Path(meta.data) if meta.data else source, meta)
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 

@@ -7,7 +7,8 @@ std_msgs/Float64MultiArray or Float64 (in the order of the model's actuators).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,19 +65,10 @@ def read_bag(path: Path, options: Mapping[str, str]) -> RawTrial:
 
     `options`: `state_topic`, `command_topic` where chosen. Raises `BadInput`: no such topic, a damaged bag, `rosbags` missing.
     """
-    highlevel = need(path, "rosbags.highlevel", "ros")
-    typesys = need(path, "rosbags.typesys", "ros")
-    try:
-        with highlevel.AnyReader([path], default_typestore=typesys.get_typestore(typesys.Stores.LATEST)) as reader:
-            topics = tuple(Topic(n, t.msgtype or "", t.msgcount) for n, t in reader.topics.items())
-            state, command, notes = _choose(path, topics, options)
-            series, clock = _state(reader, state)
-            commands = _command(reader, command, clock) if command else []
-    except BadInput:
-        raise
-    except Exception as error:  # the library raises many kinds for damaged bytes: struct, sqlite, yaml, assertions
-        why = " ".join(str(error).split())[:120] or type(error).__name__
-        raise BadInput(f"{path}: is no readable bag ({why}); record it again, or convert it to CSV") from None
+    with _opened(path) as reader:
+        state, command, notes = _choose(path, _topics(reader), options)
+        series, clock = _state(reader, state)
+        commands = _command(reader, command, clock) if command else []
     if not series:
         raise BadInput(f"{path}: topic {state.name} has no message with positions; name another by state_topic")
     columns, told = merge(str(path), series, commands)
@@ -100,15 +92,30 @@ def read_bag(path: Path, options: Mapping[str, str]) -> RawTrial:
     return RawTrial(path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes)
 
 
-def bag_topics(path: Path) -> tuple[Topic, ...]:
-    """All topics of a bag."""
+def bag_topics(path: Path, options: Mapping[str, str]) -> tuple[tuple[Topic, ...], dict[str, str]]:
+    """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and `command_topic`."""
+    with _opened(path) as reader:
+        topics = _topics(reader)
+        state, command, _ = _choose(path, topics, options)
+    return topics, {"state_topic": state.name} | ({"command_topic": command.name} if command else {})
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The library's reader of any bag; what it says of damaged ones in one line."""
     highlevel, typesys = need(path, "rosbags.highlevel", "ros"), need(path, "rosbags.typesys", "ros")
     try:
         with highlevel.AnyReader([path], default_typestore=typesys.get_typestore(typesys.Stores.LATEST)) as reader:
-            return tuple(Topic(n, t.msgtype or "", t.msgcount) for n, t in reader.topics.items())
-    except Exception as error:
+            yield reader
+    except BadInput:
+        raise
+    except Exception as error:  # the library raises many kinds for damaged bytes: struct, sqlite, yaml, assertions
         why = " ".join(str(error).split())[:120] or type(error).__name__
         raise BadInput(f"{path}: is no readable bag ({why}); record it again, or convert it to CSV") from None
+
+
+def _topics(reader: Any) -> tuple[Topic, ...]:
+    return tuple(Topic(name, info.msgtype or "", info.msgcount) for name, info in reader.topics.items())
 
 
 # ---------------------------------------------------------------- which topics

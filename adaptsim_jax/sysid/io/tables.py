@@ -16,7 +16,7 @@ from adaptsim_jax.errors import BadInput
 from adaptsim_jax.sysid.io.columns import TIME, TRIAL, role
 
 ENDINGS = (".csv", ".npz")
-__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_file", "read_files", "table_files"]
+__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str]) -> list[RawTrial
 def column_names(path: Path) -> list[str]:
     """The names of a file's columns (CSV) or arrays (NPZ)."""
     if path.suffix.lower() == ".npz":
-        return list(_archive(path))
+        return list(read_archive(path))
     rows = _csv_rows(path, 1)
     if not rows:
         read_table(path, TIME)  # says why: empty, unreadable, not text
@@ -93,7 +93,7 @@ def column_names(path: Path) -> list[str]:
 
 def _read(path: Path, named: Mapping[str, str]) -> Table:
     """`read_table` of the columns in `named` (theirs -> ours), and archives of arrays `[T, n]`: `q` gives q1 to qn."""
-    archive = _archive(path) if path.suffix.lower() == ".npz" else {}
+    archive = read_archive(path) if path.suffix.lower() == ".npz" else {}
     arrays = {name: archive[name] for name in named} if archive else {}
     if all(array.ndim == 1 for array in arrays.values()):
         table = read_table(path, tuple(named))
@@ -119,7 +119,7 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     return Table(columns, np.arange(1, count + 1), others, row_word="row")
 
 
-def _archive(path: Path) -> dict[str, np.ndarray]:
+def read_archive(path: Path) -> dict[str, np.ndarray]:
     """All arrays of an archive; nothing in it is ever executed (no pickles)."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
@@ -160,7 +160,7 @@ def _csv_rows(path: Path, most: int | None = None, column: str | None = None) ->
 def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
     """The table cut by its column of trial names, in the order in which they appear."""
     if path.suffix.lower() == ".npz":
-        labels = [str(label) for label in _archive(path)[column]]
+        labels = [str(label) for label in read_archive(path)[column]]
     else:
         at = {int(line): label for label, line in _csv_rows(path, column=column)[1:]}
         labels = [at.get(int(line), "") for line in table.lines]
