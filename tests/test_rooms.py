@@ -10,8 +10,8 @@ import adaptsim_jax
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
     "errors", "given", "files", "progress", "config", "compile_cache", "compile_flags", "memory", "kept_programs", "space",
-    "control", "models", "learners", "tasks", "tree_store", "store", "adapt", "baselines", "closeloop", "report", "doctor",
-    "demo", "commands", "cli", "__main__",
+    "control", "models", "mechanisms", "attribution", "learners", "tasks", "tree_store", "store", "adapt", "baselines", "closeloop",
+    "sysid", "report", "doctor", "demo", "commands", "cli", "__main__",
 )  # fmt: skip
 PAGE = ("closeloop/diagnose.py", "report")  # `diagnose(out=...)` writes its page, when all is computed
 

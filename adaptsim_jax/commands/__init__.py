@@ -5,6 +5,7 @@ SUMMARIES = {
     "train": "Phase 1: learn how to adapt simulation parameters, in simulation",
     "adapt": "Phase 2: adapt a trained run to a target",
     "compare": "methods x settings x seeds, as in Table 1 of the paper",
+    "init": "a meta.toml for recordings of a mechanism, guesses marked as such",
     "diagnose": "close the loop: measured data in, cause of the residual and mended model out",
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",
