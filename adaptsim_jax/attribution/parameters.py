@@ -15,7 +15,7 @@ import numpy as np
 
 INERTIA = "inertia"
 ETA = ("size", "stretch_x", "stretch_y", "stretch_z", "shear_xy", "shear_xz", "shear_yz", "shift_x", "shift_y", "shift_z")
-PRIOR = 1.0  # standard deviation of eta: a factor of e, more or less
+PRIOR = 0.3  # standard deviation of eta
 
 
 @dataclass(frozen=True)

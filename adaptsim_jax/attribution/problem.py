@@ -1,7 +1,7 @@
 """One identification problem: joints in groups that share no moving body, their stretches, and the values of a parameter vector."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -85,7 +85,7 @@ def prepare(
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
     groups = []
     for joints in subtrees(tree):
-        part = take(tree, joints)
+        part = _nameless(take(tree, joints))
         part_of = lambda z, j=list(joints): np.asarray(z)[..., j]
         groups.append(
             Group(Model(part, tuple(effects)), tuple(joints), stretches.of(joints), part_of(actuator), part_of(gear),
@@ -101,6 +101,12 @@ def prepare(
         tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear), fold, names,
         bool(np.any(stretches.seen_v)), as_declared, noise(tracks),
     )  # fmt: skip
+
+
+def _nameless(tree: Tree) -> Tree:
+    """The same with names that say nothing, so that four like legs share one compiled program."""
+    count = range(len(tree.joint_names))
+    return replace(tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count))
 
 
 def _padded(stretches: Stretches) -> Stretches:

@@ -220,17 +220,18 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()]
     tries = []
     for score in hopeful[: criteria.tried]:
-        vector, starts, loss = attempted(problem, base, reach, score)
-        tries.append((loss / base.fit.total, score, vector, starts))
-    tries.sort(key=lambda t: t[0])
-    best = None
-    for share, score, vector, starts in tries[: criteria.fitted]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
+        vector, starts, _ = attempted(problem, base, reach, score)
+        tries.append((fit(problem, vector, starts, rounds=criteria.glance, weights=base.fit.weights), score))
+    tries.sort(key=lambda t: t[0].total)
+    best = None
+    for glance, score in tries[: criteria.fitted]:
         weights = base.fit.weights
-        model = modelled(problem, (*base.added, score.candidate), fit(problem, vector, starts, rounds=criteria.rounds, weights=weights), weights)
+        whole = fit(problem, glance.vector, glance.starts, rounds=criteria.rounds, weights=weights)
+        model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         good = test.gain > criteria.size and test.better > 0.5 * test.folds
-        trace.append(Step("tried" if good else "refused", score.candidate, score, test, f"first step leaves {share:.2f} of the loss"))
+        trace.append(Step("tried" if good else "refused", score.candidate, score, test, f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss"))
         if good and (best is None or test.gain > best[0]):
             best = (test.gain, model, score, test)
     if best is None:
