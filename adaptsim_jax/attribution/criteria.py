@@ -22,7 +22,7 @@ class Criteria:
     gap: float = 0.02
     steady: float = 3.0
     most_effects: int = 8
-    tried: int = 6
+    tried: int = 4
     fitted: int = 2
     glance: int = 2
     rounds: int = 5

@@ -148,8 +148,9 @@ def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
     return tuple(g.stretches.start for g in problem.groups)
 
 
-def linear(problem: Problem, fit: Fit) -> Linear:
-    """Linearise a fit; its loss is made anew."""
+def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -> Linear:
+    """Linearise a fit, by the starts and by `entries` (those of its vector where None)."""
+    entries = fit.vector.entries if entries is None else entries
     at = picked(problem)
     residual, start, shared, columns, slopes = [], [], [], [], []
     with jax.enable_x64(True):
@@ -169,17 +170,22 @@ def linear(problem: Problem, fit: Fit) -> Linear:
             start.append(flat(responded_start(slope[0])))
             columns.append(made)
             slopes.append(slope)
-            shared.append(_output(made, slope, [(e, None) for e in fit.vector.entries], flat))
+            shared.append(_output(made, slope, [(e, None) for e in entries], flat))
     return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), at)
 
 
 def _output(made: Columns, slope, entries, flat) -> np.ndarray:
-    parts = []
-    for first in range(0, max(len(entries), 1), 48):
-        force, output = made.stack(entries[first : first + 48])
+    """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
+    own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
+    parts = [np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, slope[0].shape[2], 1))).shape[:2], 0))]
+    for first in range(0, len(own), 48):
+        force, output = made.stack([entries[k] for k in own[first : first + 48]])
         y = respond(*slope, force)
         parts.append(flat(y if output is None else y + output))
-    return np.concatenate(parts, 2)
+    found = np.concatenate(parts, 2)
+    out = np.zeros((*found.shape[:2], len(entries)))
+    out[..., own] = found
+    return out
 
 
 def candidate_columns(problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]) -> list[np.ndarray]:
@@ -217,13 +223,19 @@ def normal(problem: Problem, residual: Sequence[np.ndarray], start, shared) -> N
     count, folds = shared[0].shape[2], len(problem.folds)
     hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
     for r, x, s in zip(residual, start, shared, strict=True):
-        rp, sp = project(x, r[..., None], s)
+        live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
+        rp, sp = project(x, r[..., None], s[..., live])
         fold = _fold(problem, len(r))
         for k in range(folds):
-            mine = sp[fold == k].reshape(-1, count)
-            hess[k] += mine.T @ mine
-            slope[k] += mine.T @ rp[fold == k].reshape(-1)
+            mine = rows(sp[fold == k])
+            hess[k][np.ix_(live, live)] += mine.T @ mine
+            slope[k][live] += mine.T @ rp[fold == k].reshape(-1)
     return Normal(hess, slope)
+
+
+def rows(columns: np.ndarray) -> np.ndarray:
+    """[W, R, K] as [W R, K]."""
+    return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
 
 
 def _fold(problem: Problem, width: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
-from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project
+from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project, rows
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
 from adaptsim_jax.models.effect import Effect, Reach
@@ -160,10 +160,11 @@ class _Sums:
         shared = lin.shared[0].shape[2]
         hess = np.zeros((shared, shared))
         for r, x, s in zip(lin.residual, lin.start, lin.shared, strict=True):
-            rp, sp = project(x, r[..., None], s)
-            flat = sp.reshape(-1, shared)
-            hess += flat.T @ flat
-            self.kept.append((rp, sp, x))
+            live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
+            rp, sp = project(x, r[..., None], s[..., live])
+            flat = rows(sp)
+            hess[np.ix_(live, live)] += flat.T @ flat
+            self.kept.append((rp, sp, x, live))
         vector = lin.fit.vector
         live = (vector.values > vector.low) & (vector.values < vector.high)
         hess = hess + np.diag(vector.precision + np.where(live, 0.0, 1e12))
@@ -176,18 +177,19 @@ class _Sums:
         count = blocks[0].shape[2]
         mixed = np.zeros((self.inverse.shape[0], count))
         freed = []
-        for c, (_, sp, x) in zip(blocks, self.kept, strict=True):
-            cp = project(x, c)[0]
-            freed.append(cp)
-            mixed += sp.reshape(-1, sp.shape[2]).T @ cp.reshape(-1, count)
+        for c, (_, sp, x, live) in zip(blocks, self.kept, strict=True):
+            own = np.flatnonzero(np.any(c != 0.0, axis=(0, 1)))
+            cp = project(x, c[..., own])[0]
+            freed.append((cp, own))
+            mixed[np.ix_(live, own)] += rows(sp).T @ rows(cp)
         share = self.inverse @ mixed
         curve = np.zeros((len(self.problem.folds), count, count))
-        for cp, (rp, sp, _) in zip(freed, self.kept, strict=True):
-            left = cp - sp @ share
-            self.slope[:, first : first + count] += np.einsum("wrk,wr->wk", left, rp[..., 0])
+        for (cp, own), (rp, sp, _, live) in zip(freed, self.kept, strict=True):
+            left = cp - sp @ share[np.ix_(live, own)]
+            self.slope[:, first + own] += np.einsum("wrk,wr->wk", left, rp[..., 0])
             for k in range(len(curve)):
-                flat = left[self.fold == k].reshape(-1, count)
-                curve[k] += flat.T @ flat
+                flat = rows(left[self.fold == k])
+                curve[k][np.ix_(own, own)] += flat.T @ flat
         self.cross[first] = curve
 
     def _curve(self, cols: np.ndarray) -> np.ndarray:

@@ -33,6 +33,7 @@ from adaptsim_jax.attribution.problem import TILT, Problem, own_inertia, scaled_
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
 from adaptsim_jax.models.effect import Reach
 
+LEAST_TRIALS = 5
 EXACT = 14  # folds up to which the sign-flip test takes all patterns of signs
 
 
@@ -152,9 +153,13 @@ def by_fold(problem: Problem, loss: np.ndarray) -> np.ndarray:
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
-    """One model against another by their held-out losses [W] (one-sided: is the second better?)."""
-    a, b = by_fold(problem, without), by_fold(problem, with_)
-    d = np.log(np.maximum(a, 1e-300) / np.maximum(b, 1e-300))
+    """One model against another by their held-out losses [W] (one-sided: is the second better?): trial by trial, and where there
+    are not enough of those stretch by stretch, each of which has a start of its own."""
+    whole = len(np.unique(problem.groups[0].stretches.trial)) >= LEAST_TRIALS
+    count = len(problem.fold)
+    a, b = (by_fold(problem, z) if whole else z[:count] for z in (without, with_))
+    usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
+    d = np.log((a + usual) / (b + usual))
     return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d))
 
 
@@ -164,7 +169,7 @@ def sign_flip(d: np.ndarray) -> float:
     if count <= EXACT:
         signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
     else:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (20_000, count))
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (10_000, count))
         signs[0] = 1.0
     return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
 
@@ -172,6 +177,26 @@ def sign_flip(d: np.ndarray) -> float:
 def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights: Weights | None = None) -> Model:
     lin = linear(problem, fitted)
     return Model(tuple(added), fitted, lin, held_out(problem, lin, weights))
+
+
+def refit(problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None) -> Fit:
+    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared by groups."""
+    touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
+    owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
+    shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
+    if shared or weights is None or len(touched) == len(problem.groups):
+        return fit(problem, vector, starts, rounds=rounds, weights=weights)
+    part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
+    inside = {j for k in touched for j in problem.groups[k].joints}
+    at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
+    local = fit(part, Vector(tuple(vector.entries[i] for i in at), vector.values[at]), [starts[k] for k in touched], rounds=rounds, weights=weights)
+    values, starts = vector.values.copy(), list(starts)
+    values[at] = local.vector.values
+    for k, x in zip(touched, local.starts, strict=True):
+        starts[k] = x
+    whole = vector.at(values)
+    loss = losses(problem, run(problem, whole, starts), weights)
+    return replace(local, vector=whole, starts=tuple(starts), loss=loss)
 
 
 def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tuple[Vector, list[np.ndarray], float]:
@@ -222,12 +247,12 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     for score in hopeful[: criteria.tried]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
         vector, starts, _ = attempted(problem, base, reach, score)
-        tries.append((fit(problem, vector, starts, rounds=criteria.glance, weights=base.fit.weights), score))
+        tries.append((refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.glance, base.fit.weights), score))
     tries.sort(key=lambda t: t[0].total)
     best = None
     for glance, score in tries[: criteria.fitted]:
         weights = base.fit.weights
-        whole = fit(problem, glance.vector, glance.starts, rounds=criteria.rounds, weights=weights)
+        whole = refit(problem, base.fit, glance.vector, glance.starts, score.candidate.joints, criteria.rounds, weights)
         model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         good = test.gain > criteria.size and test.better > 0.5 * test.folds
@@ -248,7 +273,7 @@ def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Mod
     """The model without one of its effects, refitted under the same weights."""
     keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
     vector = model.fit.vector.without(keys)
-    fitted = fit(problem, vector, model.fit.starts, rounds=rounds, weights=model.fit.weights)
+    fitted = refit(problem, model.fit, vector, model.fit.starts, gone.joints, rounds, model.fit.weights)
     return modelled(problem, [c for c in model.added if c is not gone], fitted, model.fit.weights)
 
 
@@ -263,7 +288,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         failing = []
         order = sorted(tests, key=lambda t: t[2].p)
         for rank, (c, less, test, steady) in enumerate(order):
-            level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0 ** -len(problem.folds))
+            level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0**-test.folds)
             if test.p > level or test.gain < criteria.size or steady < criteria.steady:
                 failing.append((test.gain, c, less, test, steady))
         if not failing:
@@ -302,7 +327,7 @@ def look_alikes(problem, model: Model, less: Model, c: Candidate, reach, criteri
     for score in rivals[:3]:
         say(f"{score.candidate.effect} in place of {c.effect}")
         vector, starts, _ = attempted(problem, less, reach, score)
-        fitted = fit(problem, vector, starts, rounds=criteria.rounds, weights=model.fit.weights)
+        fitted = refit(problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights)
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
         test = paired(problem, other.held.loss, model.held.loss)
         if test.gain < criteria.gap or test.p > criteria.confidence:
