@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from adaptsim_jax.space import Gaussian, Space
 
@@ -10,6 +10,19 @@ Array = Any
 Policy = Any  # a pytree
 Trajectory = Any  # a pytree
 Reference = Any  # a pytree
+
+
+class Episode(Protocol):
+    """What a task may know of an adaptation trajectory (`adaptation/episode.py`): its visits, leading axes as the caller has them."""
+
+    @property
+    def mean(self) -> Array: ...  # [..., I + 1, D] unit coordinates
+
+    @property
+    def policy(self) -> Policy: ...
+
+    @property
+    def obs(self) -> Array: ...  # [..., I + 1, D + obs_dim], behind the mean what was observed
 
 
 @dataclass(frozen=True)
