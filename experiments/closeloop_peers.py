@@ -55,7 +55,7 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     from adaptsim_jax.effects.registry import catalogue
     from adaptsim_jax.sysid.criteria import Criteria
     from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
-    from adaptsim_jax.sysid.evaluate.crossval import held_out
+    from adaptsim_jax.sysid.evaluate.crossval import cross_validate
     from adaptsim_jax.sysid.io.recording import read_recording
     from adaptsim_jax.sysid.noise.floor import noise_floor
     from adaptsim_jax.sysid.nuisance.null_model import declared, timed
@@ -68,7 +68,7 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), effects)
     base, view = declared(problem, start)
     problem, view = timed(problem, base, view, Criteria().alpha)
-    return Declared(problem, base, view, held_out(problem, base, view))
+    return Declared(problem, base, view, cross_validate(problem, base, view))
 
 
 def nothing(d: Declared, python: str) -> Active:
@@ -159,14 +159,14 @@ RULES: dict[str, Callable[[Declared, str], Active]] = {
 def report_of(d: Declared, active: Active) -> dict:
     """What `score_case` needs: the names, and the held-out error before and after by the package's own simulation."""
     from adaptsim_jax.sysid.estimate.problem import Diverged
-    from adaptsim_jax.sysid.evaluate.crossval import held_out
+    from adaptsim_jax.sysid.evaluate.crossval import cross_validate
     from adaptsim_jax.sysid.score.table import view
 
     noise, error, why = d.problem.noise.std, d.error.rmse(), ""
     if active:
         try:
             model = refitted(d, active, eff=from_scores(d, active))
-            error = held_out(d.problem, model, view(d.problem, model)).rmse()
+            error = cross_validate(d.problem, model, view(d.problem, model)).rmse()
         except (Diverged, ValueError, np.linalg.LinAlgError) as problem:
             why = f"the model with {active} was not simulated, its error is that of the declared one: {problem}"
     floor = float(np.sqrt(np.mean([noise[c] ** 2 for c in ("q1", "q2")])))

@@ -17,7 +17,7 @@ import numpy as np
 from adaptsim_jax.core import compile_flags, memory
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, fit_plain, initial_states, prepare
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -37,7 +37,7 @@ class Rig:
     rest: Problem
 
     @property
-    def likeliest(self) -> Fitted:
+    def likeliest(self) -> Fit:
         """What was named, or the likeliest set where nothing was."""
         d = self.diagnosis
         return d.found.final if d.verdict.named else d.leading or d.found.base

@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.evaluate.crossval import held_out
+from adaptsim_jax.sysid.evaluate.crossval import cross_validate
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
@@ -98,4 +98,4 @@ def true_error(folder: Path, truth: dict, stretch: float = 0.5) -> dict:
     recording = usable(recording, checked)
     noise = noise_floor(recording, checked)
     problem, base, first = fit_declared(recording, checked, noise, catalogue(recording.task), duration=stretch)
-    return {"rmse": held_out(problem, base, first).rmse(), "force": base.parts.force_std().tolist()}
+    return {"rmse": cross_validate(problem, base, first).rmse(), "force": base.parts.force_std().tolist()}

@@ -25,7 +25,7 @@ def opened(session: Session, total: int) -> str:
 
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `tasks.pushing_measured.read_policy` reads it."""
+    """What `policy.toml` holds beside the parameters; `tasks.pushing.measured.read_policy` reads it."""
     from adaptsim_jax.tasks.pushing.measured import policy_table
 
     return policy_table(policy, _config(session))

@@ -20,7 +20,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def abreast(call: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
+def parallel_map(call: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
     """`[call(item) for item in items]`, several at once; the first failure in the order of `items` is raised."""
     items = list(items)
     workers = min(len(items), cores(), MOST)

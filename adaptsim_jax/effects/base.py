@@ -1,4 +1,4 @@
-"""What can be added to a model: `Effect`, one entry in one place; `effects.py` has the catalogue of them.
+"""What can be added to a model: `Effect`, one entry in one place; `layout.py` has the catalogue of them.
 
 An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its
 one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.

@@ -1,4 +1,4 @@
-"""The catalogue of effects, and a model's choice of them as one flat vector (`Layout`). What an effect is: `effect.py`."""
+"""The catalogue of effects, and a model's choice of them as one flat vector (`Layout`). What an effect is: `base.py`."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What the closed loop knows of a model: `Plant`. That of a declared pendulum is in `pendulum_plant.py`.
+"""What the closed loop knows of a model: `Plant`. That of a declared pendulum is in `mechanisms/double_pendulum/plant.py`.
 
 A plant is a mechanical model in generalized coordinates,
 

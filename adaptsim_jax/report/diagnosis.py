@@ -3,7 +3,7 @@
     write_diagnosis(out, report, evidence)
     print_summary(report, console, out)
 
-`report` keeps `closeloop.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
+`report` keeps `sysid.report.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
 
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None}],
                      NaN where windows join; the first trial is shown, the others fold out

@@ -116,7 +116,7 @@ def drawn_frames(clips: Sequence[Clip]) -> Iterator[np.ndarray]:
 
 
 def plate(action: Any, row: int) -> tuple[float, float, float]:
-    """How far the plate has come forward m, up m and pitched rad at `row`: the profile of `models.pushing`."""
+    """How far the plate has come forward m, up m and pitched rad at `row`: the profile of `tasks.pushing.model`."""
     from adaptsim_jax.tasks.pushing import model as pushing
 
     path = float(np.sum(pushing.ramp(np.arange(0.0005, 0.01 * (row + 1), 0.001))) * 0.001)

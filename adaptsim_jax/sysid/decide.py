@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import unexplained
-from adaptsim_jax.sysid.evaluate.crossval import HeldOut
-from adaptsim_jax.sysid.evaluate.residual import Leftover
+from adaptsim_jax.sysid.estimate.fit import force_ratio
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
+from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.select.backward import confirms
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain t
 
 
 def decide(
-    found: Found,
-    before: Leftover,
-    after: Leftover,
+    found: SearchResult,
+    before: ResidualDiagnosis,
+    after: ResidualDiagnosis,
     settings: Criteria,
     powered: bool,
     flexible: float,
@@ -57,7 +57,7 @@ def decide(
         if powered:
             return Verdict("within_noise", _chance(beyond, before, settings), False)
         return Verdict("underpowered", _weak(beyond), False)
-    left = unexplained(found.final, found.base)
+    left = force_ratio(found.final, found.base)
     if left > settings.explained and after.p_value < settings.alpha and after.share > 0.02:
         return Verdict("structured_unattributed", _partly(found, after, left), False)
     names = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in active)
@@ -68,7 +68,7 @@ def decide(
     return Verdict("explained", f"The residual is explained by {names}.", True)
 
 
-def _chance(beyond: float, left: Leftover, settings: Criteria) -> str:
+def _chance(beyond: float, left: ResidualDiagnosis, settings: Criteria) -> str:
     if beyond < BEYOND_FLOOR:
         return "The declared model explains the data to within their noise."
     what = "nothing that would predict it in other trials."
@@ -98,7 +98,12 @@ def _large(force: np.ndarray) -> str:
 
 
 def confirmed(
-    verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, settings: Criteria
+    verdict: Verdict,
+    found: SearchResult,
+    before: CrossValidation,
+    after: CrossValidation,
+    left: ResidualDiagnosis,
+    settings: Criteria,
 ) -> Verdict:
     """The verdict, unless the mended model simulates held-out trials no better: then no name is given.
 
@@ -115,14 +120,21 @@ def confirmed(
     return Verdict("structured_unattributed", message, False)
 
 
-def _everywhere(found: Found, trials: HeldOut) -> bool:
+def _everywhere(found: SearchResult, trials: CrossValidation) -> bool:
     """Whether the likelihood rises in every trial, of enough of them to be no chance."""
     names = np.unique(trials.trial[trials.fold >= 0])
     gain = found.final.likelihood - found.base.likelihood
     return len(names) >= LEAST_TRIALS and all(gain[trials.trial == k].sum() > 0.0 for k in names)
 
 
-def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, left: Leftover, floor: float) -> Verdict:
+def unforced(
+    verdict: Verdict,
+    found: SearchResult,
+    before: CrossValidation,
+    after: CrossValidation,
+    left: ResidualDiagnosis,
+    floor: float,
+) -> Verdict:
     """The verdict, unless much error remains that is no chance: effects that stand in for one that the catalogue lacks
     (a lag for a delay, friction and drag for Stribeck's curve) explain most of it and leave the shape of what they miss.
 
@@ -143,7 +155,7 @@ def unforced(verdict: Verdict, found: Found, before: HeldOut, after: HeldOut, le
     return Verdict("structured_unattributed", message, False)
 
 
-def _structured(found: Found, before: Leftover, settings: Criteria, flexible: float) -> bool:
+def _structured(found: SearchResult, before: ResidualDiagnosis, settings: Criteria, flexible: float) -> bool:
     """Structure that is more than chance: some smooth force, or a rival that was refitted, predicts it in left-out trials, or its
     spectrum has a line."""
     answer = before.answered and before.line is None and before.share < ANSWERED_SHARE
@@ -151,10 +163,10 @@ def _structured(found: Found, before: Leftover, settings: Criteria, flexible: fl
     if clear or (before.p_value < settings.alpha and flexible < PREDICTED):
         return True
     fall = 1.0 - settings.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
-    return any(t.total - found.base.total > 20.0 and unexplained(t, found.base) < fall for t in found.tried)
+    return any(t.total - found.base.total > 20.0 and force_ratio(t, found.base) < fall for t in found.tried)
 
 
-def _predicted(left: Leftover, settings: Criteria) -> bool:
+def _predicted(left: ResidualDiagnosis, settings: Criteria) -> bool:
     """Whether some smooth force predicts what is left, or its spectrum has a line."""
     sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
     return sure or left.line is not None
@@ -165,13 +177,13 @@ def _words(name: str) -> str:
     return name.replace("_", " ").replace("joint", "joint ")
 
 
-def _unattributed(at: Leftover) -> str:
+def _unattributed(at: ResidualDiagnosis) -> str:
     share = at.places[0][2]
     much = f" ({100 * share:.0f} % of the residual{'' if at.sharp else ', held out'})" if share >= 0.005 else ""
     return f"There is structure that no candidate explains; it sits at {at.where()}{much}{at.beside()}."
 
 
-def _partly(found: Found, at: Leftover, left: float) -> str:
+def _partly(found: SearchResult, at: ResidualDiagnosis, left: float) -> str:
     best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.final.active)
     return (
         f"The best candidate, {best}, leaves {100 * left:.0f} % of the unexplained torque, which is too much for a name; "

@@ -17,13 +17,13 @@ from adaptsim_jax.effects.registry import catalogue, effect_named
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict, confirmed, decide, unforced
 from adaptsim_jax.sysid.design.experiment import CSV, csv_of, next_experiment
-from adaptsim_jax.sysid.estimate.fit import Fitted, seen_anew, unexplained
+from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio, seen_anew
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
-from adaptsim_jax.sysid.evaluate.crossval import HeldOut, held_out
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
 from adaptsim_jax.sysid.evaluate.evidence import evidence_of
-from adaptsim_jax.sysid.evaluate.flexible import ceiling
+from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
 from adaptsim_jax.sysid.evaluate.power import Power, power, powered
-from adaptsim_jax.sysid.evaluate.residual import Leftover, leftover, residual_torque
+from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_diagnosis, residual_torque
 from adaptsim_jax.sysid.io.model_file import write_model
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
@@ -36,17 +36,17 @@ from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.sysid.rivals.kinematics import misdeclared
 from adaptsim_jax.sysid.rivals.known_parameters import confounded, freed
 from adaptsim_jax.sysid.rivals.torque_scale import rescaled
-from adaptsim_jax.sysid.score.table import View, view
+from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select import forward
-from adaptsim_jax.sysid.select.backward import trimmed
-from adaptsim_jax.sysid.select.phase_refinement import sharpened, sharpened_early
-from adaptsim_jax.sysid.select.refine import polished
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.backward import backward_eliminated
+from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
+from adaptsim_jax.sysid.select.refine import refined
+from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.types import Recording
 
 STAGES = 9
 Progress = Callable[[int, int, str], None]
-Reward = Callable[[Problem, Found], dict[str, Any] | None]
+Reward = Callable[[Problem, SearchResult], dict[str, Any] | None]
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 
 
@@ -55,17 +55,17 @@ class Diagnosis:
     """All that a diagnosis found; `report` is what goes into report.json. leading: the likeliest model where nothing is named."""
 
     problem: Problem
-    found: Found
-    before: Leftover
-    after: Leftover
-    error_before: HeldOut
-    error_after: HeldOut
+    found: SearchResult
+    before: ResidualDiagnosis
+    after: ResidualDiagnosis
+    error_before: CrossValidation
+    error_after: CrossValidation
     powers: list[Power]
     verdict: Verdict
-    first: View
+    first: ScoreTable
     report: dict[str, Any]
     evidence: dict[str, Any]
-    leading: Fitted | None = None
+    leading: Fit | None = None
 
 
 def diagnose(
@@ -127,34 +127,34 @@ def examine(
         problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed)
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
-    problem, first = sharpened_early(*timed(problem, base, first, settings.alpha), base)
+    problem, first = phases_refined_early(*timed(problem, base, first, settings.alpha), base)
     force = base.parts.force_std() / problem.torque_scale
-    before = leftover(problem, first, base.parts, force)
+    before = residual_diagnosis(problem, first, base.parts, force)
     say(3, STAGES, "candidates")
     fair = seen_anew(problem, base, first.response)
     problem, found = forward.search(problem, fair, first, settings, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
-    problem, found = sharpened(problem, found, first)
-    found = polished(problem, found, first)
+    problem, found = phases_refined(problem, found, first)
+    found = refined(problem, found, first)
     if found.added and smoothed is None and (s := revised(problem, found.final, found.view or first)) is not None:
         return examine(recording, checked, noise, effects, settings, seed, say, s)
-    found, tested = trimmed(problem, found, first, settings)
+    found, tested = backward_eliminated(problem, found, first, settings)
     found = rescaled(problem, found, first, settings)
     seen = found.view or first
     after = before
     if found.added:
-        many = unexplained(found.final, found.base) > settings.explained  # then what is left says nothing of where
+        many = force_ratio(found.final, found.base) > settings.explained  # then what is left says nothing of where
         rest = force if many else found.final.parts.force_std() / problem.torque_scale
-        after = leftover(problem, seen, found.final.parts, rest)
+        after = residual_diagnosis(problem, seen, found.final.parts, rest)
     powers = power(problem, seen, settings)
     say(6, STAGES, "held-out trials, declared model")
-    error_before = held_out(problem, base, first)
-    flexible = ceiling(problem, base, first, error_before.fold)
+    error_before = cross_validate(problem, base, first)
+    flexible = flexible_bound(problem, base, first, error_before.fold)
     reached = 1.0 if flexible is None else flexible.rmse / error_before.rmse()
     beyond = error_before.rmse() / floor_of(problem)
     verdict = decide(found, before, after, settings, powered(powers), reached, force, beyond)
     say(7, STAGES, "held-out trials, mended model")
-    error_after = (tested or held_out(problem, found.final, seen)) if verdict.named else error_before
+    error_after = (tested or cross_validate(problem, found.final, seen)) if verdict.named else error_before
     verdict = confirmed(verdict, found, error_before, error_after, after, settings)
     verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
     if found.added or verdict.name == "structured_unattributed":
@@ -165,7 +165,7 @@ def examine(
     add_ceiling(report["error"], flexible)
     leading = None if verdict.named else found.leading or (found.final if found.added else None)
     if leading is not None:
-        tried = held_out(problem, leading, view(problem, leading))
+        tried = cross_validate(problem, leading, view(problem, leading))
         leading = leading if add_leading(report, problem, leading, found, tried) else None
     evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
     evidence["audit"] = findings(checked)

@@ -46,7 +46,7 @@ class Task:
     reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this simulated target are scaled with
     reward: Callable[[Trajectory, Reference], Array]  # -> [], at most 1; in [0, 1] where the policy is of any use
     # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once, each with a budget of its
-    # own. None where training is too cheap to be worth sharing; see `adapt.reuse`.
+    # own. None where training is too cheap to be worth sharing; see `adaptation.reuse`.
     train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None
     # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1 to learn from; None: `rollout`.
     rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None

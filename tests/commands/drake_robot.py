@@ -1,6 +1,6 @@
 """A robot for tests: make the pushes of an actions.csv in Drake, and write what a camera over the table would see.
 
-    python tests/cli/drake_robot.py robot/actions.csv measured.csv --params 0.3,1e5,0.15,0.1
+    python tests/commands/drake_robot.py robot/actions.csv measured.csv --params 0.3,1e5,0.15,0.1
 
 It knows of the package only the engine, reads and writes files alone, and runs in a process of its own. The camera sees 60
 frames a second to the nearest 0.1 mm, from the arm's start on, and a little longer than the trial.

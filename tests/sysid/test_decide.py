@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict, confirmed, decide, unforced
-from adaptsim_jax.sysid.evaluate.crossval import HeldOut
-from adaptsim_jax.sysid.evaluate.residual import Leftover
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
+from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.evaluate.spectrum import Line
 
 NAMED = Verdict("explained", "The residual is explained by coulomb at joint 2.", True)
@@ -18,13 +18,15 @@ FOUND = SimpleNamespace(added=(("coulomb", "joint2"),), tried=[], base=None)
 FLOOR = 1e-4
 
 
-def held_out(rmse, trials=4):
+def cross_validate(rmse, trials=4):
     squared = np.full((trials, 1), rmse**2)
-    return HeldOut(np.zeros((trials, 1, 1)), squared, np.ones((trials, 1)), np.arange(trials), np.arange(trials))
+    return CrossValidation(
+        np.zeros((trials, 1, 1)), squared, np.ones((trials, 1)), np.arange(trials), np.arange(trials)
+    )
 
 
 def left(share, p_value):
-    return Leftover(p_value, share, 10.0, (("joint2", "speed", share, p_value),))
+    return ResidualDiagnosis(p_value, share, 10.0, (("joint2", "speed", share, p_value),))
 
 
 @pytest.mark.parametrize(
@@ -40,7 +42,7 @@ def left(share, p_value):
     ],
 )
 def test_a_name_is_refused_where_what_it_leaves_is_no_chance(after, share, p_value, named):
-    verdict = unforced(NAMED, FOUND, held_out(100.0 * FLOOR), held_out(after), left(share, p_value), FLOOR)
+    verdict = unforced(NAMED, FOUND, cross_validate(100.0 * FLOOR), cross_validate(after), left(share, p_value), FLOOR)
     assert verdict.named is named
     assert verdict.name == ("explained" if named else "structured_unattributed")
     if not named:
@@ -49,21 +51,26 @@ def test_a_name_is_refused_where_what_it_leaves_is_no_chance(after, share, p_val
 
 
 def test_an_effect_that_takes_nearly_all_of_the_error_away_keeps_its_name():
-    verdict = unforced(NAMED, FOUND, held_out(1e4 * FLOOR), held_out(100.0 * FLOOR), left(0.09, 1e-100), FLOOR)
+    verdict = unforced(
+        NAMED, FOUND, cross_validate(1e4 * FLOOR), cross_validate(100.0 * FLOOR), left(0.09, 1e-100), FLOOR
+    )
     assert verdict is NAMED
 
 
 def test_left_out_trials_must_gain_by_a_name():
     clear = left(0.1, 1e-20)
-    assert confirmed(NAMED, FOUND, held_out(1.0), held_out(0.5), clear, Criteria()) is NAMED
-    assert confirmed(NAMED, FOUND, held_out(1.0), held_out(0.7), clear, Criteria()).name == "structured_unattributed"
+    assert confirmed(NAMED, FOUND, cross_validate(1.0), cross_validate(0.5), clear, Criteria()) is NAMED
+    assert (
+        confirmed(NAMED, FOUND, cross_validate(1.0), cross_validate(0.7), clear, Criteria()).name
+        == "structured_unattributed"
+    )
 
 
 def test_beside_a_wandering_torque_a_smaller_fall_will_do():
     def named(error=0.9, trials=6, what=None, gain=np.ones):
         found = SimpleNamespace(base=likely(np.zeros(trials)), final=likely(gain(trials)))
-        after = held_out(error, trials)
-        return confirmed(NAMED, found, held_out(1.0, trials), after, what or left(0.0, 0.5), Criteria()).named
+        after = cross_validate(error, trials)
+        return confirmed(NAMED, found, cross_validate(1.0, trials), after, what or left(0.0, 0.5), Criteria()).named
 
     likely = lambda gain: SimpleNamespace(likelihood=gain)
     assert named()
@@ -98,7 +105,7 @@ def test_where_far_more_than_the_sensors_do_is_left_it_is_said(powered, expected
 def test_a_line_in_the_spectrum_is_structure_and_is_said():
     nothing = SimpleNamespace(added=(), tried=[], base=None)
     hum = Line("joint1", 4.0, 0.2, 1e-50)
-    found = Leftover(0.9, 0.0, 1.0, (("joint1", hum.words(), 0.2, 1e-50), ("joint2", "speed", 0.0, 0.9)), hum)
+    found = ResidualDiagnosis(0.9, 0.0, 1.0, (("joint1", hum.words(), 0.2, 1e-50), ("joint2", "speed", 0.0, 0.9)), hum)
     verdict = decide(nothing, found, found, Criteria(), True, 1.0, np.zeros(2))
     assert verdict.name == "structured_unattributed"
     assert "joint 1, where the unexplained torque has a line at 4 Hz (20 % of the residual)" in verdict.message
@@ -130,9 +137,9 @@ def test_where_commands_answer_to_the_motion_a_little_that_follows_it_is_chance(
 
 
 def test_pieces_abreast_keep_their_order_and_raise():
-    assert abreast(lambda k: k * k, range(9)) == [k * k for k in range(9)]
+    assert parallel_map(lambda k: k * k, range(9)) == [k * k for k in range(9)]
     with pytest.raises(ZeroDivisionError):
-        abreast(lambda k: 1 // k, [1, 0, 2])
+        parallel_map(lambda k: 1 // k, [1, 0, 2])
 
 
 @pytest.mark.parametrize(

@@ -18,12 +18,12 @@ from adaptsim_jax.control.lqr import lqr_gain
 from adaptsim_jax.mechanisms.closed_loop import broadcasts, history_rows, run_loop
 from adaptsim_jax.mechanisms.stepping import make_model
 from adaptsim_jax.sysid.design.excitation import library
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, any_torque
 from adaptsim_jax.sysid.evaluate.power import COMMON, MATTERS, Power
 from adaptsim_jax.sysid.segments import Windows, cut_windows
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 CSV = "next_experiment.csv"
 SIZES = (1.0, 0.6, 0.35, 0.2)
@@ -90,7 +90,9 @@ def csv_of(time: np.ndarray, torque: np.ndarray) -> bytes:
     return text.getvalue().encode()
 
 
-def next_experiment(problem: Problem, found: Found, named: bool, powers: list[Power], seed: int = 0) -> Plan | None:
+def next_experiment(
+    problem: Problem, found: SearchResult, named: bool, powers: list[Power], seed: int = 0
+) -> Plan | None:
     """The command that best parts what the diagnosis left open, or None where there is nothing to part or no safe way."""
     if not any_torque(problem.recording):  # nothing says how much torque moves this rig
         return None
@@ -114,7 +116,7 @@ def next_experiment(problem: Problem, found: Found, named: bool, powers: list[Po
     return Plan(time, push, shape, (ours.label, rival.label), float(distance), recorded, _upright(problem))
 
 
-def _pair(problem: Problem, found: Found, named: bool, powers: list[Power]) -> tuple[Rival, Rival | None]:
+def _pair(problem: Problem, found: SearchResult, named: bool, powers: list[Power]) -> tuple[Rival, Rival | None]:
     """What was accepted (or the declared model) and what is hardest to tell from it."""
     if named and found.added:
         effect = found.added[-1]
@@ -140,7 +142,7 @@ def _holds(problem: Problem, wider, effect) -> bool:
     return wider[1] == effect[1] and effect[0] in layout.instances[layout.index(*wider)].effect.contains
 
 
-def _of(model: Fitted, effect) -> Rival:
+def _of(model: Fit, effect) -> Rival:
     c = model.candidate
     label = "the declared model" if effect is None else f"{effect[0].replace('_', ' ')} at {effect[1]}"
     return Rival(label, c.active, c.theta, c.eff)

@@ -11,17 +11,17 @@ from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import Candidate, refit_from, refit_more
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.problem import Active, Diverged, Problem, at_point, fit_plain
-from adaptsim_jax.sysid.estimate.variance import Components, Kernels, Linearised
+from adaptsim_jax.sysid.estimate.variance import Kernels, Linearised, VarianceComponents
 
 Instance = tuple[str, str]  # (effect, where)
 
 
 @dataclass(frozen=True)
-class Fitted:
+class Fit:
     """A candidate model with its own residual covariance and its likelihood window by window `[W]`."""
 
     candidate: Candidate
-    parts: Components
+    parts: VarianceComponents
     likelihood: np.ndarray
     weight: np.ndarray  # [n, taus] how far forces of each kind move the outputs (`Kernels.weight`)
     amiss: tuple[tuple[Instance, str], ...] = ()  # effects whose fitted values are not theirs, and why (`Effect.amiss`)
@@ -74,29 +74,29 @@ def respond(lin: Linearised) -> Response:
 
 
 def fitted(
-    problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response, *, rounds: int = 4
-) -> Fitted:
+    problem: Problem, active: Active, theta, eff, x0, parts: VarianceComponents, response: Response, *, rounds: int = 4
+) -> Fit:
     """Refit a model, estimate its residual covariance, and refit under that until the likelihood settles."""
     return fitted_from(problem, active, at_point(problem, active, theta, eff, x0), parts, response, rounds=rounds)
 
 
 def fitted_from(
-    problem: Problem, active: Active, fit: FitResult, parts: Components, response: Response, *, rounds: int = 4
-) -> Fitted:
+    problem: Problem, active: Active, fit: FitResult, parts: VarianceComponents, response: Response, *, rounds: int = 4
+) -> Fit:
     """The same from where a least-squares fit of those effects ended."""
     factor = variance.whitener(response.lin, parts, response.kernels)
     candidate = refit_from(problem, active, fit, factor)
     return settled(problem, _judged(problem, candidate, parts, response), response, rounds=rounds - 1)
 
 
-def _judged(problem: Problem, candidate: Candidate, parts: Components, response: Response) -> Fitted:
+def _judged(problem: Problem, candidate: Candidate, parts: VarianceComponents, response: Response) -> Fit:
     lin = candidate.refit.linearised
     try:
         parts = variance.estimate(lin, response.kernels, start=parts)
         likelihood = variance.log_likelihood(lin, parts, response.kernels)
     except np.linalg.LinAlgError:  # forces so far beyond the sensors that their covariance has no factor
         raise Diverged(f"the model with {candidate.active} leaves residuals that no covariance describes") from None
-    return Fitted(candidate, parts, likelihood, response.kernels.weight, tuple(_amiss(problem, candidate)))
+    return Fit(candidate, parts, likelihood, response.kernels.weight, tuple(_amiss(problem, candidate)))
 
 
 def _amiss(problem: Problem, candidate: Candidate) -> Iterator[tuple[Instance, str]]:
@@ -123,7 +123,7 @@ def _is_nothing(amplitudes, fitted: dict[str, tuple[float, float]]) -> bool:
     return bool(known) and all(abs(value - off) <= NINETY * error for value, error, off in known)
 
 
-def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int = 3) -> Fitted:
+def settled(problem: Problem, model: Fit, response: Response, *, rounds: int = 3) -> Fit:
     """The model refitted under its own residual covariance, again and again until its likelihood settles. Where nothing likelier
     is found it stays where it is, with the errors that its own covariance gives: those of the refit before it are of the forces
     that a worse model left, and may hide any effect."""
@@ -139,7 +139,7 @@ def settled(problem: Problem, model: Fitted, response: Response, *, rounds: int 
     return model
 
 
-def _again(problem: Problem, model: Fitted, factor: np.ndarray, response: Response, **more) -> Fitted | None:
+def _again(problem: Problem, model: Fit, factor: np.ndarray, response: Response, **more) -> Fit | None:
     """The model refitted from where it is, under another covariance; None where that runs away."""
     with suppress(Diverged):
         return _judged(problem, refit_more(problem, model.candidate, factor, **more), model.parts, response)
@@ -147,8 +147,16 @@ def _again(problem: Problem, model: Fitted, factor: np.ndarray, response: Respon
 
 
 def fitted_plainly(
-    problem: Problem, active: Active, theta, eff, parts: Components, response: Response, *, x0=None, rounds: int = 1
-) -> Fitted | None:
+    problem: Problem,
+    active: Active,
+    theta,
+    eff,
+    parts: VarianceComponents,
+    response: Response,
+    *,
+    x0=None,
+    rounds: int = 1,
+) -> Fit | None:
     """Fitted with the sensors as the only noise, then settled; None where that runs away. This closes large gaps that the
     covariance inflated by the missing effect would leave open. Initial states start from the data, unless given: a model that
     lacks the effect has bent its own."""
@@ -157,26 +165,32 @@ def fitted_plainly(
 
 
 def settled_from(
-    problem: Problem, active: Active, result: FitResult, parts: Components, response: Response, *, rounds: int = 1
-) -> Fitted | None:
+    problem: Problem,
+    active: Active,
+    result: FitResult,
+    parts: VarianceComponents,
+    response: Response,
+    *,
+    rounds: int = 1,
+) -> Fit | None:
     """A least-squares fit judged where it ended, then settled; None where it ran away."""
     with suppress(Diverged, np.linalg.LinAlgError):
         return settled(problem, ended(problem, active, result, parts, response), response, rounds=rounds)
     return None
 
 
-def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: Components, response: Response) -> Fitted:
+def unmoved(problem: Problem, active: Active, theta, eff, x0, parts: VarianceComponents, response: Response) -> Fit:
     """A model judged where it is, nothing refitted."""
     return ended(problem, active, at_point(problem, active, theta, eff, x0), parts, response)
 
 
-def ended(problem: Problem, active: Active, fit: FitResult, parts: Components, response: Response) -> Fitted:
+def ended(problem: Problem, active: Active, fit: FitResult, parts: VarianceComponents, response: Response) -> Fit:
     """A fit judged where it ended, nothing refitted. Raises `Diverged` where it ran away."""
     factor = variance.whitener(response.lin, parts, response.kernels)
     return _judged(problem, refit_from(problem, active, fit, factor, iterations=0), parts, response)
 
 
-def seen_anew(problem: Problem, model: Fitted, response: Response) -> Fitted:
+def seen_anew(problem: Problem, model: Fit, response: Response) -> Fit:
     """The model with its likelihood under another response than that of its fit, for what is fitted under that: likelihoods under
     two responses cannot be compared (forces on a joint that sticks do nothing)."""
     factor = variance.whitener(response.lin, model.parts, response.kernels)
@@ -184,18 +198,18 @@ def seen_anew(problem: Problem, model: Fitted, response: Response) -> Fitted:
     return model if judged is None else replace(model, likelihood=judged.likelihood)
 
 
-def doubtful(model: Fitted, base: Fitted) -> set[Instance]:
+def doubtful(model: Fit, base: Fit) -> set[Instance]:
     """Effects that `base` lacks whose amplitude has the wrong sign or is beyond what the effect may be, or whose values make
     them another effect."""
     bounded = {(effect, where) for effect, where, _ in (n.split("/") for n in model.at_bound())}
     return (bounded | {instance for instance, _ in model.amiss}) - set(base.active)
 
 
-def plausible(model: Fitted, base: Fitted) -> bool:
+def plausible(model: Fit, base: Fit) -> bool:
     """No effect is doubtful; what the base model has is not judged."""
     return not doubtful(model, base)
 
 
-def unexplained(new: Fitted, old: Fitted) -> float:
+def force_ratio(new: Fit, old: Fit) -> float:
     """Unexplained force after over before, over all joints, weighed by what it does to the motion."""
     return float(np.sqrt(new.moving.sum() / max(old.moving.sum(), 1e-300)))

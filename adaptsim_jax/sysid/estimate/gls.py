@@ -1,7 +1,7 @@
 """Joint refit of declared parameters, effect parameters and initial states under a full residual covariance.
 
 `fit.py` weighs samples one by one, which is right where the sensors are the only noise. Here the residual covariance
-comes from `disturbance.py`: a Gauss-Newton step on whitened rows, initial states projected out of them, so that a force
+comes from `variance.py`: a Gauss-Newton step on whitened rows, initial states projected out of them, so that a force
 which wanders costs what it should and no more. The linearisation is a callable; nothing here knows a model.
 """
 
@@ -64,7 +64,7 @@ def refit(
 ) -> Refit:
     """Minimise the whitened sum of squares over `z[free]` within `[low, high]` and over all initial states.
 
-    factor: `[W, M, M]` from `disturbance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
+    factor: `[W, M, M]` from `variance.whitener`. keep `[W]`: windows that inform z; the others only get their initial
     states, so that their cost is a held-out one. known: the linearisation at `start`, if it is at hand. damping: of the first step;
     that with which an earlier refit of the model ended saves what it took to find it. slow `[G]`: entries without a slope at `low`,
     from which nothing leads back: a step goes no more than nine tenths of the way there. Stops after so many steps

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.kept_programs import kept
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.sysid.dictionary import Columns, columns_of, force_rows, measured_change
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
@@ -79,7 +79,7 @@ def signatures(
             rows = _rows(model, *args[:4], motion, group)
         return {e.name: _respond(lin.impulse, f) for e, f in zip(group.effects, group.trim(rows), strict=True)}
 
-    seen = {name: part for group in abreast(responses, forces) for name, part in group.items()}
+    seen = {name: part for group in parallel_map(responses, forces) for name, part in group.items()}
     parts = [seen[e.name] for e in columns.effects if e.name in seen] + [lin.atoms]
     atoms = columns.atoms
     if basis is not None:

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.estimate.reml import Terms, factored, maximised
 
 COLUMNS = 256  # of atoms that are whitened at a time: what lies between stays small
@@ -49,7 +49,7 @@ class Linearised:
 
 
 @dataclass(frozen=True)
-class Components:
+class VarianceComponents:
     """Variance components: sensor variance ratio per channel `[Y]`, force variance per joint and correlation time."""
 
     sensor: np.ndarray  # [Y], 1.0 where the declared standard deviation is right
@@ -59,11 +59,11 @@ class Components:
         """Standard deviation of the unexplained force, per joint `[n]` N m."""
         return np.sqrt(self.force.sum(1))
 
-    def no_more_than(self, torque: np.ndarray) -> "Components":
+    def no_more_than(self, torque: np.ndarray) -> "VarianceComponents":
         """The same, or the sensors alone where the force is beyond `torque [n]` N m: that is no disturbance, and a fit that
         takes it for one trusts nothing."""
         wild = np.any(self.force_std() > torque)
-        return Components(self.sensor, np.zeros_like(self.force)) if wild else self
+        return VarianceComponents(self.sensor, np.zeros_like(self.force)) if wild else self
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,9 @@ class Kernels:
         moved = np.trace(self.force, axis1=2, axis2=3).mean(1).reshape(-1, len(CORRELATION_TIMES))
         return moved / np.maximum(moved.max(1, keepdims=True), 1e-300)
 
-    def covariance(self, lin: Linearised, parts: "Components", windows: np.ndarray | slice = slice(None)) -> np.ndarray:
+    def covariance(
+        self, lin: Linearised, parts: "VarianceComponents", windows: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
         """Residual covariance `[W', M, M]`. Rows that are not there get unit variance: they add nothing to any likelihood."""
         cov = np.tensordot(parts.force.ravel(), self.force[:, windows], 1)
         diagonal = np.where(lin.used[windows], parts.sensor[lin.channel][None], 1.0)
@@ -128,8 +130,8 @@ def _spread(windows: np.ndarray, most: int) -> np.ndarray:
 
 
 def estimate(
-    lin: Linearised, kernels: Kernels | None = None, *, most_windows: int = 32, start: Components | None = None
-) -> Components:
+    lin: Linearised, kernels: Kernels | None = None, *, most_windows: int = 32, start: VarianceComponents | None = None
+) -> VarianceComponents:
     """Restricted maximum likelihood of the variance components from the residuals `[W, M]`, by their exact gradient."""
     kernels = kernels or force_kernels(lin)
     at = _spread(np.flatnonzero(lin.used.any(1)), most_windows)
@@ -153,10 +155,10 @@ def estimate(
             forced = maximised(terms, np.log(other), np.log(low), np.log(high))
             likeliest = min(likeliest, forced, key=lambda point: point.value)
     a = np.exp(likeliest.log) / scale
-    return Components(a[:n_sensor], a[n_sensor:].reshape(lin.impulse.shape[2], len(CORRELATION_TIMES)))
+    return VarianceComponents(a[:n_sensor], a[n_sensor:].reshape(lin.impulse.shape[2], len(CORRELATION_TIMES)))
 
 
-def whitener(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
+def whitener(lin: Linearised, parts: VarianceComponents, kernels: Kernels | None = None) -> np.ndarray:
     """Inverse Cholesky factor `[W, M, M]` of each window's residual covariance."""
     lower = factored((kernels or force_kernels(lin)).covariance(lin, parts))
     eye = np.broadcast_to(np.eye(lower.shape[1]), lower.shape)
@@ -174,14 +176,14 @@ def whiten(lin: Linearised, factor: np.ndarray) -> Whitened:
             w = factor @ z[..., at]
             out[at] = np.moveaxis(w - q @ (np.swapaxes(q, 1, 2) @ w), -1, 0)
 
-        abreast(part, [slice(k, k + COLUMNS) for k in range(0, len(out), COLUMNS)])
+        parallel_map(part, [slice(k, k + COLUMNS) for k in range(0, len(out), COLUMNS)])
         return np.moveaxis(out, 0, -1)
 
     rows = np.maximum(lin.used.sum(1) - lin.jac_state.shape[2], 0)
     return Whitened(clean(lin.residual[..., None])[..., 0], clean(lin.jac_theta), clean(lin.atoms), lin.trial, rows)
 
 
-def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, np.ndarray]:
+def unexplained_force(lin: Linearised, parts: VarianceComponents) -> tuple[np.ndarray, np.ndarray]:
     """The force that the residual points to: posterior mean and standard deviation `[W, n, L]` N m.
 
     The Wiener estimate under the components: prior covariance times impulse response times inverse covariance, the
@@ -203,7 +205,7 @@ def unexplained_force(lin: Linearised, parts: Components) -> tuple[np.ndarray, n
     return np.stack(mean, 1), np.stack(std, 1)
 
 
-def log_likelihood(lin: Linearised, parts: Components, kernels: Kernels | None = None) -> np.ndarray:
+def log_likelihood(lin: Linearised, parts: VarianceComponents, kernels: Kernels | None = None) -> np.ndarray:
     """Restricted log-likelihood of each window `[W]`, initial states integrated out; constants left out."""
     lower = factored((kernels or force_kernels(lin)).covariance(lin, parts))
     both = solve_triangular(lower, np.concatenate([lin.jac_state, lin.residual[..., None]], -1), lower=True)

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import refit_more
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem, initial_states
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.segments import folds
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class CrossValidation:
     """Held-out simulation of one model. simulated `[W, L+1, Y]` rad (NaN in padding); squared `[W, Y]` sum of squared
     errors and count `[W, Y]` of rows; trial `[W]`; fold `[W]`."""
 
@@ -48,7 +48,7 @@ class HeldOut:
         return [float(x) for x in np.quantile(rms, [0.5 - level / 2, 0.5 + level / 2])]
 
 
-def held_out(problem: Problem, model: Fitted, view: View, *, most_folds: int = 6) -> HeldOut:
+def cross_validate(problem: Problem, model: Fit, view: ScoreTable, *, most_folds: int = 6) -> CrossValidation:
     """Simulate every trial by a model fitted to the others."""
     windows = problem.windows
     trial = np.asarray(windows.trial)
@@ -69,7 +69,7 @@ def held_out(problem: Problem, model: Fitted, view: View, *, most_folds: int = 6
 
     simulated = np.full_like(measured, np.nan)
     left_out = np.unique(fold[fold >= 0])
-    for f, by_others in zip(left_out, abreast(without, left_out), strict=True):
+    for f, by_others in zip(left_out, parallel_map(without, left_out), strict=True):
         simulated[fold == f] = by_others[fold == f]
     gap = np.where(np.isnan(simulated), 0.0, measured - simulated)
-    return HeldOut(simulated, (gap**2).sum(1), (~np.isnan(simulated)).sum(1), trial, fold)
+    return CrossValidation(simulated, (gap**2).sum(1), (~np.isnan(simulated)).sum(1), trial, fold)

@@ -2,7 +2,7 @@
 
 For each named effect, the mended model is simulated with that effect alone taken out. What the measurements then ask for
 beyond it, and what the effect itself gives, both as torques at its joint, come from the same estimator
-(`disturbance.unexplained_force`): whatever that smooths, it smooths in both, so the two may be laid over each other.
+(`variance.unexplained_force`): whatever that smooths, it smooths in both, so the two may be laid over each other.
 """
 
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ import numpy as np
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed, linearised
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Problem, at_point
 from adaptsim_jax.sysid.estimate.variance import Linearised
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 
 BINS = 32
 SURE = 1.3  # times the median uncertainty: rows that say less, at the ends of windows, are left out
@@ -48,7 +48,7 @@ class Evidence:
 
 
 def evidence_of(
-    problem: Problem, model: Fitted, view: View, declared: View, effects: Sequence[Instance]
+    problem: Problem, model: Fit, view: ScoreTable, declared: ScoreTable, effects: Sequence[Instance]
 ) -> list[Evidence]:
     """Evidence for each of `effects`, all of which act in `model`.
 
@@ -71,13 +71,13 @@ def evidence_of(
     return out
 
 
-def _about(problem: Problem, result, view: View) -> Linearised:
+def _about(problem: Problem, result, view: ScoreTable) -> Linearised:
     """Rows of a result, with the impulse responses of the model in view: rivals share them."""
     lin = compressed(problem, linearised(problem, result))
     return replace(lin, impulse=view.lin.impulse, dt=view.lin.dt)
 
 
-def _evidence(problem: Problem, model: Fitted, view: View, instance: Instance, y, std, own) -> Evidence:
+def _evidence(problem: Problem, model: Fit, view: ScoreTable, instance: Instance, y, std, own) -> Evidence:
     """Pick the joint and the variable, and bin the effect over it."""
     joint = _joint(instance, own)
     pick = (problem.windows.dt > 0) & problem.windows.real[:, None]
@@ -99,7 +99,7 @@ def _joint(instance: Instance, own: np.ndarray) -> int:
 
 
 def _variables(
-    problem: Problem, model: Fitted, view: View, instance: Instance, joint: int, pick
+    problem: Problem, model: Fit, view: ScoreTable, instance: Instance, joint: int, pick
 ) -> dict[str, np.ndarray]:
     """Label -> value at the middle of each row, of what a torque at `joint` may follow."""
     path, n, layout = view.path, problem.plant.joint_dim, problem.model.layout

@@ -1,10 +1,10 @@
 """The ceiling: the held-out error that a flexible model reaches, which names nothing.
 
-The flexible model is the declared one with smooth forces of `basis.py` at every joint: of angle, speed, command, past and
+The flexible model is the declared one with smooth forces of `sysid/estimate/generic_forces.py` at every joint: of angle, speed, command, past and
 time, along the motion that was measured. It is linear in its coefficients, so it is fitted by the linear algebra of
-`score.py`, but about the right trajectory: first the force that each window asks for (`disturbance.unexplained_force`) is
+`sysid/score/scorer.py`, but about the right trajectory: first the force that each window asks for (`variance.unexplained_force`) is
 fed to the declared model until that follows the measurements, and only then is everything linearised. Held out as in
-`heldout.py`: the declared parameters and the coefficients come from the other folds, initial states from the fold itself,
+`crossval.py`: the declared parameters and the coefficients come from the other folds, initial states from the fold itself,
 by least squares.
 
 It is a benchmark, not a bound. A named effect has fewer parameters to learn and may do better, most of all with few trials
@@ -18,11 +18,11 @@ import numpy as np
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed, linearised, survey
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.generic_forces import generic_forces, generic_names
 from adaptsim_jax.sysid.estimate.problem import Problem, at_point
-from adaptsim_jax.sysid.estimate.variance import Components, Linearised
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.estimate.variance import Linearised, VarianceComponents
+from adaptsim_jax.sysid.score.table import ScoreTable
 
 ROUNDS = 2  # of feeding the missing force: the second closes what the linearisation of the first left
 MOST_GROUPS = 4  # variables that the flexible model may use, picked one after the other
@@ -30,7 +30,7 @@ LEAST_FALL = 0.01  # of the held-out sum of squares, for one more
 
 
 @dataclass(frozen=True)
-class Ceiling:
+class FlexibleBound:
     """Held-out RMSE [rad] of the flexible model, over all channels and of each `[Y]`; groups: what its forces follow."""
 
     rmse: float
@@ -47,8 +47,8 @@ class _Rows:
     coarse: Linearised
 
 
-def ceiling(problem: Problem, base: Fitted, view: View, fold: np.ndarray) -> Ceiling | None:
-    """Held-out error of the flexible model; `view` is about the declared model `base`, fold `[W]` as in `HeldOut`.
+def flexible_bound(problem: Problem, base: Fit, view: ScoreTable, fold: np.ndarray) -> FlexibleBound | None:
+    """Held-out error of the flexible model; `view` is about the declared model `base`, fold `[W]` as in `CrossValidation`.
 
     None where the declared model runs away when it is driven along the measured motion.
     """
@@ -62,17 +62,17 @@ def ceiling(problem: Problem, base: Fitted, view: View, fold: np.ndarray) -> Cei
     # with less unexplained, each window tells more about the coefficients, as it does under a mended model
     parts = variance.estimate(left, view.response.kernels, start=base.parts)
     _, fine, groups = _fitted(rows, parts, view, names, prior, fold)
-    return Ceiling(*_rmse(problem, fine, fold), groups)
+    return FlexibleBound(*_rmse(problem, fine, fold), groups)
 
 
-def _fitted(rows: _Rows, parts: Components, view: View, names, prior: float, fold: np.ndarray):
+def _fitted(rows: _Rows, parts: VarianceComponents, view: ScoreTable, names, prior: float, fold: np.ndarray):
     """Held-out residuals `[W, M]` of coarse and fine rows under a residual covariance, and the groups picked."""
     factor = variance.whitener(rows.coarse, parts, view.response.kernels)
     groups = _pick(rows.coarse, factor, names, prior, fold)
     return *_left(rows, factor, _columns(names, groups), prior, fold), groups
 
 
-def _rows(problem: Problem, base: Fitted, view: View) -> _Rows | None:
+def _rows(problem: Problem, base: Fit, view: ScoreTable) -> _Rows | None:
     """The declared model driven along the measured motion, and linearised there."""
     c, lin, windows = base.candidate, view.lin, problem.windows
     force = np.zeros((len(windows.trial), problem.plant.joint_dim, windows.dt.shape[1]))

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 
 MATTERS = 0.03  # of the torque's RMS: an effect of this size changes what a controller does
 COMMON = ("coulomb", "quadratic_drag", "bias", "spring", "torque_gain", "delay")
@@ -27,7 +27,7 @@ class Power:
         return self.smallest <= MATTERS
 
 
-def power(problem: Problem, view: View, settings: Criteria) -> list[Power]:
+def power(problem: Problem, view: ScoreTable, settings: Criteria) -> list[Power]:
     """Smallest detectable share of each candidate, from the information in its projected signature.
 
     The effect torque of a unit amplitude is taken from the signature itself: the torque on one joint, of white spectrum
@@ -47,7 +47,7 @@ def power(problem: Problem, view: View, settings: Criteria) -> list[Power]:
     return out
 
 
-def _force_scale(problem: Problem, view: View) -> np.ndarray:
+def _force_scale(problem: Problem, view: ScoreTable) -> np.ndarray:
     """Share of the joint's torque RMS per unit of output norm, for slow forces on each joint `[n]`."""
     impulse, dt = view.lin.impulse, view.lin.dt
     time = np.cumsum(dt, axis=1)

@@ -6,10 +6,10 @@ import numpy as np
 
 from adaptsim_jax.sysid.estimate.generic_forces import generic_names
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.estimate.variance import Components
+from adaptsim_jax.sysid.estimate.variance import VarianceComponents
 from adaptsim_jax.sysid.evaluate.spectrum import Line, line
 from adaptsim_jax.sysid.nuisance.feedback import regulated
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 
 ALIKE = 1.5  # ratio of unexplained shares of the torque at two joints, below which they do not say which it is
 SURE = 0.05  # p-value of a further place that is told
@@ -17,11 +17,11 @@ FOLLOWED = {"past": "what it did just before", "other": "the other joint's motio
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualDiagnosis:
     """The generic dictionary about one model. p_value is corrected for the groups tried; share is the held-out fall of
     the whitened sum of squares; places: `(joint, variable, share, p_value)`, first those at the joint where it likeliest sits, the
     surest of them first; line: a sharp line in the spectrum of the unexplained force, one of the places; answered: whether the
-    commands answer to the motion, so that chance follows it a little (`regulated.py`); doubt: another joint that it may sit
+    commands answer to the motion, so that chance follows it a little (`sysid/nuisance/feedback.py`); doubt: another joint that it may sit
     at, with the reason."""
 
     p_value: float
@@ -59,7 +59,9 @@ class Leftover:
         return self.line is not None and self.places[0][1] == self.line.words()
 
 
-def leftover(problem: Problem, view: View, parts: Components, force: np.ndarray) -> Leftover:
+def residual_diagnosis(
+    problem: Problem, view: ScoreTable, parts: VarianceComponents, force: np.ndarray
+) -> ResidualDiagnosis:
     """Score the generic dictionary group by group: which variable of which joint the residual follows.
 
     parts: residual covariance of the model in view; force `[n]`: unexplained force at each joint as a share of its torque.
@@ -85,7 +87,7 @@ def leftover(problem: Problem, view: View, parts: Components, force: np.ndarray)
     # of those at one joint the surest: a large gain that trials do not share says nothing
     places.sort(key=lambda p: (-much[p[0]], p[3], -p[4]))
     doubt = _doubt(problem, places, _alike(force))
-    return Leftover(best, share, gain, tuple(p[:4] for p in places), sharp, regulated(problem.windows), doubt)
+    return ResidualDiagnosis(best, share, gain, tuple(p[:4] for p in places), sharp, regulated(problem.windows), doubt)
 
 
 def _alike(force: np.ndarray) -> bool:

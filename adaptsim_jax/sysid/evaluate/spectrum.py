@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 
 HIGHEST = 25.0  # Hz
 STRETCH, SHORT = 6.0, 2.0  # s of a trial in which a phase is kept
@@ -49,7 +49,7 @@ class Line:
         return f"hum that wanders between {self.frequency:.2g} and {self.highest:.2g} Hz"
 
 
-def line(problem: Problem, view: View, parts: variance.Components) -> Line | None:
+def line(problem: Problem, view: ScoreTable, parts: variance.VarianceComponents) -> Line | None:
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
     where the recording is too short to say. Of a hum that wanders and a resonance, whichever accounts for more."""
     frequency, gain = _gains(view, parts, STRETCH)
@@ -65,7 +65,7 @@ def _sure(found: list[Line | None]) -> Line | None:
     return max(sure, key=lambda one: one.share, default=None)
 
 
-def _steady(problem: Problem, view: View, frequency: np.ndarray, gain: np.ndarray) -> Line:
+def _steady(problem: Problem, view: ScoreTable, frequency: np.ndarray, gain: np.ndarray) -> Line:
     """At one frequency in all trials."""
     freedom, total = 2 * len(gain), gain.sum(0)
     beside = _beside(total) / chi2.median(freedom)
@@ -75,7 +75,7 @@ def _steady(problem: Problem, view: View, frequency: np.ndarray, gain: np.ndarra
     return Line(problem.plant.joints[joint], float(frequency[at]), share, float(p[joint, at]))
 
 
-def _resonance(problem: Problem, view: View, frequency: np.ndarray, gain: np.ndarray) -> Line | None:
+def _resonance(problem: Problem, view: ScoreTable, frequency: np.ndarray, gain: np.ndarray) -> Line | None:
     """A narrow band that stands out of the octaves beside it, in one stretch as in others (Fisher's sum, no stretch more than sure).
     One high frequency does not make a band."""
     found = []
@@ -95,7 +95,7 @@ def _resonance(problem: Problem, view: View, frequency: np.ndarray, gain: np.nda
     return min(found, key=lambda one: (one.p_value, -one.share), default=None)
 
 
-def _wandering(problem: Problem, view: View, parts: variance.Components) -> Line | None:
+def _wandering(problem: Problem, view: ScoreTable, parts: variance.VarianceComponents) -> Line | None:
     """At another frequency in each short stretch; each brings the p-value of its highest (Fisher's sum), but no more than is sure."""
     frequency, gain = _gains(view, parts, SHORT)
     if len(frequency) <= 2 * BESIDE or len(gain) < 2 * LEAST_STRETCHES:
@@ -113,7 +113,7 @@ def _wandering(problem: Problem, view: View, parts: variance.Components) -> Line
     return Line(problem.plant.joints[joint], float(low), share, float(min(joined[joint], 1.0)), float(high))
 
 
-def _gains(view: View, parts: variance.Components, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+def _gains(view: ScoreTable, parts: variance.VarianceComponents, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies `[F]` Hz and, in each stretch of about `seconds`, the fall of the whitened sum of squares `[S, n, F]` with a tone
     of its own amplitude and phase at each joint."""
     lin, time = view.lin, view.path.time[:, :-1]

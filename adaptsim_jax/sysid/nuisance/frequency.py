@@ -14,7 +14,7 @@ from adaptsim_jax.sysid.segments import Windows
 from adaptsim_jax.sysid.types import Atom
 
 
-def tone_of(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) -> float | None:
+def frequency_of(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) -> float | None:
     """The frequency [Hz] between the points of the grid that explains most, each trial with a phase of its own; None where
     the grid is fine enough for trials of that length, or what is found may be chance.
 

@@ -9,7 +9,7 @@ import numpy as np
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import surveyed
-from adaptsim_jax.sysid.estimate.fit import Fitted, Response, ended, fitted_from, respond
+from adaptsim_jax.sysid.estimate.fit import Fit, Response, ended, fitted_from, respond
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.problem import (
     DIVERGED,
@@ -19,13 +19,13 @@ from adaptsim_jax.sysid.estimate.problem import (
     declared_fit,
     prepare_within_reach,
 )
-from adaptsim_jax.sysid.estimate.variance import Components
+from adaptsim_jax.sysid.estimate.variance import VarianceComponents
 from adaptsim_jax.sysid.noise.floor import NoiseFloor
-from adaptsim_jax.sysid.nuisance.frequency import tone_of
+from adaptsim_jax.sysid.nuisance.frequency import frequency_of
 from adaptsim_jax.sysid.nuisance.phase import clocks
 from adaptsim_jax.sysid.nuisance.stepsize import stepped
 from adaptsim_jax.sysid.quality.audit import Audit
-from adaptsim_jax.sysid.score.table import View, view
+from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.types import Atom, Recording
 
 SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
@@ -34,7 +34,7 @@ NEXT_TO_NONE = 0.01  # of the RMS torque: with more force left than this, steps 
 
 def fit_declared(
     recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect], *, duration: float = 0.5
-) -> tuple[Problem, Fitted, View]:
+) -> tuple[Problem, Fit, ScoreTable]:
     """A recording made ready, in windows of `duration` s or shorter ones, and its declared model fitted: a mended one in steps short
     enough for its effects, and so one that leaves next to no force, as what is left may be the steps' (a link at 50 rad/s, seen to
     50 microradians). Raises Diverged where that runs away from every start."""
@@ -46,20 +46,20 @@ def fit_declared(
     return problem, fine, first if fine is base else view(problem, fine)
 
 
-def declared(problem: Problem, start: FitResult) -> tuple[Fitted, View]:
+def declared(problem: Problem, start: FitResult) -> tuple[Fit, ScoreTable]:
     """The declared model with its residual covariance (`declared_base`), and all candidates scored about it."""
     base = declared_base(problem, start)
     return base, view(problem, base)
 
 
-def declared_base(problem: Problem, start: FitResult) -> Fitted:
+def declared_base(problem: Problem, start: FitResult) -> Fit:
     """The declared model fitted, with its residual covariance.
 
     `start` is the regression on the measured motion, which no simulation can lead astray. Where much force is left
     unexplained, least squares from there is a second start: it may find a better optimum, but it may as well flee from the
     effect that is missing to parameters that are far off (a link too heavy to move misses least).
     """
-    fits: list[Fitted] = []
+    fits: list[Fit] = []
     result = start
     for second in (False, True):
         if fits and not np.any(fits[0].parts.force_std() > SUSPICIOUS * problem.torque_scale):
@@ -75,12 +75,12 @@ def declared_base(problem: Problem, start: FitResult) -> Fitted:
     return base
 
 
-def _sane(problem: Problem, model: Fitted) -> bool:
+def _sane(problem: Problem, model: Fit) -> bool:
     """Whether the force left unexplained is no larger than the torques themselves."""
     return bool(np.all(model.parts.force_std() < problem.torque_scale))
 
 
-def _as_it_is(problem: Problem, result: FitResult) -> Fitted | None:
+def _as_it_is(problem: Problem, result: FitResult) -> Fit | None:
     """The least-squares fit without another round. Forces beyond the torques themselves are no chance (a vibration, say),
     and parameters refitted as if they were follow them anywhere."""
     if result.code == DIVERGED:
@@ -89,14 +89,14 @@ def _as_it_is(problem: Problem, result: FitResult) -> Fitted | None:
     return ended(problem, problem.base, result, parts, response)
 
 
-def _declared_from(problem: Problem, result: FitResult) -> Fitted:
+def _declared_from(problem: Problem, result: FitResult) -> Fit:
     if result.code == DIVERGED:  # before its response to forces is asked for
         raise Diverged("the declared model runs away")
     response, parts = _left(problem, result)
     return fitted_from(problem, problem.base, result, parts, response)
 
 
-def _left(problem: Problem, result: FitResult) -> tuple[Response, Components]:
+def _left(problem: Problem, result: FitResult) -> tuple[Response, VarianceComponents]:
     """How outputs answer to forces about a fit, and the forces that it leaves."""
     _, lin, _ = surveyed(problem, result, candidates=False)
     response = respond(lin)
@@ -108,10 +108,10 @@ def _free(problem: Problem, start: FitResult) -> FitResult:
     return at_point(problem, problem.base, start.theta, start.eff, start.x0)
 
 
-def timed(problem: Problem, base: Fitted, first: View, alpha: float) -> tuple[Problem, View]:
+def timed(problem: Problem, base: Fit, first: ScoreTable, alpha: float) -> tuple[Problem, ScoreTable]:
     """The problem with the trials' clocks set to a periodic force that runs through them, where there is one, and all
     candidates scored again; in long trials after a search between the frequencies of the grid."""
-    tone = tone_of(problem.windows, first.scorer, _clocked(problem, first), alpha)
+    tone = frequency_of(problem.windows, first.scorer, _clocked(problem, first), alpha)
     if tone is not None:
         problem = replace(problem, reach=replace(problem.reach, tone=tone))
         first = view(problem, base)
@@ -123,6 +123,6 @@ def timed(problem: Problem, base: Fitted, first: View, alpha: float) -> tuple[Pr
     return problem, view(problem, base)
 
 
-def _clocked(problem: Problem, seen: View) -> list[Atom]:
+def _clocked(problem: Problem, seen: ScoreTable) -> list[Atom]:
     names = {e.name for e in problem.model.layout.effects if e.clocked}
     return [a for a in seen.atoms if a.effect in names]

@@ -15,14 +15,14 @@ from scipy.stats import chi2
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
 from adaptsim_jax.sysid.quality.audit import Audit
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.types import Recording, Trial
 
 SURE = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
@@ -33,7 +33,7 @@ WIDEST = 20.0  # steps squared: more than a moving average of 21 samples is no f
 
 def fit_unfiltered(
     recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect], known: float | None = None
-) -> tuple[Problem, Fitted, View]:
+) -> tuple[Problem, Fit, ScoreTable]:
     """`fit_declared`, of a recording whose angles a filter has smoothed without what it did to them. known: how far they are
     smoothed, `s` [s^2], 0 for not at all; looked for where None."""
     if known:
@@ -54,7 +54,7 @@ def fit_unfiltered(
     return fit_declared(sharp, checked, noise_floor(sharp, checked), effects)
 
 
-def smoothing_of(problem: Problem, base: Fitted, first: View) -> float | None:
+def smoothing_of(problem: Problem, base: Fit, first: ScoreTable) -> float | None:
     """How far the angles are smoothed, `s` [s^2]; None where that may be chance or an effect explains as much."""
     step = float(np.median([t.dt for t in problem.recording.trials]))
     white = _whitened(problem, base, first)
@@ -65,7 +65,7 @@ def smoothing_of(problem: Problem, base: Fitted, first: View) -> float | None:
     return s if gain > max((r.score.gain for r in first.ranked(base.active)), default=0.0) else None
 
 
-def revised(problem: Problem, model: Fitted, seen: View) -> float | None:
+def revised(problem: Problem, model: Fit, seen: ScoreTable) -> float | None:
     """What a model with named effects says of the filter: how far it smooths, if it shows only about that model; 0 if the one that
     was taken off was an effect's doing, so that the angles are now too sharp by all that was put into them; None if all is well."""
     taken = problem.recording.smoothing
@@ -75,7 +75,7 @@ def revised(problem: Problem, model: Fitted, seen: View) -> float | None:
     return 0.0 if gain > WORTH and more < -0.5 * taken else None
 
 
-def _extent(first: View, white: Whitened) -> tuple[float, float]:
+def _extent(first: ScoreTable, white: Whitened) -> tuple[float, float]:
     """How much smoother the angles are than the model's, `s` [s^2] of either sign, and its likelihood-ratio gain, both without
     the windows that begin with a trial: what filters do there is their own affair."""
     later = first.path.time[:, 0] > 0
@@ -86,13 +86,13 @@ def _extent(first: View, white: Whitened) -> tuple[float, float]:
     return float(amplitude[0]), gain
 
 
-def _whitened(problem: Problem, base: Fitted, first: View) -> Whitened:
+def _whitened(problem: Problem, base: Fit, first: ScoreTable) -> Whitened:
     """The residual about a model and the curvature of its motion, the only atom, whitened alike."""
     lin = replace(first.lin, atoms=_curvature(problem, first))
     return variance.whiten(lin, variance.whitener(first.lin, base.parts, first.response.kernels))
 
 
-def _curvature(problem: Problem, first: View) -> np.ndarray:
+def _curvature(problem: Problem, first: ScoreTable) -> np.ndarray:
     """Acceleration of the fitted motion in the rows of the residual, `[W, M, 1]` weighted as they are."""
     windows, path = problem.windows, first.path
     n = problem.plant.joint_dim

@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
-from adaptsim_jax.sysid.estimate.fit import Fitted, Response, fitted
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.estimate.fit import Fit, Response, fitted
 from adaptsim_jax.sysid.estimate.problem import DIVERGED, Diverged, Problem, at_point
 
 SHARE = 1 / 3  # of the sensors' noise (RMS) that halving the steps may move a simulation by
 SHORTEST = 0.95e-3  # s: shorter steps would cost more than they tell
 
 
-def stepped(problem: Problem, model: Fitted, response: Response) -> tuple[Problem, Fitted]:
+def stepped(problem: Problem, model: Fit, response: Response) -> tuple[Problem, Fit]:
     """The problem with steps short enough for `model`, and the model refitted with them; both as they were where they were."""
     finer = in_short_steps(problem, model)
     if finer is problem:
@@ -29,25 +29,25 @@ def stepped(problem: Problem, model: Fitted, response: Response) -> tuple[Proble
         return problem, model
 
 
-def again(problem: Problem, model: Fitted, response: Response) -> Fitted:
+def again(problem: Problem, model: Fit, response: Response) -> Fit:
     """The model refitted from where it is, in the problem's steps. Raises `Diverged` where it runs away."""
     c = model.candidate
     return fitted(problem, c.active, c.theta, c.eff, c.refit.point.x0, model.parts, response)
 
 
-def all_again(problem: Problem, models: Sequence[Fitted], response: Response) -> list[Fitted]:
+def all_again(problem: Problem, models: Sequence[Fit], response: Response) -> list[Fit]:
     """Those of the models, refitted, that do not run away."""
 
-    def one(model: Fitted) -> Fitted | None:
+    def one(model: Fit) -> Fit | None:
         try:
             return again(problem, model, response)
         except Diverged:
             return None
 
-    return [m for m in abreast(one, models) if m is not None]
+    return [m for m in parallel_map(one, models) if m is not None]
 
 
-def in_short_steps(problem: Problem, model: Fitted) -> Problem:
+def in_short_steps(problem: Problem, model: Fit) -> Problem:
     """The problem with its steps halved until that moves the model's simulation by no more than `SHARE` of the noise."""
     windows = problem.windows
     step = float(np.median(windows.dt[windows.dt > 0])) / int(windows.substeps)
@@ -61,7 +61,7 @@ def in_short_steps(problem: Problem, model: Fitted) -> Problem:
     return problem
 
 
-def _simulated(problem: Problem, model: Fitted) -> np.ndarray | None:
+def _simulated(problem: Problem, model: Fit) -> np.ndarray | None:
     """What the model leaves at its samples, in standard deviations of the sensors; None where it runs away."""
     c = model.candidate
     result = at_point(problem, c.active, c.theta, c.eff, c.refit.point.x0)

@@ -24,10 +24,10 @@ class Finding:
     value: float
 
 
-Found = list[Finding]
+Findings = list[Finding]
 
 
-def check_sampling(trial: Trial) -> Found:
+def check_sampling(trial: Trial) -> Findings:
     """Sampling rate, jitter, gaps longer than five intervals."""
     dt = np.diff(trial.time)
     step = float(np.median(dt))
@@ -63,7 +63,7 @@ def runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return starts, np.diff(np.concatenate([starts, [len(x)]]))
 
 
-def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarray, list[str]]:
+def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Findings, np.ndarray, list[str]]:
     """Runs in which an angle stands still though the arm moves; rows to keep; stuck channels."""
     keep = np.ones(len(trial.time), bool)
     found, stuck = [], []
@@ -112,7 +112,7 @@ def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]
     return bad
 
 
-def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Found, np.ndarray]:
+def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Findings, np.ndarray]:
     """Single samples far from both neighbours (a lost bit, a bad packet); rows to keep."""
     keep = np.ones(len(trial.time), bool)
     found = []
@@ -138,7 +138,7 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     return np.flatnonzero(out & even) + 2
 
 
-def check_saturation(trial: Trial, steps: dict[str, float]) -> Found:
+def check_saturation(trial: Trial, steps: dict[str, float]) -> Findings:
     """A torque or an angle that rests at its largest or smallest value for many rows: cut flat there."""
     found = []
     columns = {
@@ -173,7 +173,7 @@ def _cut_runs(time: np.ndarray, x: np.ndarray, step: float) -> tuple[np.ndarray,
     return starts[cut], lengths[cut]
 
 
-def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
+def check_velocity(trial: Trial) -> tuple[Findings, list[str]]:
     """Velocity against d(angle)/dt: scale, sign, lag. Also the channels that contradict the angles."""
     found, wrong = [], []
     if trial.v is None:
@@ -200,7 +200,7 @@ def check_velocity(trial: Trial) -> tuple[Found, list[str]]:
     return found, wrong
 
 
-def check_command(trial: Trial) -> Found:
+def check_command(trial: Trial) -> Findings:
     """Measured against commanded torque: gain and lag, where both were recorded."""
     found = []
     if trial.commanded is None:
@@ -215,7 +215,7 @@ def check_command(trial: Trial) -> Found:
     return found
 
 
-def check_wrap(trial: Trial) -> Found:
+def check_wrap(trial: Trial) -> Findings:
     """Jumps of a full turn between neighbouring rows."""
     found = []
     for j in range(2):
@@ -227,7 +227,7 @@ def check_wrap(trial: Trial) -> Found:
     return found
 
 
-def check_excitation(trial: Trial) -> Found:
+def check_excitation(trial: Trial) -> Findings:
     """Range of angle, speed and torque, and how often each joint turns round (friction shows there)."""
     found = []
     v = trial.v if trial.v is not None else np.gradient(trial.q, trial.time, axis=0)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from adaptsim_jax.sysid.quality.signals import Finding, Found
+from adaptsim_jax.sysid.quality.signals import Finding, Findings
 from adaptsim_jax.sysid.types import Trial
 
 
-def check_stale(trial: Trial, steps: dict[str, float]) -> Found:
+def check_stale(trial: Trial, steps: dict[str, float]) -> Findings:
     """Rows that repeat the angle of the row before although the joint turns: they outrun the sensor."""
     found = []
     for j in range(2):
@@ -22,7 +22,7 @@ def check_stale(trial: Trial, steps: dict[str, float]) -> Found:
     return found
 
 
-def check_timestamps(trial: Trial) -> Found:
+def check_timestamps(trial: Trial) -> Findings:
     """Whether uneven times are when the angles were read: then angle steps grow with the time steps.
 
     `value` is the share of the unevenness that the angles do not follow (1: they were read evenly).
@@ -47,7 +47,7 @@ def check_timestamps(trial: Trial) -> Found:
     return [Finding("timestamps", "warn", trial.name, "time", text, share)]
 
 
-def check_derived(trial: Trial) -> Found:
+def check_derived(trial: Trial) -> Findings:
     """Velocities that are only differences of the logged angles: they add no measurement of their own."""
     found = []
     for j in range(2):

@@ -6,11 +6,11 @@ import numpy as np
 
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
 
 
-def fitted_model(problem: Problem, model: Fitted, provenance: dict[str, Any] | None = None) -> ModelFile:
+def fitted_model(problem: Problem, model: Fit, provenance: dict[str, Any] | None = None) -> ModelFile:
     """A fitted model, with its effects if it has any, as `model.toml` will hold it."""
     recording, plant, layout = problem.recording, problem.plant, problem.model.layout
     c = model.candidate

@@ -7,20 +7,20 @@ import numpy as np
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
-from adaptsim_jax.sysid.estimate.fit import Fitted, unexplained
+from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Problem, any_torque
-from adaptsim_jax.sysid.evaluate.crossval import HeldOut
-from adaptsim_jax.sysid.evaluate.flexible import Ceiling
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
+from adaptsim_jax.sysid.evaluate.flexible import FlexibleBound
 from adaptsim_jax.sysid.evaluate.power import MATTERS, Power
-from adaptsim_jax.sysid.evaluate.residual import Leftover
+from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.sysid.report.union_intervals import reach_over_classes
 from adaptsim_jax.sysid.score.table import Ranked
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 
 def report_of(
-    problem: Problem, found: Found, after: Leftover, error_before: HeldOut, error_after: HeldOut,
+    problem: Problem, found: SearchResult, after: ResidualDiagnosis, error_before: CrossValidation, error_after: CrossValidation,
     powers: list[Power], verdict: Verdict, settings: Criteria, rng: np.random.Generator,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """The report and the arrays behind its figures."""
@@ -61,7 +61,7 @@ def _within(number: dict[str, Any], low: float, high: float) -> dict[str, Any]:
     return number | {"low": max(number["low"], min(low, value)), "high": min(number["high"], max(high, value))}
 
 
-def _effect(problem: Problem, found: Found, instance: tuple[str, str]) -> dict[str, Any]:
+def _effect(problem: Problem, found: SearchResult, instance: tuple[str, str]) -> dict[str, Any]:
     layout = problem.model.layout
     effect = layout.instances[layout.index(*instance)].effect
     at = layout.instances[layout.index(*instance)].at
@@ -76,7 +76,7 @@ def _effect(problem: Problem, found: Found, instance: tuple[str, str]) -> dict[s
     }  # fmt: skip
 
 
-def _declared(problem: Problem, model: Fitted) -> dict[str, Any]:
+def _declared(problem: Problem, model: Fit) -> dict[str, Any]:
     names, point = model.candidate.names, model.candidate.refit.point.z
     spread = np.sqrt(np.diag(model.candidate.refit.covariance))
     out = {}
@@ -114,7 +114,7 @@ def floor_of(problem: Problem) -> float:
     )
 
 
-def _error(problem: Problem, before: HeldOut, after: HeldOut | None, rng) -> dict[str, Any]:
+def _error(problem: Problem, before: CrossValidation, after: CrossValidation | None, rng) -> dict[str, Any]:
     noise = problem.noise.std
     channels = problem.plant.outputs[: before.squared.shape[1]]
     per_channel = {}
@@ -135,7 +135,9 @@ def _error(problem: Problem, before: HeldOut, after: HeldOut | None, rng) -> dic
     }  # fmt: skip
 
 
-def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: Found, after: HeldOut) -> bool:
+def add_leading(
+    report: dict[str, Any], problem: Problem, model: Fit, found: SearchResult, after: CrossValidation
+) -> bool:
     """Put what the likeliest set of effects reaches into the report, where that set explains too little for a name; whether it
     simulates left-out trials any better than the declared model, and so is worth trying."""
     names = [e for e in model.active if e not in found.base.active]
@@ -151,7 +153,7 @@ def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: 
         fitted = model.candidate.parameters(name, where)
         numbers = {p: _number(value, spread, units[p]) for p, (value, spread) in fitted.items()}
         effects.append({"name": name, "where": where, "parameters": numbers})
-    left, reached = unexplained(model, found.base), after.rmse()
+    left, reached = force_ratio(model, found.base), after.rmse()
     interval = after.interval(None, np.random.default_rng(0))
     told = {"effects": effects, "after": reached, "interval": interval, "unexplained_left": left}
     report["error"]["leading"] = told
@@ -163,7 +165,7 @@ def add_leading(report: dict[str, Any], problem: Problem, model: Fitted, found: 
     return True
 
 
-def add_ceiling(error: dict[str, Any], found: Ceiling | None) -> None:
+def add_ceiling(error: dict[str, Any], found: FlexibleBound | None) -> None:
     """Put the flexible model's held-out error into the report's `error`, and what its forces follow.
 
     Where its linearisation misses more than the declared model does, smooth forces help nothing: that is the ceiling.
@@ -181,12 +183,12 @@ def add_ceiling(error: dict[str, Any], found: Ceiling | None) -> None:
         row["ceiling"] = float(value)
 
 
-def _trial_error(name: str, i: int, before: HeldOut, after: HeldOut | None, channels) -> dict[str, Any]:
+def _trial_error(name: str, i: int, before: CrossValidation, after: CrossValidation | None, channels) -> dict[str, Any]:
     pair = lambda k: {"before": before.rmse(k, i), "after": None if after is None else after.rmse(k, i)}
     return {"trial": name, **pair(None), "per_channel": {c: pair(k) for k, c in enumerate(channels)}}
 
 
-def _candidates(found: Found, verdict: Verdict, settings: Criteria) -> list[dict[str, Any]]:
+def _candidates(found: SearchResult, verdict: Verdict, settings: Criteria) -> list[dict[str, Any]]:
     """Every candidate once, best first, with why it was or was not taken."""
     count = len(found.ranked)
     refits = {}
@@ -198,14 +200,14 @@ def _candidates(found: Found, verdict: Verdict, settings: Criteria) -> list[dict
     return [_candidate(r, refits.get(r.instance), found, verdict, settings, count) for r in order]
 
 
-def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, settings: Criteria, count: int):
+def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdict, settings: Criteria, count: int):
     accepted = verdict.named and r.instance in found.added
     alike = any(r.instance in rivals for rivals in found.classes.values())
     status, why = "rejected", ""
     if accepted:
         status, why = "accepted", "explains the residual, held out, better than its rivals"
         if refit is not None:
-            why += f"; refitted, it leaves {100 * unexplained(refit, found.base):.2g} % of the unexplained torque"
+            why += f"; refitted, it leaves {100 * force_ratio(refit, found.base):.2g} % of the unexplained torque"
     elif r.score.retained < 1e-2:
         status, why = "confounded", "the declared parameters can do the same with this motion"
     elif alike and verdict.named:
@@ -214,10 +216,10 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
         why = f"refitted, {refit.at_bound()[0].split('/')[2]} runs to the edge of what it may be"
     elif refit is not None and (odd := dict(refit.amiss).get(r.instance)):
         why = f"refitted, {odd}"
-    elif refit is not None and unexplained(refit, found.base) > 1.0 - settings.least_fall:
+    elif refit is not None and force_ratio(refit, found.base) > 1.0 - settings.least_fall:
         why = "refitted, it leaves the unexplained torque as it was"
     elif refit is not None:
-        why = f"refitted, it leaves {100 * unexplained(refit, found.base):.0f} % of the unexplained torque"
+        why = f"refitted, it leaves {100 * force_ratio(refit, found.base):.0f} % of the unexplained torque"
     elif r.corrected(count) >= settings.alpha:
         why = "no more than chance, corrected for all that was tried"
     else:
@@ -226,11 +228,11 @@ def _candidate(r: Ranked, refit: Fitted | None, found: Found, verdict: Verdict, 
     return {
         "name": r.instance[0], "where": r.instance[1], "held_out_gain": gain, "p_value": r.corrected(count),
         "accepted": bool(accepted), "status": status, "why": why,
-        "explained_torque": None if refit is None else float(1.0 - unexplained(refit, found.base) ** 2),
+        "explained_torque": None if refit is None else float(1.0 - force_ratio(refit, found.base) ** 2),
     }  # fmt: skip
 
 
-def _not_established(problem: Problem, found: Found, verdict: Verdict, powers: list[Power]) -> list[str]:
+def _not_established(problem: Problem, found: SearchResult, verdict: Verdict, powers: list[Power]) -> list[str]:
     lines = [] if any_torque(problem.recording) else [_unscaled(problem)]
     hidden = [
         n
@@ -257,7 +259,7 @@ def _unscaled(problem: Problem) -> str:
     return f"How large masses and torques are: no torque was applied, and motions alone fix ratios. All sizes go with {given}."
 
 
-def _torques(problem: Problem, found: Found) -> dict[str, Any]:
+def _torques(problem: Problem, found: SearchResult) -> dict[str, Any]:
     return {
         joint: {"before": float(b), "after": float(a), "unit": "N m", "torque_rms": float(r)}
         for joint, b, a, r in zip(
@@ -274,7 +276,9 @@ def _power(p: Power) -> dict[str, Any]:
     return {"name": p.name, "where": p.where, "size": min(p.smallest, 1e3), "unit": "share of torque RMS", "power": 0.8}
 
 
-def _evidence(problem: Problem, before: HeldOut, after: HeldOut | None, report: dict[str, Any]) -> dict[str, Any]:
+def _evidence(
+    problem: Problem, before: CrossValidation, after: CrossValidation | None, report: dict[str, Any]
+) -> dict[str, Any]:
     """Measured against simulated, trial by trial, windows one after the other."""
     channels = problem.plant.outputs[: before.squared.shape[1]]
     shown = []

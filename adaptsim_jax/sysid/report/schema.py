@@ -14,7 +14,7 @@ them; all but the last two are checked:
     power                 [{name, where, size, unit, power}]                share found of what was injected
 
 `error.ceiling` is in `error.unit`, as its neighbours are: the held-out error of the declared model with smooth forces
-of any shape added (`closeloop.ceiling`; `error.ceiling_groups` says what they follow). It names nothing and has many
+of any shape added (`sysid.evaluate.flexible`; `error.ceiling_groups` says what they follow). It names nothing and has many
 parameters to learn, so a named effect may do better; one that does much worse has left something out. `candidates[i].held_out_gain` is
 the share of the held-out residual that the candidate removes. A number that does not exist is null. In
 `declared`, a parameter that the data do not fix has `identifiable` false; the page shows no number for it.

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.estimate.fit import Fitted
+from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 
-def class_members(found: Found) -> list[Fitted]:
+def class_members(found: SearchResult) -> list[Fit]:
     """The likeliest model with each of the alternatives in the place of its effect."""
     out = []
     for effect, alternatives in found.classes.items():
@@ -26,7 +26,7 @@ def class_members(found: Found) -> list[Fitted]:
     return out
 
 
-def reach_over_classes(declared: dict[str, Any], problem: Problem, found: Found) -> None:
+def reach_over_classes(declared: dict[str, Any], problem: Problem, found: SearchResult) -> None:
     """Widen the intervals of `declared` (the report's `after`) to what each member of the classes would make of them."""
     for model in class_members(found):
         names, point = model.candidate.names, model.candidate.refit.point.z

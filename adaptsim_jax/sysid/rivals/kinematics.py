@@ -1,7 +1,7 @@
 """Whether a wrong length of the first link would explain what no effect does.
 
 The declared parameters of a rigid pendulum absorb every error of its geometry but one: `l1` also turns the second link's
-moment about its joint into the coupling of both (`pendulum_rigid.base_mass_matrix`). A tape measure that is off by half a
+moment about its joint into the coupling of both (`double_pendulum.rigid.base_mass_matrix`). A tape measure that is off by half a
 percent leaves structure that precise encoders see, and that is nobody's effect.
 """
 
@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.decide import Verdict
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import Candidate, compressed, linearised
-from adaptsim_jax.sysid.estimate.fit import Fitted, unexplained
+from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, at_point, prepare_within_reach
 from adaptsim_jax.sysid.nuisance.null_model import declared_base
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.segments import folds
 
 STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
@@ -37,12 +37,12 @@ class Remeasured(NamedTuple):
     """The declared model with another `l1` [m], and the share of the unexplained force that it leaves."""
 
     l1: float
-    model: Fitted
+    model: Fit
     left: float
 
 
 def remeasured(
-    problem: Problem, base: Fitted, effects: Sequence[Effect], explained: float = 1.0, first: View | None = None
+    problem: Problem, base: Fit, effects: Sequence[Effect], explained: float = 1.0, first: ScoreTable | None = None
 ) -> Remeasured | None:
     """The likeliest `l1`, by parabolas through the likelihoods of declared fits and through their unexplained force; None where no
     fit is to be had, where the first two show that none will leave as little as the share `explained` of that force, where already
@@ -63,24 +63,24 @@ def remeasured(
     def forces(centre: float, step: float) -> list[float]:
         """Variance of the unexplained force about an offset."""
         offsets = (centre - step, centre, centre + step)
-        abreast(total, offsets)
+        parallel_map(total, offsets)
         return [fits[offset].moving.sum() for offset in offsets]
 
     try:
         seen = forces(0.0, STEP)
         if _foretold(seen) > DOUBT * explained:
             return None
-        offset = _likeliest(total, lambda offset: unexplained(fits[offset], base) > DOUBT * explained)
+        offset = _likeliest(total, lambda offset: force_ratio(fits[offset], base) > DOUBT * explained)
     except Diverged:
         return None
     near = STEP * _vertex(seen)
     with suppress(Diverged):  # a length far off, at which there is no fit: the likeliest so far stands
         closer = near + FINE * _vertex(forces(near, FINE))
         offset = max((offset, near, float(np.clip(closer, -FARTHEST, FARTHEST))), key=total)
-    return Remeasured(recording.geometry["l1"] * (1.0 + offset), fits[offset], unexplained(fits[offset], base))
+    return Remeasured(recording.geometry["l1"] * (1.0 + offset), fits[offset], force_ratio(fits[offset], base))
 
 
-def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitted:
+def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fit:
     """The declared model fitted with another `l1` [m], in the same steps."""
     changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
     other, start = prepare_within_reach(changed, problem.audit, problem.noise, effects)
@@ -88,7 +88,7 @@ def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fitt
     return declared_base(other, start)
 
 
-def _faint(problem: Problem, base: Fitted, first: View) -> bool:
+def _faint(problem: Problem, base: Fit, first: ScoreTable) -> bool:
     """Whether another length explains far less than the best candidate does, to the first order."""
     ranked, column = first.ranked(), _outputs_by_length(problem, base.candidate)
     if not ranked or not np.all(np.isfinite(column)):
@@ -136,7 +136,7 @@ def _likeliest(total, far: Callable[[float], bool] = lambda offset: False) -> fl
     where a likeliest one is far and a step on from it is no likelier, there is none, and no more are tried."""
     centre, step = 0.0, STEP
     for _ in range(ROUNDS):
-        low, middle, high = abreast(total, (centre - step, centre, centre + step))
+        low, middle, high = parallel_map(total, (centre - step, centre, centre + step))
         bend, slope = low + high - 2.0 * middle, 0.5 * (high - low)
         leap = np.clip(-slope / bend, -3.0, 3.0) if bend < 0 else 3.0 * np.sign(slope)
         tried = float(np.clip(centre + leap * step, -FARTHEST, FARTHEST))
@@ -150,11 +150,11 @@ def _likeliest(total, far: Callable[[float], bool] = lambda offset: False) -> fl
 def misdeclared(
     verdict: Verdict,
     problem: Problem,
-    base: Fitted,
+    base: Fit,
     effects: Sequence[Effect],
     explained: float,
-    first: View | None = None,
-    mended: Fitted | None = None,
+    first: ScoreTable | None = None,
+    mended: Fit | None = None,
 ) -> Verdict:
     """`verdict`, unless another `l1` leaves no more than the share `explained` of the unexplained force, and the verdict is
     `structured_unattributed` or names effects whose model, `mended`, is less likely than that. first: the view of the declared

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.decide import LEAST_CONFIRMED, Verdict
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
-from adaptsim_jax.sysid.evaluate.crossval import HeldOut, held_out
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
 
 AS_WELL = 1.1  # held-out error of the freed declared model over the mended one's: below this they explain alike
@@ -20,7 +20,7 @@ AS_WELL = 1.1  # held-out error of the freed declared model over the mended one'
 class Freed(NamedTuple):
     """Held-out error of the declared model with nothing known, and what the known parameters came out as."""
 
-    error: HeldOut
+    error: CrossValidation
     values: dict[str, float]
 
 
@@ -36,11 +36,11 @@ def freed(problem: Problem, effects: Sequence[Effect]) -> Freed | None:
     fitted = {n: p.value for n, p in free.plant.physical(base.candidate.theta).items() if p.value is not None}
     fitted |= dict(zip(free.plant.theta_names, base.candidate.theta, strict=True))
     values = {n: float(fitted[n]) for n in known if n in fitted}
-    return Freed(held_out(free, base, first), values)
+    return Freed(cross_validate(free, base, first), values)
 
 
 def confounded(
-    verdict: Verdict, before: HeldOut, after: HeldOut, found: Freed | None, known: dict[str, float]
+    verdict: Verdict, before: CrossValidation, after: CrossValidation, found: Freed | None, known: dict[str, float]
 ) -> Verdict:
     """`verdict`, unless freeing what is known explains as much as the effects that it names, or what none explains."""
     if found is None or verdict.name not in ("explained", "explained_class", "structured_unattributed"):

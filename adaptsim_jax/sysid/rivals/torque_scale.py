@@ -13,16 +13,16 @@ import numpy as np
 from adaptsim_jax.effects.base import UNITS
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, unmoved
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, unmoved
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.select.equivalence import class_of
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 GAIN = "torque_gain"
 
 
-def rescaled(problem: Problem, found: Found, first: View, settings: Criteria) -> Found:
+def rescaled(problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria) -> SearchResult:
     """`found` with the torque gain of the other joint among its classes, where it explains the data as well in its own scale."""
     gains = [a for a in found.added if a[0] == GAIN]
     joints = problem.plant.joints
@@ -41,7 +41,7 @@ def rescaled(problem: Problem, found: Found, first: View, settings: Criteria) ->
     return found
 
 
-def _both(problem: Problem, model: Fitted, here: Instance, there: Instance, seen: View) -> tuple[Fitted, Fitted]:
+def _both(problem: Problem, model: Fit, here: Instance, there: Instance, seen: ScoreTable) -> tuple[Fit, Fit]:
     """The model and that in the other scale, judged alike: likelihoods are of one linearisation, and the model's may be of another."""
     c = model.candidate
     theta, eff = other_scale(problem.model.layout, c.theta, c.eff, model.active, here, there)

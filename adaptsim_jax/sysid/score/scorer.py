@@ -1,6 +1,6 @@
 """How much of the residual each candidate explains, beyond what the declared parameters can, and how sure that is.
 
-Works on whitened, initial-state-free rows (`disturbance.whiten`): every fit, every held-out trial and every subset of
+Works on whitened, initial-state-free rows (`variance.whiten`): every fit, every held-out trial and every subset of
 candidates is then a small linear solve. Candidate columns are projected orthogonal to the declared Jacobian first
 (Rao's efficient score); what vanishes there is confounded with declared parameters.
 """

@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import survey
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, Response, respond
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, Response, respond
 from adaptsim_jax.sysid.estimate.generic_forces import generic_names
 from adaptsim_jax.sysid.estimate.linearize import Path
 from adaptsim_jax.sysid.estimate.problem import Problem
@@ -34,7 +34,7 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class View:
+class ScoreTable:
     """All candidates scored about one model."""
 
     scorer: Scorer
@@ -78,16 +78,16 @@ class View:
         return Scorer(white, folds(white.trial, white.rows))
 
 
-def view(problem: Problem, model: Fitted) -> View:
+def view(problem: Problem, model: Fit) -> ScoreTable:
     """Linear scores of everything about a fitted model."""
     c = model.candidate
     atoms, lin, path, _ = survey(problem, c.active, c.theta, c.eff, c.refit.point.x0)
     response = respond(lin)
     white = variance.whiten(lin, variance.whitener(lin, model.parts, response.kernels))
-    return View(Scorer(white, folds(white.trial, white.rows)), atoms, response, path)
+    return ScoreTable(Scorer(white, folds(white.trial, white.rows)), atoms, response, path)
 
 
-def generic_p_value(view: View) -> float:
+def generic_p_value(view: ScoreTable) -> float:
     """Smallest p-value of the generic dictionary's groups, corrected for their number."""
     atoms = view.generic()
     names = generic_names(view.path.u.shape[2])

@@ -8,32 +8,36 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, fitted
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, initial_states
-from adaptsim_jax.sysid.evaluate.crossval import HeldOut, held_out
-from adaptsim_jax.sysid.score.table import View, view
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
+from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select.equivalence import class_of
 from adaptsim_jax.sysid.select.refine import lowest
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 LEAST_GAIN = 0.97  # held-out error with an effect over without it: above this it is not shown by other trials
 FAR = 4.0  # times the squared error: beyond this it is shown without leaving trials out
 VERY_FAR = 25.0  # the same by a fit of the search, which may not have had the finer shapes that the final model has
 
 
-def trimmed(problem: Problem, found: Found, first: View, settings: Criteria) -> tuple[Found, HeldOut | None]:
+def backward_eliminated(
+    problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria
+) -> tuple[SearchResult, CrossValidation | None]:
     """`found` without the effects, if there are several, that left-out trials do not confirm, the least likely first; and
     the held-out simulation of what stays (None where there was nothing to compare)."""
     whole = None
     while len(found.added) > 1:
-        whole = held_out(problem, found.final, found.view or first) if whole is None else whole
-        doubted = abreast(lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect), found.added)
+        whole = cross_validate(problem, found.final, found.view or first) if whole is None else whole
+        doubted = parallel_map(
+            lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect), found.added
+        )
         without = [(e, w) for e, w in zip(found.added, doubted, strict=True) if w is not None]
         for effect, less in sorted(without, key=lambda ew: -ew[1].total):
             seen = view(problem, less)
-            other = held_out(problem, less, seen)
+            other = cross_validate(problem, less, seen)
             if not confirms(whole, other):
                 found, whole = _dropped(problem, found, effect, less, seen, settings), other
                 break
@@ -42,7 +46,7 @@ def trimmed(problem: Problem, found: Found, first: View, settings: Criteria) -> 
     return found, whole
 
 
-def confirms(with_effect: HeldOut, without: HeldOut) -> bool:
+def confirms(with_effect: CrossValidation, without: CrossValidation) -> bool:
     """Whether left-out trials are simulated better with an effect: on the whole, and at least half of them."""
     squared = [h.squared.sum(1) for h in (with_effect, without)]
     trials = np.unique(without.trial[without.fold >= 0])
@@ -50,7 +54,7 @@ def confirms(with_effect: HeldOut, without: HeldOut) -> bool:
     return bool(with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better))
 
 
-def _nearly(problem: Problem, found: Found, whole: HeldOut, effect: Instance) -> Fitted | None:
+def _nearly(problem: Problem, found: SearchResult, whole: CrossValidation, effect: Instance) -> Fit | None:
     """The final model refitted without one of its effects; None where that runs away, or is far off. One that is near is polished
     as the final model was: else what its refit left undone would speak for the effect."""
     c, seen = found.final.candidate, found.view
@@ -67,7 +71,7 @@ def _nearly(problem: Problem, found: Found, whole: HeldOut, effect: Instance) ->
         return None
 
 
-def _far(problem: Problem, whole: HeldOut, less: Fitted, times: float = FAR) -> bool:
+def _far(problem: Problem, whole: CrossValidation, less: Fit, times: float = FAR) -> bool:
     """Whether a model without an effect simulates the trials that it is fitted to far worse than the one with it does trials that
     it is not fitted to, on the whole and in most trials: left out they would not come closer."""
     c = less.candidate
@@ -79,7 +83,9 @@ def _far(problem: Problem, whole: HeldOut, less: Fitted, times: float = FAR) -> 
     return bool(own[used].sum() > times * other[used].sum() and 2 * sum(worse) > len(worse))
 
 
-def _dropped(problem: Problem, found: Found, effect: Instance, less: Fitted, seen: View, settings: Criteria) -> Found:
+def _dropped(
+    problem: Problem, found: SearchResult, effect: Instance, less: Fit, seen: ScoreTable, settings: Criteria
+) -> SearchResult:
     rivals = {e: r for e, r in found.rivals.items() if e != effect}
     last, tried = seen.ranked(exclude=less.active), [*found.tried, less]
     out = replace(found, final=less, view=seen, last=last, rivals=rivals, tried=tried, classes={})

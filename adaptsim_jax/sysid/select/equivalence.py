@@ -6,24 +6,24 @@ import numpy as np
 
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, plausible
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, plausible
 from adaptsim_jax.sysid.select.earning import pays
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 
 
-def class_of(effect: Instance, found: Found, settings: Criteria, layout: Layout) -> list[Instance]:
+def class_of(effect: Instance, found: SearchResult, settings: Criteria, layout: Layout) -> list[Instance]:
     """Rivals that the data cannot tell from the accepted effect."""
     return list(dict.fromkeys(instance for instance, _ in _in_place_of(effect, found, settings, layout)))
 
 
-def close_rivals(found: Found, settings: Criteria, layout: Layout) -> list[Fitted]:
+def close_rivals(found: SearchResult, settings: Criteria, layout: Layout) -> list[Fit]:
     """The fits of all rivals that the data cannot tell from an effect of the final model."""
     return [t for effect in found.added for _, t in _in_place_of(effect, found, settings, layout)]
 
 
 def _in_place_of(
-    effect: Instance, found: Found, settings: Criteria, layout: Layout
-) -> Iterator[tuple[Instance, Fitted]]:
+    effect: Instance, found: SearchResult, settings: Criteria, layout: Layout
+) -> Iterator[tuple[Instance, Fit]]:
     """What was tried in the effect's place, beside the others, and is close. One that holds it as a special case is no rival,
     unless it pays for what it has more: then that was too small to matter, but a spring with its rest far off may have passed for
     a bias."""
@@ -43,7 +43,7 @@ def _in_place_of(
             yield extra[0], other
 
 
-def _close(best: Fitted, other: Fitted, settings: Criteria) -> bool:
+def _close(best: Fit, other: Fit, settings: Criteria) -> bool:
     """Vuong's (1989) comparison over windows: not far behind in nats, or not surely so."""
     gap = best.likelihood - other.likelihood
     price = settings.price * (best.size - other.size)

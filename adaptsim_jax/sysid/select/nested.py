@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Parameter
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, Response, fitted, plausible, settled
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, Response, fitted, plausible, settled
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 
 INTO = 0.1  # of its range that a parameter starts from its end, where its default is that end and has no slope
@@ -20,15 +20,15 @@ LEAST_GAIN = 1.0  # in log-likelihood, at first: less would not come to pay
 
 
 def elaborated(
-    problem: Problem, model: Fitted, base: Fitted, response: Response, better: Callable[[Fitted, Fitted], bool]
-) -> tuple[Problem, Fitted]:
+    problem: Problem, model: Fit, base: Fit, response: Response, better: Callable[[Fit, Fit], bool]
+) -> tuple[Problem, Fit]:
     """The problem and `model` with late parameters of its effects beyond those of `base` fitted, where `better(new, old)`; as
     they were elsewhere."""
     waiting = [effect for effect in model.active if effect not in (*base.active, *problem.elaborated)]
     while waiting:
         problems = [replace(problem, elaborated=(*problem.elaborated, effect)) for effect in waiting]
         late = lambda pe, model=model: _with_late(pe[0], model, pe[1], response)
-        made = abreast(late, zip(problems, waiting, strict=True))
+        made = parallel_map(late, zip(problems, waiting, strict=True))
         pays = [
             (k, new) for k, new in enumerate(made) if new is not None and plausible(new, base) and better(new, model)
         ]
@@ -39,7 +39,7 @@ def elaborated(
     return problem, model
 
 
-def _with_late(problem: Problem, model: Fitted, effect: Instance, response: Response) -> Fitted | None:
+def _with_late(problem: Problem, model: Fit, effect: Instance, response: Response) -> Fit | None:
     """The model refitted with the late parameters of one effect; None where it has none, or that runs away or gains nothing."""
     layout, c = problem.model.layout, model.candidate
     instance = layout.instances[layout.index(*effect)]

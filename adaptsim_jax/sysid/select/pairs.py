@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, doubtful, ended, fitted_plainly, settled, settled_from
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, doubtful, ended, fitted_plainly, settled, settled_from
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.problem import DIVERGED, UNFINISHED, Active, Diverged, Problem, fit_plain
-from adaptsim_jax.sysid.score.table import Ranked, View, view
+from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, view
 from adaptsim_jax.sysid.select.shortlist import NEW, look_alikes
 from adaptsim_jax.sysid.select.start import merged, own_starts, started
 
@@ -36,7 +36,7 @@ class Start(NamedTuple):
     x0: np.ndarray
 
 
-def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitted]:
+def refit_beside_first(problem: Problem, base: Fit, seen: ScoreTable) -> list[Fit]:
     """Each of the effects that fit best alone, by itself and with the plain score's leaders about the model that has it, refitted
     whole.
 
@@ -44,9 +44,9 @@ def refit_beside_first(problem: Problem, base: Fitted, seen: View) -> list[Fitte
     and a stop at one joint the stop came twelfth, and left least error."""
     candidates = [r for r in seen.ranked(base.candidate.active, plain=True) if r.score.retained > NEW]
     plain = _without(problem, base)
-    alone = [f for f in abreast(lambda r: _alone(problem, base, plain, r), candidates) if f[1].code != DIVERGED]
-    firsts = abreast(lambda first: _closer(problem, base, first), _least(problem, alone)[:FIRSTS])
-    return [m for pairs in abreast(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
+    alone = [f for f in parallel_map(lambda r: _alone(problem, base, plain, r), candidates) if f[1].code != DIVERGED]
+    firsts = parallel_map(lambda first: _closer(problem, base, first), _least(problem, alone)[:FIRSTS])
+    return [m for pairs in parallel_map(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
 
 
 def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
@@ -62,7 +62,7 @@ def _error(fit: FitResult) -> tuple[bool, float]:
     return fit.code == DIVERGED, float(fit.cost.sum())
 
 
-def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen: View) -> list[Fitted]:
+def _beside(problem: Problem, base: Fit, active: Active, fit: FitResult, seen: ScoreTable) -> list[Fit]:
     """A fit of one effect, and with each of the plain score's leaders about it."""
     try:
         first = ended(problem, active, fit, base.parts, seen.response)
@@ -77,7 +77,7 @@ def _beside(problem: Problem, base: Fitted, active: Active, fit: FitResult, seen
     return [single, *(m for m in made if m is not None)]
 
 
-def _likelier(problem: Problem, base: Fitted, active: Active, theta, eff: np.ndarray, seen: View) -> Fitted | None:
+def _likelier(problem: Problem, base: Fit, active: Active, theta, eff: np.ndarray, seen: ScoreTable) -> Fit | None:
     """A pair fitted from each of the declared parameters to start from, and refitted from where the fit ended that leaves less."""
     fits = [fit_plain(problem, active, start, eff, problem.windows.start) for start in _starts(problem, theta)]
     return settled_from(problem, active, min(fits, key=_error), base.parts, seen.response)
@@ -90,27 +90,27 @@ def _starts(problem: Problem, theta) -> list[np.ndarray]:
     return [theta, problem.theta0] if elsewhere else [theta]
 
 
-def with_look_alikes(problem: Problem, base: Fitted, pair: Fitted, tried: Sequence[Fitted], seen: View) -> list[Fitted]:
+def with_look_alikes(problem: Problem, base: Fit, pair: Fit, tried: Sequence[Fit], seen: ScoreTable) -> list[Fit]:
     """Each look-alike of a member in its place, the other as it is, refitted whole: friction that seems to fade may be friction
     and nothing more. Where members are doubtful, only theirs."""
     ranked, done = seen.ranked(pair.active, plain=True), {frozenset(t.active) for t in tried}
     members = sorted(doubtful(pair, base) or set(pair.active) - set(base.active))
     swaps = [(old, r) for old in members for r in look_alikes(problem, old, ranked, [])]
     swaps = [(old, r) for old, r in swaps if frozenset({*pair.active, r.instance} - {old}) not in done]
-    made = abreast(lambda swap: swapped_plainly(problem, base, pair, *swap, seen), swaps)
+    made = parallel_map(lambda swap: swapped_plainly(problem, base, pair, *swap, seen), swaps)
     return [m for m in made if m is not None]
 
 
 def swapped_plainly(
-    problem: Problem, base: Fitted, model: Fitted, old: Instance, new: Ranked, seen: View
-) -> Fitted | None:
+    problem: Problem, base: Fit, model: Fit, old: Instance, new: Ranked, seen: ScoreTable
+) -> Fit | None:
     """`new` in the place of `old`, refitted whole from where the model is; None where that runs away."""
     active = tuple(new.instance if a == old else a for a in model.active)
     eff = merged(problem, model.candidate.eff, started(problem, base, new), new.instance)
     return fitted_plainly(problem, active, model.candidate.theta, eff, base.parts, seen.response)
 
 
-def _without(problem: Problem, base: Fitted) -> Start:
+def _without(problem: Problem, base: Fit) -> Start:
     """The base's own least-squares fit: the way there, half of all steps, is the same for every effect."""
     c = base.candidate
     start = Start(c.theta, c.eff, problem.windows.start)
@@ -118,14 +118,14 @@ def _without(problem: Problem, base: Fitted) -> Start:
     return start if fit.code == DIVERGED else Start(fit.theta, fit.eff, fit.x0)
 
 
-def _alone(problem: Problem, base: Fitted, plain: Start, ranked: Ranked) -> Alone:
+def _alone(problem: Problem, base: Fit, plain: Start, ranked: Ranked) -> Alone:
     """The least-squares fit with one effect."""
     active = (*base.active, ranked.instance)
     eff = merged(problem, plain.eff, started(problem, base, ranked), ranked.instance)
     return active, fit_plain(problem, active, plain.theta, eff, plain.x0)
 
 
-def _closer(problem: Problem, base: Fitted, alone: Alone) -> Alone:
+def _closer(problem: Problem, base: Fit, alone: Alone) -> Alone:
     """The fit of one effect, or that from the other declared parameters, or from the effect's own starts beside them, where one
     leaves less; carried on where it ran out of steps."""
     active, fit = alone
@@ -138,7 +138,7 @@ def _closer(problem: Problem, base: Fitted, alone: Alone) -> Alone:
     return active, best
 
 
-def settled_plainly(problem: Problem, model: Fitted, seen: View) -> Fitted:
+def settled_plainly(problem: Problem, model: Fit, seen: ScoreTable) -> Fit:
     """Refitted with the sensors as the only noise until that gains no more, then under its own covariance."""
     for _ in range(MOST):
         c = model.candidate

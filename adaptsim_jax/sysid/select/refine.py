@@ -11,11 +11,11 @@ from functools import partial
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import abreast
-from adaptsim_jax.sysid.estimate.fit import Fitted, fitted_plainly, plausible, settled
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.estimate.fit import Fit, fitted_plainly, plausible, settled
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.score.table import View, view
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.score.table import ScoreTable, view
+from adaptsim_jax.sysid.select.result import SearchResult
 
 ROUNDS = 4  # each from where the last ended
 LEAST = 1e-3  # of the torque: with less force left unexplained there is nothing to gain
@@ -23,7 +23,7 @@ GAIN = 1.0  # of log-likelihood, for another round
 NUDGES = (0.96, 1.04)  # of what switches: a fit may rest where no event of the data changes sides
 
 
-def polished(problem: Problem, found: Found, first: View) -> Found:
+def refined(problem: Problem, found: SearchResult, first: ScoreTable) -> SearchResult:
     """`found` with its final model at the bottom; unchanged where it was there, or nothing is left to gain."""
     if not found.added or np.all(found.final.parts.force_std() < LEAST * problem.torque_scale):
         return found
@@ -34,14 +34,14 @@ def polished(problem: Problem, found: Found, first: View) -> Found:
     return replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
 
 
-def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
+def lowest(problem: Problem, model: Fit, base: Fit, seen: ScoreTable) -> Fit:
     """The likeliest model that plain fits reach, round after round, from its own place and from nudged ones, or a refit under its
     own covariance."""
     for _ in range(ROUNDS):
         model = settled(problem, model, seen.response)
         c = model.candidate
         starts = [(c.eff, None), *((eff, c.refit.point.x0) for eff in (c.eff, *_nudged(problem, model)))]
-        tried = abreast(partial(_again, problem, model, seen), starts)
+        tried = parallel_map(partial(_again, problem, model, seen), starts)
         best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)
         if best.total - model.total < GAIN:
             break
@@ -49,13 +49,13 @@ def lowest(problem: Problem, model: Fitted, base: Fitted, seen: View) -> Fitted:
     return model
 
 
-def _again(problem: Problem, model: Fitted, seen: View, start: tuple[np.ndarray, np.ndarray | None]) -> Fitted | None:
+def _again(problem: Problem, model: Fit, seen: ScoreTable, start: tuple[np.ndarray, np.ndarray | None]) -> Fit | None:
     """A plain fit from the model's declared parameters; start: effect parameters, and initial states (None: the data's)."""
     c, (eff, x0) = model.candidate, start
     return fitted_plainly(problem, c.active, c.theta, eff, model.parts, seen.response, x0=x0, rounds=3)
 
 
-def _nudged(problem: Problem, model: Fitted) -> list[np.ndarray]:
+def _nudged(problem: Problem, model: Fit) -> list[np.ndarray]:
     """Effect parameters with each size of an effect that switches a little smaller and larger."""
     layout, out = problem.model.layout, []
     for active in model.active:

@@ -2,24 +2,24 @@
 
 from dataclasses import dataclass, field
 
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Active
-from adaptsim_jax.sysid.score.table import Ranked, View
+from adaptsim_jax.sysid.score.table import Ranked, ScoreTable
 
 
 @dataclass
-class Found:
+class SearchResult:
     """What the search ended with, and what it saw on the way."""
 
-    base: Fitted
-    final: Fitted
+    base: Fit
+    final: Fit
     ranked: list[Ranked]  # about the declared model
-    rivals: dict[Instance, list[Fitted]] = field(default_factory=dict)  # per accepted effect: the others in its place
+    rivals: dict[Instance, list[Fit]] = field(default_factory=dict)  # per accepted effect: the others in its place
     classes: dict[Instance, list[Instance]] = field(default_factory=dict)
-    tried: list[Fitted] = field(default_factory=list)
+    tried: list[Fit] = field(default_factory=list)
     last: list[Ranked] = field(default_factory=list)  # about the final model
-    view: View | None = None  # of the final model
-    leading: Fitted | None = None  # the likeliest set of effects that still explains too little for a name
+    view: ScoreTable | None = None  # of the final model
+    leading: Fit | None = None  # the likeliest set of effects that still explains too little for a name
 
     @property
     def added(self) -> Active:

@@ -3,14 +3,14 @@
 import numpy as np
 
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Active, Problem
-from adaptsim_jax.sysid.score.table import Ranked, View, generic_p_value
+from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value
 
 NEW = 1e-3  # of a candidate's signature that the declared parameters cannot do themselves
 
 
-def anything(problem: Problem, current: Fitted, ranked: list[Ranked], view: View, settings: Criteria) -> bool:
+def anything(problem: Problem, current: Fit, ranked: list[Ranked], view: ScoreTable, settings: Criteria) -> bool:
     """Whether there is something to explain: a candidate or some smooth force is no chance, or the force left over is too large for
     one. A stop that is hit in few windows is hardly sure by the scatter of the windows, however much it explains."""
     if np.any(current.parts.force_std() > settings.large * problem.torque_scale):
@@ -18,7 +18,7 @@ def anything(problem: Problem, current: Fitted, ranked: list[Ranked], view: View
     return any(r.corrected(len(ranked)) < settings.alpha for r in ranked) or generic_p_value(view) < settings.alpha
 
 
-def first_leaders(ranked: list[Ranked], view: View, active: Active, count: int) -> list[Ranked]:
+def first_leaders(ranked: list[Ranked], view: ScoreTable, active: Active, count: int) -> list[Ranked]:
     """The `count` candidates worth a whole refit: those that explain most by either score.
 
     The score of one candidate may be blunt (its effect is not small, or moves reversals), and a slow effect hides in the covariance
@@ -31,7 +31,7 @@ def first_leaders(ranked: list[Ranked], view: View, active: Active, count: int) 
 
 
 def further_leaders(
-    problem: Problem, leaders: list[Ranked], ranked: list[Ranked], view: View, active: Active, count: int
+    problem: Problem, leaders: list[Ranked], ranked: list[Ranked], view: ScoreTable, active: Active, count: int
 ) -> list[Ranked]:
     """Whom to try where the leaders explain nothing: scores of a model that is far off are blunt, so as many again; and
     whatever does not act linearly, by a plain fit, which finds a play of 0.2 rad from far where no score sees it."""

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import Ranked
 
 
-def started(problem: Problem, base: Fitted, ranked: Ranked, share: float = 1.0) -> np.ndarray:
+def started(problem: Problem, base: Fit, ranked: Ranked, share: float = 1.0) -> np.ndarray:
     """Effect parameters `[E]` to start a refit from: the grid's shape, `share` of the score's amplitude, kept
     within bounds."""
     layout = problem.model.layout

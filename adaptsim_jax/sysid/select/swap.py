@@ -2,20 +2,22 @@
 
 from contextlib import suppress
 
-from adaptsim_jax.core.parallel import abreast
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fitted, Instance, fitted, plausible, settled
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted, plausible, settled
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
-from adaptsim_jax.sysid.score.table import View
+from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.select.earning import choose, needed
 from adaptsim_jax.sysid.select.extend import extend, hopeless
 from adaptsim_jax.sysid.select.pairs import settled_plainly, swapped_plainly
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.shortlist import look_alikes
 from adaptsim_jax.sysid.select.start import merged
 
 
-def look_back(problem, found: Found, current: Fitted, new: Instance, seen: View, settings: Criteria, say) -> Fitted:
+def swap_back(
+    problem, found: SearchResult, current: Fit, new: Instance, seen: ScoreTable, settings: Criteria, say
+) -> Fit:
     """With another effect in, an earlier one may have been a stand-in: try without it, and its rivals in its place."""
     for old in [a for a in current.active if a != new and a not in found.base.active]:
         c = current.candidate
@@ -34,11 +36,13 @@ def look_back(problem, found: Found, current: Fitted, new: Instance, seen: View,
     return current
 
 
-def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, settings: Criteria, say) -> Fitted:
+def _swapped(
+    problem, found: SearchResult, current: Fit, old: Instance, seen: ScoreTable, settings: Criteria, say
+) -> Fit:
     """The best of the likeliest rivals of `old` in its place, if any beats it."""
     c = current.candidate
 
-    def swap(rival: Fitted) -> Fitted | None:
+    def swap(rival: Fit) -> Fit | None:
         instance = rival.active[-1]
         active = tuple(instance if a == old else a for a in current.active)
         eff = merged(problem, c.eff, rival.candidate.eff, instance)
@@ -50,7 +54,7 @@ def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, 
     merit = lambda model: model.merit(settings.price)
     rivals = sorted(found.rivals.get(old, []), key=lambda t: -merit(t))[:3]
     rivals = [r for r in rivals if r.active[-1] not in current.active]
-    swaps = [(new, r) for new, r in zip(abreast(swap, rivals), rivals, strict=True) if new is not None]
+    swaps = [(new, r) for new, r in zip(parallel_map(swap, rivals), rivals, strict=True) if new is not None]
     found.tried += [new for new, _ in swaps]
     fair = [(new, r) for new, r in swaps if plausible(new, found.base) and merit(new) > merit(current) + 1.0]
     if not fair:
@@ -60,7 +64,9 @@ def _swapped(problem, found: Found, current: Fitted, old: Instance, seen: View, 
     return best
 
 
-def beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: View, settings: Criteria, say) -> Fitted:
+def beside(
+    problem: Problem, found: SearchResult, best: Fit, new: Instance, seen: ScoreTable, settings: Criteria, say
+) -> Fit:
     """One member of a pair against none and against its look-alikes in its place; the others stay."""
     c, rest = best.candidate, tuple(a for a in best.active if a != new)
     try:
@@ -72,12 +78,12 @@ def beside(problem: Problem, found: Found, best: Fitted, new: Instance, seen: Vi
     if plausible(without, found.base) and not needed(problem, best, without, found, settings):
         return without
     alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]
-    grown = [t for t in abreast(lambda r: extend(problem, without, r, seen, say), alike) if t is not None]
-    swaps = abreast(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
+    grown = [t for t in parallel_map(lambda r: extend(problem, without, r, seen, say), alike) if t is not None]
+    swaps = parallel_map(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
     swaps = [t for t in swaps if t is not None]
     late = hopeless(found, [best, *grown, *swaps], settings)
     trials = [t for t in [*grown, *swaps] if late(t)]
-    trials += abreast(lambda t: settled(problem, t, seen.response), [t for t in grown if not late(t)])
-    trials += abreast(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if not late(t)])
+    trials += parallel_map(lambda t: settled(problem, t, seen.response), [t for t in grown if not late(t)])
+    trials += parallel_map(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if not late(t)])
     found.tried, found.rivals[new] = found.tried + trials, trials
     return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best

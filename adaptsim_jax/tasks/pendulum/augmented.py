@@ -1,7 +1,7 @@
 """The pendulum task on a mended model: the same swing-up and cost, with the effects of a `model.toml` in the simulator.
 
 Omega has the declared parameters and the effects' amplitudes, each around its fitted value. Policies are those of
-`mended_policy.py`.
+`augmented_policy.py`.
 
 The reward is 1 at the reference's cost. Of a linearized model that is the cost of the target's own policy, which no
 other beats by much. Of a rigid body it is not: a gain that is optimal near the goal is far from the best for a swing-up

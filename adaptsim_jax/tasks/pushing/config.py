@@ -36,16 +36,16 @@ class PushingConfig:
     pretrain: go on from one policy for all of Omega (`naf_shared`) instead of from nothing. It is made first, by `shared`
     with `learning_rate`; `train` then moves it to the mean of E and, unless `tune` is false, tunes it by `tuning` with
     `tuning_rate`.
-    refine: pushes simulated at the mean of E that each action is corrected by before it is made (`pushing_refine`), with
+    refine: pushes simulated at the mean of E that each action is corrected by before it is made (`refine`), with
     `pretrain` only; 0: actions are the network's own. correct: what is deployed is searched for in the simulator as
-    mended by the pushes made in the target so far, near E's mean and over the actions (`pushing_told`); a visit's own pushes are
+    mended by the pushes made in the target so far, near E's mean and over the actions (`corrections`); a visit's own pushes are
     not, nor is anything in Phase 1. visits: an iteration's pushes are E's own for `goals`, or `deployed`, those that would be deployed
     then for goals drawn over the whole sector; the adaptation policy is shown as their goals where E's mean expects them
     (`compare` and `robot`; Phase 1 knows only the former). rehearsal: tests and refine that Phase 1 makes do with, where not 0.
     simulator: where policies are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes of
     its own (`models.backends.pushing_served`; a hundredth of the speed). coefficients: the planar model as a twin of that
     scene or of Drake's.
-    friction, duration: of the model, see `models.pushing.PushOptions`. mu, e, mu_p, y_p: Omega.
+    friction, duration: of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p: Omega.
     """
 
     observation: Literal["points", "final"] = "points"

@@ -36,7 +36,7 @@ RADIUS, HEIGHT = 0.03, 0.10
 SOLE_RATE, SOLE_DAMPING = 80.0, 1.0
 SOLE_SAG = GRAVITY / (2 * SOLE_RATE**2)
 SOLE_DELAY = 2 * SOLE_DAMPING / SOLE_RATE
-"""The ground's spring under the bottle (see scenes/pushing.xml): rad/s and ratio, depth at rest m, damping by stiffness s."""
+"""The ground's spring under the bottle (see engines/scene.xml): rad/s and ratio, depth at rest m, damping by stiffness s."""
 PATCH_X, PATCH_SIDE, PATCH_EDGE = 0.75, 0.10, 0.002
 """Centre of the patch along x, its side, and the width over which a foot passes from one friction to the other, m."""
 NOMINAL_MASS = 0.3

@@ -1,6 +1,6 @@
 """The bottle push (paper, section 5.2 and appendix A4): a NAF network chooses an open-loop push for a goal on the table.
 
-The task policy is trained in simulation (`pushing_simulator`) at parameters drawn from E, with goals relabelled on stored
+The task policy is trained in simulation (`simulator`) at parameters drawn from E, with goals relabelled on stored
 pushes. At each adaptation iteration it is tried on two goals; these two trajectories are all that the adaptation policy sees. In a
 simulated target the reward is the mean over a fixed set of goals, `1 - distance / 0.2 m` and at least 0.
 """

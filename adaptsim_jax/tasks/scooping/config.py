@@ -35,9 +35,9 @@ class ScoopingConfig:
     source: of the trials that policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase 1
     learns from, likewise. lucks: execution errors that a trial of the bank is averaged over. checks: places and errors that the
     best of a training's policies is chosen by, in the bank; 0 keeps the last one. correct: what is deployed is the best action by
-    the bank at E's mean as mended by the scoops made in the target so far (`scooping_told`); a visit's own scoops are not, nor is
+    the bank at E's mean as mended by the scoops made in the target so far (`corrections`); a visit's own scoops are not, nor is
     anything in Phase 1. trials: M of the paper; training: how;
-    hidden, learning_rate: of the NAF. clearance, noise: difficulty, see `models.scooping.ScoopOptions`.
+    hidden, learning_rate: of the NAF. clearance, noise: difficulty, see `tasks.scooping.model.ScoopOptions`.
     camera: mean along the motion and standard deviation of the noise on observed places, m. numerics: of the engine.
     mu, e, h: Omega.
     """
@@ -71,7 +71,7 @@ class ScoopingConfig:
 class ScoopingPolicy(NamedTuple):
     """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where deployed policies are corrected (else None): at:
     `[D]`, the mean of E (unit coordinates) that it stands for; told: the target's scoops that it is corrected by, if any; probe:
-    `[3]` in [-1, 1], what the last scoop of a visit tries instead (`scooping_corrected.make_probe`), if anything."""
+    `[3]` in [-1, 1], what the last scoop of a visit tries instead (`deployed.make_probe`), if anything."""
 
     weights: jax.Array
     at: jax.Array | None = None

@@ -1,6 +1,6 @@
 """What a policy of scooping does once it was told of the target's own scoops: what it deploys, and what its visits probe.
 
-Both look at the same even actions, what the network says, and what was done before, by the chances of `scooping_told`: deployed is
+Both look at the same even actions, what the network says, and what was done before, by the chances of `corrections`: deployed is
 the one that is likeliest to succeed, the same in all contexts.
 """
 

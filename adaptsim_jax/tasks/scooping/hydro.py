@@ -1,7 +1,7 @@
 """Scooping in JAX: one soft piece against table and spatula, with hydroelastic contact; the simulator of this task.
 
 Pressure fields after Elandt et al. (2019), discrete hydroelastic contact after Masterjohn et al. (2022), contact solved as SAP's
-convex problem after Castro et al. (2022); see `scooping_hydro_shapes`, `_contact` and `_sap`. The scene is symmetric about the
+convex problem after Castro et al. (2022); see `hydro_shapes`, `_contact` and `_sap`. The scene is symmetric about the
 vertical plane of the motion, so the piece has three degrees of freedom. Everything is pure and traced: shape, height,
 friction, modulus and action; float32 or, where JAX is told so, float64.
 """

@@ -40,7 +40,7 @@ SECONDS = 1.0
 SEEN_AT = (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 """Length of a trial, and when the piece is seen, s."""
 
-# The spatula, in the frame of its tip: x ahead, z up; see `scooping_motion`. Boxes by centre and half-size, m.
+# The spatula, in the frame of its tip: x ahead, z up; see `motion`. Boxes by centre and half-size, m.
 BLADE_CENTRE, BLADE_HALF = (-0.0501, 0.0002), (0.05, 0.0006)
 BLADE_HALF_WIDTH = 0.04
 NECK_CENTRE, NECK_HALF, NECK_RISE = (-0.1083, 0.0048), (0.01, 0.001), 0.46

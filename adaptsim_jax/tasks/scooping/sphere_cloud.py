@@ -23,11 +23,11 @@ Array = Any
 SPHERES = 11
 ROW = (SPHERES - 1) // 2  # along each flat end
 RIM = ((1e4, 6e-3), (5e5, 1e-3))
-"""(modulus Pa, radius of the rim m), twice; logarithmic in between and a little beyond. Of ten tried, nearest to `scooping_hydro`."""
+"""(modulus Pa, radius of the rim m), twice; logarithmic in between and a little beyond. Of ten tried, nearest to `hydro`."""
 LEAST_RIM, SLACK = 5e-4, 1e-4
 IMPEDANCE = 0.5
 """Share of a contact's acceleration that MuJoCo's constraints take over; constant, so that springs are linear."""
-RELAXATION = 0.2  # s: damping by stiffness, as in `scooping_hydro.Numerics`
+RELAXATION = 0.2  # s: damping by stiffness, as in `hydro.Numerics`
 
 
 class Cloud(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.sysid.estimate import fit
-from adaptsim_jax.sysid.estimate.fit import Fitted, seen_anew, settled
+from adaptsim_jax.sysid.estimate.fit import Fit, seen_anew, settled
 from adaptsim_jax.sysid.estimate.problem import Diverged
 
 RESPONSE = SimpleNamespace(lin=None, kernels=None)
@@ -57,6 +57,6 @@ def test_a_model_seen_anew_takes_the_likelihood_alone(monkeypatch, away):
 
     monkeypatch.setattr(fit.disturbance, "whitener", lambda lin, parts, kernels: parts)
     monkeypatch.setattr(fit, "_again", again)
-    model = Fitted(None, "here", np.array([-5.0]), None)
+    model = Fit(None, "here", np.array([-5.0]), None)
     seen = seen_anew(None, model, RESPONSE)
     assert seen.total == (-5.0 if away else -7.0) and seen.parts == "here"

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.sysid.linear_world import make
 
 from adaptsim_jax.sysid.estimate import variance
+from tests.sysid.linear_world import make
 
 
 @pytest.mark.parametrize("force_std", [0.05, 0.5])

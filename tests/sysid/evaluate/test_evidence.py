@@ -11,7 +11,7 @@ from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
 from adaptsim_jax.sysid.evaluate.evidence import _variable, evidence_of
-from adaptsim_jax.sysid.evaluate.flexible import ceiling
+from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
 from adaptsim_jax.sysid.io.model_file import read_model
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -58,7 +58,7 @@ def test_the_missing_torque_is_the_friction_against_speed(sample):
 
 @pytest.mark.slow
 def test_a_flexible_model_gets_close_through_the_speed_of_the_right_joint(sample):
-    found = ceiling(sample.problem, sample.found.base, sample.first, sample.error_before.fold)
+    found = flexible_bound(sample.problem, sample.found.base, sample.first, sample.error_before.fold)
     assert ("joint1", "speed") in found.groups
     assert found.rmse < 0.25 * sample.error_before.rmse()
     assert found.rmse > np.sqrt(np.mean([sample.problem.noise.std[c] ** 2 for c in ("q1", "q2")]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.evaluate.residual import Leftover, leftover
+from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_diagnosis
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
@@ -15,14 +15,14 @@ EFFECTS = tuple(e for e in catalogue() if e.name == "quadratic_drag")
 SHARE = {0: 0.3, 1: 0.4}
 
 
-def left(folder, extra, shares=None) -> Leftover:
+def left(folder, extra, shares=None) -> ResidualDiagnosis:
     """What the declared model leaves of a recording with `extra` hidden in it; shares: of the torques, instead of its own."""
     recording = read_recording(written(folder, make_trials(seed=21, count=4, noise=0.05, extra=extra)))
     checked = audit(recording)
     recording = usable(recording, checked)
     problem, base, first = fit_unfiltered(recording, checked, noise_floor(recording, checked), EFFECTS)
     force = base.parts.force_std() / problem.torque_scale
-    return leftover(problem, first, base.parts, force if shares is None else np.asarray(shares))
+    return residual_diagnosis(problem, first, base.parts, force if shares is None else np.asarray(shares))
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -56,13 +56,13 @@ def test_a_hidden_spring_is_placed_by_its_force_and_where_forces_are_alike_by_wh
     ],
 )
 def test_a_place_in_words(variable, words):
-    assert Leftover(1e-9, 0.1, 50.0, (("joint2", variable, 0.1, 1e-9),)).where() == words
+    assert ResidualDiagnosis(1e-9, 0.1, 50.0, (("joint2", variable, 0.1, 1e-9),)).where() == words
 
 
 def test_what_is_told_is_first_and_sure():
     places = (("joint1", "angle", 0.1, 1e-9), ("joint1", "speed", 0.0, 0.4), ("joint2", "past", 0.02, 1e-3))
-    plain = Leftover(1e-9, 0.1, 50.0, places)
+    plain = ResidualDiagnosis(1e-9, 0.1, 50.0, places)
     assert plain.told() == [places[0]]
-    doubtful = Leftover(1e-9, 0.1, 50.0, places, doubt=("joint2", "where as much is unexplained"))
+    doubtful = ResidualDiagnosis(1e-9, 0.1, 50.0, places, doubt=("joint2", "where as much is unexplained"))
     assert doubtful.told() == [places[0], places[2]]
     assert doubtful.beside() == "; or at joint 2, where as much is unexplained"

@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 
 from adaptsim_jax.sysid.estimate.variance import (
     CORRELATION_TIMES,
-    Components,
     Linearised,
+    VarianceComponents,
     force_kernels,
     whiten,
     whitener,
@@ -19,7 +19,7 @@ from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.segments import folds
 
 RATE, WINDOW = 100.0, 50  # Hz, rows
-PARTS = Components(
+PARTS = VarianceComponents(
     np.ones(2), np.tile([0.0, 0.0, 1.0], (2, 1))
 )  # a force that wanders slowly at each joint, and the sensors
 

@@ -7,7 +7,7 @@ import pytest
 
 from adaptsim_jax.effects.grids import FINEST, frequencies
 from adaptsim_jax.sysid.estimate.variance import Whitened
-from adaptsim_jax.sysid.nuisance.frequency import tone_of
+from adaptsim_jax.sysid.nuisance.frequency import frequency_of
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.types import Atom
 
@@ -39,17 +39,17 @@ def test_a_tone_between_the_points_of_the_grid_is_found(trials, seconds):
     phase = rng.uniform(0, 2 * np.pi, trials)[trial][:, None]
     residual = 0.5 * np.sin(2 * np.pi * frequency * time + phase) + rng.normal(size=time.shape)
     scorer, atoms, windows = scored(residual, time, trial)
-    assert tone_of(windows, scorer, atoms, 0.01) == pytest.approx(frequency, abs=0.2 / seconds)
+    assert frequency_of(windows, scorer, atoms, 0.01) == pytest.approx(frequency, abs=0.2 / seconds)
 
 
 def test_noise_has_no_tone_and_short_trials_are_left_to_the_grid():
     rng = np.random.default_rng(4)
     time, trial = rows(1, 40.0)
     scorer, atoms, windows = scored(rng.normal(size=time.shape), time, trial)
-    assert tone_of(windows, scorer, atoms, 0.01) is None
+    assert frequency_of(windows, scorer, atoms, 0.01) is None
     time, trial = rows(6, 6.0)
     scorer, atoms, windows = scored(np.sin(2 * np.pi * 6.04 * time), time, trial)
-    assert tone_of(windows, scorer, atoms, 0.01) is None
+    assert frequency_of(windows, scorer, atoms, 0.01) is None
 
 
 def test_the_grid_reaches_high_frequencies_in_long_trials_and_gives_way_to_a_tone():

@@ -1,11 +1,11 @@
 """Scores: calibrated under no effect, strong under one, blind to what the declared parameters can do."""
 
 import numpy as np
-from tests.sysid.linear_world import make
 from scipy.stats import kstest
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.score import scorer as score
+from tests.sysid.linear_world import make
 
 COULOMB = score.Atom("coulomb", "joint1", {}, (0,), sign=1)
 WAVE = score.Atom("wave", "joint1", {}, (1,))

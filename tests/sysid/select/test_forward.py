@@ -9,7 +9,7 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.select import extend as growing
 from adaptsim_jax.sysid.select import forward, swap
 from adaptsim_jax.sysid.select.equivalence import class_of
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.shortlist import look_alikes
 
 BIAS, SPRING, DRAG = ("bias", "joint1"), ("spring", "joint1"), ("drag", "joint1")
@@ -111,7 +111,7 @@ def test_what_is_hopelessly_behind_is_not_refitted_where_nearly_everything_is_ex
     settled = []
     monkeypatch.setattr(growing, "settled", lambda problem, trial, response: settled.append(trial.total) or trial)
     monkeypatch.setattr(growing, "plausible", lambda *_: True)
-    monkeypatch.setattr(growing, "unexplained", lambda trial, base: trial.left)
+    monkeypatch.setattr(growing, "force_ratio", lambda trial, base: trial.left)
     trials = [SimpleNamespace(total=t, left=left) for t, left in ((-100.0, 0.05), (-900.0, 0.5), (-1200.0, 0.9))]
     found, seen = SimpleNamespace(base=None), SimpleNamespace(response=None)
     growing.settled_few(None, found, trials, trials, seen, Criteria())
@@ -131,7 +131,7 @@ def test_a_pair_takes_the_place_of_what_was_found_one_by_one_only_if_it_is_likel
     pair, final, base = model("pair", -100.0), model("friction", one_by_one), SimpleNamespace(active=(), total=-900.0)
     fakes = {
         "anything": lambda *_: True, "refit_beside_first": lambda *_: [pair], "plausible": lambda *_: True,
-        "unexplained": lambda new, old: 0.01, "settled_plainly": lambda problem, t, seen: t, "without": lambda *_: None,
+        "force_ratio": lambda new, old: 0.01, "settled_plainly": lambda problem, t, seen: t, "without": lambda *_: None,
         "earns": lambda *_: True, "choose": lambda problem, trials, *_: trials[0], "beside": lambda *args: args[2],
         "seen_anew": lambda problem, m, response: m, "_finer": lambda problem, found, m, *_: (problem, m),
         "doubtful": lambda *_: set(),
@@ -140,7 +140,7 @@ def test_a_pair_takes_the_place_of_what_was_found_one_by_one_only_if_it_is_likel
         monkeypatch.setattr(forward, name, fake)
     seen = SimpleNamespace(response=None, ranked=lambda **_: [])
     monkeypatch.setattr(forward, "view", lambda *_: seen)
-    found = Found(base, final, [])
+    found = SearchResult(base, final, [])
     _, best = forward._paired(None, found, final, seen, Criteria(), print)
     assert best.active[0][0] == goes and found.final is best
 
@@ -171,7 +171,7 @@ def test_where_nothing_may_be_named_the_likeliest_set_leads(monkeypatch, pair, n
     for name, fake in fakes.items():
         monkeypatch.setattr(forward, name, fake)
     final = model("rotor", -750.0, 0.3) if named else base
-    found = Found(base, final, [])
+    found = SearchResult(base, final, [])
     seen = SimpleNamespace(response=None, ranked=lambda **_: [])
     _, leading = forward._paired(None, found, final if named else rotor, seen, Criteria(), print)
     assert leading.active[0][0] == leads and found.final is final

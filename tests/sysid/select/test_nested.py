@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.estimate.fit import fitted, unexplained
+from adaptsim_jax.sysid.estimate.fit import fitted, force_ratio
 from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -45,7 +45,7 @@ def test_a_knee_is_fitted_where_there_is_one(tmp_path, limit):
     eff[at] = [1.0 - LIMIT / problem.reach.peak[0], problem.reach.peak[0], 0.0]
     plain = fitted(problem, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
     assert "softness" not in plain.candidate.parameters(*PLACE)  # late: not fitted in the search
-    better = lambda new, old: new.total > old.total + 10.0 and unexplained(new, old) < 0.9
+    better = lambda new, old: new.total > old.total + 10.0 and force_ratio(new, old) < 0.9
     again, final = elaborated(problem, plain, base, first.response, better)
     if limit is soft:
         fine = final.candidate.parameters(*PLACE)

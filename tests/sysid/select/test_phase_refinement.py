@@ -13,8 +13,8 @@ from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import declared, timed
 from adaptsim_jax.sysid.quality.audit import audit
-from adaptsim_jax.sysid.select.phase_refinement import sharpened, sharpened_early
-from adaptsim_jax.sysid.select.result import Found
+from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
+from adaptsim_jax.sysid.select.result import SearchResult
 from tests.generators import make_dataset, write_dataset
 
 PLACE = ("periodic_disturbance", "joint1")
@@ -41,14 +41,14 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
         return set_to, fitted(set_to, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
 
     problem, seen = timed(problem, base, first, 0.01)
-    early, _ = sharpened_early(problem, seen, base)
+    early, _ = phases_refined_early(problem, seen, base)
     clock = problem.windows.clock
     assert np.ptp(clock) > 0.0
     away = np.array([0.0, 0.05, -0.05, 0.0]) / frequency
     ends = []
     for start_at in (clock, clock + away):
         set_to, model = with_clock(start_at)
-        better, sharp = sharpened(set_to, Found(base, model, [], view=first), first, rounds=6)
+        better, sharp = phases_refined(set_to, SearchResult(base, model, [], view=first), first, rounds=6)
         assert sharp.final.total >= model.total
         ends.append(better.windows.clock)
     assert sharp.final.total > model.total + 10.0
@@ -60,4 +60,4 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
 
 def test_without_clocks_nothing_is_sharpened():
     problem = SimpleNamespace(windows=SimpleNamespace(clock=np.zeros(3)))
-    assert sharpened_early(problem, "first", None) == (problem, "first")
+    assert phases_refined_early(problem, "first", None) == (problem, "first")

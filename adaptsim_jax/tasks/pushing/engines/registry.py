@@ -1,7 +1,7 @@
 """The bottle push in four engines behind one signature: native MuJoCo, MJX, Drake, and the planar model.
 
 `simulate(params [B, 4], commands [B, 2], initial [B, 2]) -> Trajectory`: commands are actions (speed m/s, angle rad), initial
-the bottle's place m, and `state [B, T, 13]` the bottle's pose and velocity in rows (`pushing_scene.STATE`). Codes are
+the bottle's place m, and `state [B, T, 13]` the bottle's pose and velocity in rows (`scene.STATE`). Codes are
 `pushing.MESSAGES`; states are finite whatever the code.
 """
 

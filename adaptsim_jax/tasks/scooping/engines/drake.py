@@ -1,6 +1,6 @@
 """Scooping in Drake with hydroelastic contact and SAP: the paper's simulator, a reference, and a stand-in for reality.
 
-The same motion, masses and shapes as `scooping_hydro`, with Drake's own meshes of the pressure field. The spatula is driven to
+The same motion, masses and shapes as `hydro`, with Drake's own meshes of the pressure field. The spatula is driven to
 the motion by stiff implicit PD control on three joints; it does not touch the table, above which the motion keeps it.
 """
 
