@@ -6,11 +6,11 @@ be made by an actuator's own law from a command.
 
 import jax.numpy as jnp
 
-from adaptsim_jax.models import effects_force as force
-from adaptsim_jax.models import effects_grids as grids
-from adaptsim_jax.models.effect import Dry, Effect, Parameter
-from adaptsim_jax.models.effects_command import actuator_lag, delay
-from adaptsim_jax.models.effects_measurement import backlash, encoder_offset, sensor_lag
+from adaptsim_jax.effects import force
+from adaptsim_jax.effects import grids
+from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects.actuator import actuator_lag, delay
+from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
 
 LATEST = 0.05  # s
 

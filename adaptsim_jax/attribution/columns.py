@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Group, Problem, off_value
 from adaptsim_jax.attribution.simulate import Motion, Path, actuated, command_rows
 from adaptsim_jax.mechanisms import dynamics
-from adaptsim_jax.models.effect import Dry, Effect
+from adaptsim_jax.effects.base import Dry, Effect
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion

@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project, rows
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
-from adaptsim_jax.models.effect import Effect, Reach
+from adaptsim_jax.effects.base import Effect, Reach
 
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction")
 """Effects on the torque of an actuator: not of a joint that has none."""

@@ -31,7 +31,7 @@ from adaptsim_jax.attribution.estimate import (
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TILT, Problem, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
-from adaptsim_jax.models.effect import Reach
+from adaptsim_jax.effects.base import Reach
 
 LEAST_TRIALS = 5
 EXACT = 14  # folds up to which the sign-flip test takes all patterns of signs

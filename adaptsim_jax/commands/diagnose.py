@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from adaptsim_jax.progress import Report
+    from adaptsim_jax.core.progress import Report
+    from adaptsim_jax.sysid.types import Recording
 
 BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)
 """Share of the time that has passed when each stage of `diagnose` begins; the search is most of it."""
@@ -30,17 +32,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Close the loop on a folder of measured data."""
-    from adaptsim_jax import compile_flags
-    from adaptsim_jax.closeloop.recording import read_recording
     from adaptsim_jax.commands.common import output
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.sysid.io.recording import read_recording
 
     recording = read_recording(args.data)  # refused within a second, and before JAX is loaded
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
-        from adaptsim_jax.closeloop.diagnose import diagnose
-
         result = diagnose(recording, out=out, seed=args.seed, exclude=args.exclude, progress=paced(report))
     from rich.console import Console
 
@@ -48,6 +48,15 @@ def run(args: argparse.Namespace) -> int:
 
     print_summary(result, Console(), out)
     return 0
+
+
+def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
+    """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`."""
+    from adaptsim_jax.commands.task_reward import task_reward
+    from adaptsim_jax.report.diagnosis import write_diagnosis
+    from adaptsim_jax.sysid import pipeline
+
+    return pipeline.diagnose(data, reward=task_reward, page=write_diagnosis, **options)
 
 
 def paced(report: Report) -> Report:

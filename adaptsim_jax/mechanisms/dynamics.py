@@ -40,7 +40,7 @@ from adaptsim_jax.mechanisms.lanes import (
     total,
 )
 from adaptsim_jax.mechanisms.tree import Tree, ancestors
-from adaptsim_jax.models.trig import sin_cos
+from adaptsim_jax.core.trig import sin_cos
 
 Array = Any
 

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from adaptsim_jax.config import nearest, suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.columns import Role, role
 from adaptsim_jax.sysid.io.inputs import Inputs, choose_inputs
 from adaptsim_jax.sysid.io.log import Log, LogTrial, ModelNames

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.closeloop.consistency import velocity_agreement
-from adaptsim_jax.closeloop.units import SLOWEST
-from adaptsim_jax.config import dumps, nearest
+from adaptsim_jax.sysid.quality.consistency import velocity_agreement
+from adaptsim_jax.sysid.io.units import SLOWEST
+from adaptsim_jax.core.config import dumps, nearest
 from adaptsim_jax.sysid.io.columns import STEMS, TIME, role
 from adaptsim_jax.sysid.io.log import ModelNames
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adaptsim_jax.config import nearest, suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.sysid.io.log_meta import LogMeta
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from adaptsim_jax.config import suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io import lerobot, ros
 from adaptsim_jax.sysid.io.assemble import assemble
 from adaptsim_jax.sysid.io.log import Log, ModelNames

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.config import suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.clock import Series, merge
 from adaptsim_jax.sysid.io.extras import need
 from adaptsim_jax.sysid.io.tables import RawTrial

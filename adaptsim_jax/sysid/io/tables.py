@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.closeloop.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.sysid.io.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.columns import TIME, TRIAL, role
 
 ENDINGS = (".csv", ".npz")
@@ -56,7 +56,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str]) -> list[RawTrial
     header = column_names(path)
     for ours, theirs in rename.items():
         if theirs not in header:
-            from adaptsim_jax.config import suggest
+            from adaptsim_jax.core.config import suggest
 
             raise BadInput(
                 f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; {suggest(theirs, header)}"

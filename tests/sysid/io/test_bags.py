@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from log_files import motion
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io import ros
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames
 from adaptsim_jax.sysid.io.read import read_log

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from log_files import motion
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.read import read_log
 
 pa = pytest.importorskip("pyarrow", reason="extra 'lerobot' is not installed")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from log_files import folder, motion, named, numbered, write_csv
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames, blocks
 from adaptsim_jax.sysid.io.read import read_log
 
