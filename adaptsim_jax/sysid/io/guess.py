@@ -16,10 +16,9 @@ from adaptsim_jax.closeloop.units import SLOWEST
 from adaptsim_jax.config import dumps, nearest
 from adaptsim_jax.sysid.io.columns import STEMS, TIME, role
 from adaptsim_jax.sysid.io.log import ModelNames
+from adaptsim_jax.sysid.io.log_checks import LARGE
 
 TIME_STEPS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
-LARGE = 4 * np.pi
-"""Angle beyond which degrees are likelier than radians, where no speeds tell."""
 WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "angle": "q", "angles": "q", "positions": "q", "qpos": "q", "theta": "q", "state": "q",
     "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
