@@ -6,10 +6,9 @@ be made by an actuator's own law from a command.
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects import force
-from adaptsim_jax.effects import grids
-from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects import force, grids
 from adaptsim_jax.effects.actuator import actuator_lag, delay
+from adaptsim_jax.effects.base import Dry, Effect, Parameter
 from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
 
 LATEST = 0.05  # s
@@ -87,7 +86,9 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.03, 0.08)]
 
 
-BEFORE = Parameter("before", "1", 0.0, 1.0, 1.0, None, held=True, optional=True, meaning="share of its first command ahead of the log")
+BEFORE = Parameter(
+    "before", "1", 0.0, 1.0, 1.0, None, held=True, optional=True, meaning="share of its first command ahead of the log"
+)
 
 MACHINE: tuple[Effect, ...] = (
     Effect(
@@ -216,4 +217,3 @@ COMMON = ("delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain")
 """Effects that are tried with one value for all joints as well: those of the one computer that talks to them."""
 EVERYWHERE = ("coulomb", "armature", "stribeck", "load_friction", "quadratic_drag")
 """Effects that are tried at all joints at once, with own values: those of like drives."""
-

@@ -75,7 +75,13 @@ def substeps(problem: Problem, vector: Vector, group: Group) -> int:
 def rough(vector: Vector, values) -> bool:
     """Whether anything may rub dry."""
     names = ("coulomb", "asymmetric_coulomb", "stribeck", "load_friction")
-    return any(np.any(np.asarray(z) != 0.0) for n in names if n in values.effects for k, z in values.effects[n].items() if k != "speed")
+    return any(
+        np.any(np.asarray(z) != 0.0)
+        for n in names
+        if n in values.effects
+        for k, z in values.effects[n].items()
+        if k != "speed"
+    )
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
@@ -177,7 +183,9 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
 def _output(made: Columns, slope, entries, flat) -> np.ndarray:
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
     own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
-    parts = [np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, slope[0].shape[2], 1))).shape[:2], 0))]
+    parts = [
+        np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, slope[0].shape[2], 1))).shape[:2], 0))
+    ]
     for first in range(0, len(own), 48):
         force, output = made.stack([entries[k] for k in own[first : first + 48]])
         y = respond(*slope, force)
@@ -188,7 +196,9 @@ def _output(made: Columns, slope, entries, flat) -> np.ndarray:
     return out
 
 
-def candidate_columns(problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]) -> list[np.ndarray]:
+def candidate_columns(
+    problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
+) -> list[np.ndarray]:
     """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`."""
     out = []
     for group, made, slope in zip(problem.groups, lin.paths, lin.slopes, strict=True):
@@ -239,7 +249,11 @@ def rows(columns: np.ndarray) -> np.ndarray:
 
 
 def _fold(problem: Problem, width: int) -> np.ndarray:
-    return np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)]) if width > len(problem.fold) else problem.fold
+    return (
+        np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
+        if width > len(problem.fold)
+        else problem.fold
+    )
 
 
 def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: float) -> np.ndarray:
@@ -285,7 +299,12 @@ def refitted_start(start: np.ndarray, left: np.ndarray) -> np.ndarray:
 
 
 def fit(
-    problem: Problem, vector: Vector, starts: Sequence[np.ndarray] | None = None, *, rounds: int = 12, weights: Weights | None = None,
+    problem: Problem,
+    vector: Vector,
+    starts: Sequence[np.ndarray] | None = None,
+    *,
+    rounds: int = 12,
+    weights: Weights | None = None,
     tolerance: float = 1e-4,
 ) -> Fit:
     """Fit the vector and all starts. weights: fixed ones (made anew along the way where None). Codes: converged, stopped (rounds

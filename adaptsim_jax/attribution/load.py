@@ -51,15 +51,28 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     if log.input_kind == "command":
         by_name = {a.name: a for a in mechanism.actuators}
         for k, name in enumerate(log.input_names):
-            a = by_name.get(name) or next((a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None)
+            a = by_name.get(name) or next(
+                (a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None
+            )
             if a is None:
-                raise BadInput(f"{log.path}: a command for {name}, but {mechanism.path} has no such actuator; add it or rename the column")
+                raise BadInput(
+                    f"{log.path}: a command for {name}, but {mechanism.path} has no such actuator; add it or rename the column"
+                )
             if a.joint in column:
-                raise BadInput(f"{mechanism.path}: joint {mechanism.tree.joint_names[a.joint]} has several actuators; keep one of them")
+                raise BadInput(
+                    f"{mechanism.path}: joint {mechanism.tree.joint_names[a.joint]} has several actuators; keep one of them"
+                )
             column[a.joint], j = k, a.joint
             gear[j] = a.gear
             low, high = a.forcerange
-            law[:, j] = a.gain, a.offset, -a.kp, -a.kv, -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
+            law[:, j] = (
+                a.gain,
+                a.offset,
+                -a.kp,
+                -a.kv,
+                -np.inf if np.isnan(low) else low,
+                np.inf if np.isnan(high) else high,
+            )
             low, high = a.ctrlrange
             limits[j] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
         for j in set(range(n)) - set(column):
@@ -82,7 +95,10 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
 def _gain(tree: Tree, tracks) -> float:
     """A first guess at torque over input: weight of what hangs over the size of the input."""
     reach = sum(float(np.linalg.norm(p)) for p in np.asarray(tree.place)) + float(
-        np.max(np.linalg.norm(np.asarray(tree.inertial)[:, 1:4], axis=1) / np.maximum(np.asarray(tree.inertial)[:, 0], 1e-9))
+        np.max(
+            np.linalg.norm(np.asarray(tree.inertial)[:, 1:4], axis=1)
+            / np.maximum(np.asarray(tree.inertial)[:, 0], 1e-9)
+        )
     )
     weight = float(np.asarray(tree.inertial)[:, 0].sum() * np.linalg.norm(np.asarray(tree.gravity)) * max(reach, 1e-3))
     u = np.concatenate([np.abs(t.u) for t in tracks])

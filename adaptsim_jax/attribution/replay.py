@@ -64,7 +64,9 @@ def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None)
     """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values (the model file's where None)."""
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, min(span, longest), most=100_000)
+    problem = prepare(
+        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, min(span, longest), most=100_000
+    )
     vector = vector if vector is not None else Vector((), np.zeros(0))
     return replayed(problem, vector, span)
 
@@ -123,4 +125,3 @@ def fitted_starts(problem: Problem, vector: Vector, rounds: int = ROUNDS) -> tup
 def replay_files(model: str | File | None, data: str | File, horizon: float = 0.5) -> Replay:
     """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs."""
     return replay(load(data, model), horizon)
-

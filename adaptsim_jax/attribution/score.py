@@ -57,7 +57,9 @@ class Score:
     folds: float
 
 
-def entries_of(problem: Problem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool) -> tuple[Entry, ...]:
+def entries_of(
+    problem: Problem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool
+) -> tuple[Entry, ...]:
     """Amplitude entries of an effect at joints."""
     out = []
     for p in effect.amplitudes:
@@ -99,7 +101,11 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
     driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
     out = []
     for effect in problem.effects:
-        free = [j for j in range(problem.joints) if (effect.name, j) not in taken and (j in driven or effect.name not in PASSIVE)]
+        free = [
+            j
+            for j in range(problem.joints)
+            if (effect.name, j) not in taken and (j in driven or effect.name not in PASSIVE)
+        ]
         if effect.name == "viscous":
             continue
         follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
@@ -112,7 +118,11 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
                 out.append(Candidate(effect.name, (j,), "joint", make([j], False), _fixed(point)))
         if len(free) > 1 and effect.name in EVERYWHERE and not effect.shapes:
             out.append(Candidate(effect.name, tuple(free), "all", make(free, False)))
-        if len(free) > 1 and effect.name in COMMON and len(free) == len([j for j in driven if j in free] if effect.name in PASSIVE else free):
+        if (
+            len(free) > 1
+            and effect.name in COMMON
+            and len(free) == len([j for j in driven if j in free] if effect.name in PASSIVE else free)
+        ):
             for point in grids[0][1]:
                 out.append(Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point)))
     if (TILT, 0) not in taken and max(np.abs(np.asarray(g.model.tree.gravity)).max() for g in problem.groups) > 0:

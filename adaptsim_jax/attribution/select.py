@@ -111,7 +111,9 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     n = normal(problem, lin.residual, lin.start, lin.shared)
     hess, slope = n.hess.sum(0), n.slope.sum(0)
     whole = bounded_step(hess, slope, now.vector, 1e-9)
-    steps = np.array([bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)])
+    steps = np.array(
+        [bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)]
+    )
     fold = _fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
@@ -124,7 +126,10 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
         else:
             better = (loss < best) | ~np.isfinite(best)
             best = np.where(better, loss, best)
-            kept = [type(a)(*(np.where(better, x, y) for x, y in zip(a, b, strict=True))) for a, b in zip(paths, kept, strict=True)]
+            kept = [
+                type(a)(*(np.where(better, x, y) for x, y in zip(a, b, strict=True)))
+                for a, b in zip(paths, kept, strict=True)
+            ]
         moves = []
         for group, path, x in zip(problem.groups, paths, lin.start, strict=True):
             w = _weighted(problem, lin, group, path)
@@ -179,7 +184,9 @@ def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights:
     return Model(tuple(added), fitted, lin, held_out(problem, lin, weights))
 
 
-def refit(problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None) -> Fit:
+def refit(
+    problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None
+) -> Fit:
     """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared by groups."""
     touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
     owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
@@ -189,7 +196,13 @@ def refit(problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[
     part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
     inside = {j for k in touched for j in problem.groups[k].joints}
     at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
-    local = fit(part, Vector(tuple(vector.entries[i] for i in at), vector.values[at]), [starts[k] for k in touched], rounds=rounds, weights=weights)
+    local = fit(
+        part,
+        Vector(tuple(vector.entries[i] for i in at), vector.values[at]),
+        [starts[k] for k in touched],
+        rounds=rounds,
+        weights=weights,
+    )
     values, starts = vector.values.copy(), list(starts)
     values[at] = local.vector.values
     for k, x in zip(touched, local.starts, strict=True):
@@ -203,7 +216,9 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tupl
     """The base with a candidate added, one step on: vector, starts, and loss of the best of a few lengths of the step."""
     c = score.candidate
     columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
-    wide = replace(base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True)))
+    wide = replace(
+        base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True))
+    )
     vector = base.fit.vector.with_entries(c.entries)
     n = normal(problem, wide.residual, wide.start, wide.shared)
     step = bounded_step(n.hess.sum(0), n.slope.sum(0), vector, 1e-6)
@@ -220,7 +235,9 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tupl
     return best
 
 
-def select(problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None) -> Selection:
+def select(
+    problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None
+) -> Selection:
     """Forward, then each effect beside the others, then against its look-alikes."""
     fitted = fit(problem, null, rounds=15)
     reach = scaled_reach(problem, *own_inertia(problem, fitted.vector))
@@ -242,12 +259,16 @@ def select(problem: Problem, null: Vector, criteria: Criteria, say: Callable[[st
 def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say) -> Model | None:
     """The best candidate that gains held out, fitted; None where none does."""
     family = max(len(scores), 1)
-    hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()]
+    hopeful = [
+        s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()
+    ]
     tries = []
     for score in hopeful[: criteria.tried]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
         vector, starts, _ = attempted(problem, base, reach, score)
-        tries.append((refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.glance, base.fit.weights), score))
+        tries.append(
+            (refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.glance, base.fit.weights), score)
+        )
     tries.sort(key=lambda t: t[0].total)
     best = None
     for glance, score in tries[: criteria.fitted]:
@@ -256,11 +277,23 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
         model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         good = test.gain > criteria.size and test.better > 0.5 * test.folds
-        trace.append(Step("tried" if good else "refused", score.candidate, score, test, f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss"))
+        trace.append(
+            Step(
+                "tried" if good else "refused",
+                score.candidate,
+                score,
+                test,
+                f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss",
+            )
+        )
         if good and (best is None or test.gain > best[0]):
             best = (test.gain, model, score, test)
     if best is None:
-        trace.append(Step("ended", None, None, None, f"{len(hopeful)} of {family} candidates pass the score test, none holds out"))
+        trace.append(
+            Step(
+                "ended", None, None, None, f"{len(hopeful)} of {family} candidates pass the score test, none holds out"
+            )
+        )
         return None
     _, model, score, test = best
     trace.append(Step("added", score.candidate, score, test, ""))
@@ -294,11 +327,14 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         if not failing:
             break
         _, c, less, test, steady = min(failing, key=lambda f: f[0])
-        trace.append(Step("dropped", c, None, test, f"gain {test.gain:.3f}, p {test.p:.3f}, size over scatter {steady:.1f}"))
+        trace.append(
+            Step("dropped", c, None, test, f"gain {test.gain:.3f}, p {test.p:.3f}, size over scatter {steady:.1f}")
+        )
         own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
     named = tuple(
-        Named(c, test, look_alikes(problem, model, less, c, reach, criteria, say), steady, test.p) for c, less, test, steady in tests
+        Named(c, test, look_alikes(problem, model, less, c, reach, criteria, say), steady, test.p)
+        for c, less, test, steady in tests
     )
     return model, named
 
@@ -313,7 +349,9 @@ def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
     return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))
 
 
-def look_alikes(problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say) -> tuple[Candidate, ...]:
+def look_alikes(
+    problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
+) -> tuple[Candidate, ...]:
     """Effects that do as well as `c` in its place: of those that gain most without it, and of those that it is mistaken for."""
     scores = table(problem, less.lin, candidates(problem, less.fit.vector, reach))
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
@@ -327,7 +365,9 @@ def look_alikes(problem, model: Model, less: Model, c: Candidate, reach, criteri
     for score in rivals[:3]:
         say(f"{score.candidate.effect} in place of {c.effect}")
         vector, starts, _ = attempted(problem, less, reach, score)
-        fitted = refit(problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights)
+        fitted = refit(
+            problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights
+        )
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
         test = paired(problem, other.held.loss, model.held.loss)
         if test.gain < criteria.gap or test.p > criteria.confidence:

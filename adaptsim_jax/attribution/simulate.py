@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree
-from adaptsim_jax.effects.base import Dry, Effect
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
 

@@ -4,7 +4,7 @@ import shlex
 import shutil
 from pathlib import Path
 
-import adaptsim_jax.closeloop
+import adaptsim_jax.sysid
 import numpy as np
 import pytest
 

@@ -103,7 +103,7 @@ def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
         )
     # in a folder of both, [columns] speaks of the tables
     recorded = [ros.read_bag(path, meta.ros) for path in bags]
-    trials = read_files(files, meta.columns) + (recorded if files else _renamed(recorded, meta))
+    trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
     return [
         replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-import adaptsim_jax.closeloop
+import adaptsim_jax.sysid
 import numpy as np
 import pytest
 

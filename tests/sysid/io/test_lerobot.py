@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from log_files import motion
+from tests.sysid.io.log_files import motion
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.read import read_log
