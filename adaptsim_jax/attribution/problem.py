@@ -79,7 +79,9 @@ def prepare(
 ) -> Problem:
     """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n]."""
     n = len(tree.joint_names)
-    stretches = _padded(cut(tracks, horizon, most))
+    stretches = cut(tracks, horizon, most)
+    fold, names = folds_of(stretches)
+    stretches = _padded(stretches)
     if actuator is None:
         actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
@@ -91,7 +93,6 @@ def prepare(
             Group(Model(part, tuple(effects)), tuple(joints), stretches.of(joints), part_of(actuator), part_of(gear),
                   inertias(np.asarray(part.inertial)))
         )  # fmt: skip
-    fold, names = folds_of(stretches)
     as_declared = {
         ("viscous", "damping"): np.asarray(tree.damping), ("coulomb", "level"): np.asarray(tree.frictionloss),
         ("armature", "inertia"): np.asarray(tree.armature), ("spring", "stiffness"): np.asarray(tree.stiffness),

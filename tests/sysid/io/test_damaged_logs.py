@@ -41,11 +41,11 @@ def make(kind: str, path):
         return path / "run.npz"
     if kind == "parquet":
         pytest.importorskip("pyarrow", reason="extra 'lerobot' is not installed")
-        from test_lerobot import data_set
+        from tests.sysid.io.test_lerobot import data_set
 
         return next(data_set(path / "set").rglob("*.parquet"))
     pytest.importorskip("rosbags", reason="extra 'ros' is not installed")
-    from test_bags import Bag, states
+    from tests.sysid.io.test_bags import Bag, states
 
     bag = Bag(kind)
     states(bag)

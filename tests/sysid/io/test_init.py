@@ -118,7 +118,7 @@ def test_joints_of_other_names_and_joints_that_the_model_lacks(tmp_path, capsys)
 
 def test_a_bag_with_its_topics(tmp_path, capsys):
     pytest.importorskip("rosbags.rosbag2", reason="extra 'ros' is not installed")
-    from test_bags import Bag, states
+    from tests.sysid.io.test_bags import Bag, states
 
     bag = Bag("mcap")
     states(bag)
