@@ -1,6 +1,6 @@
 """From a log and a model file to what is identified: tracks of joints, and the law of the actuator at each joint."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,9 @@ class Machine:
     actuator: np.ndarray
     gear: np.ndarray
     gain_unknown: bool
+    declared: dict[tuple[str, str], np.ndarray] = field(
+        default_factory=dict
+    )  # delay and lag [n] of the file's actuators
 
     @property
     def tree(self) -> Tree:
@@ -89,7 +92,11 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     unknown = log.input_kind in ("voltage", "current")
     if unknown:
         law[0] *= _gain(mechanism.tree, tracks)
-    return Machine(mechanism, log, tuple(tracks), law, gear, unknown)
+    told = {("delay", "delay"): np.zeros(n), ("actuator_lag", "lag"): np.zeros(n)}
+    if log.input_kind == "command":
+        for a in mechanism.actuators:
+            told["delay", "delay"][a.joint], told["actuator_lag", "lag"][a.joint] = a.delay, a.lag
+    return Machine(mechanism, log, tuple(tracks), law, gear, unknown, told)
 
 
 def _gain(tree: Tree, tracks) -> float:

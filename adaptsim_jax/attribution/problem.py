@@ -1,6 +1,6 @@
 """One identification problem: joints in groups that share no moving body, their stretches, and the values of a parameter vector."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -76,6 +76,7 @@ def prepare(
     gear: np.ndarray | None = None,
     horizon: float = 0.5,
     most: int = 192,
+    declared: Mapping[tuple[str, str], np.ndarray] | None = None,
 ) -> Problem:
     """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n]."""
     n = len(tree.joint_names)
@@ -98,6 +99,7 @@ def prepare(
         ("armature", "inertia"): np.asarray(tree.armature), ("spring", "stiffness"): np.asarray(tree.stiffness),
         ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
     }  # fmt: skip
+    as_declared |= dict(declared or {})
     return Problem(
         tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear), fold, names,
         bool(np.any(stretches.seen_v)), as_declared, noise(tracks),

@@ -65,7 +65,14 @@ def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None)
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     problem = prepare(
-        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, min(span, longest), most=100_000
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        min(span, longest),
+        100_000,
+        machine.declared,
     )
     vector = vector if vector is not None else Vector((), np.zeros(0))
     return replayed(problem, vector, span)
