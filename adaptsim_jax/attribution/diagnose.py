@@ -87,7 +87,7 @@ def diagnose(
 
 
 def declared_vector(machine: Machine, problem: Problem) -> Vector:
-    """What is fitted whatever is named: inertias and damping, unless `[fit]` in meta.toml says otherwise; the gain of volts or amperes."""
+    """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says otherwise, and the gain of volts."""
     meta = machine.log.meta
     for table, key in (("fit", k) for k in meta.fit):
         if key not in ("inertias", "damping"):

@@ -127,16 +127,16 @@ def _accelerate(model: Model, values: Values, q, v, u, t, extra):
 def _friction(mass, free, v, level, h):
     """Dry friction [n, W] held over a step of h s from the acceleration `free` without it."""
     n = v.shape[0]
-    eye = jnp.eye(n, dtype=v.dtype).reshape(n, n, *(1,) * (v.ndim - 1)) + jnp.zeros_like(v)
+    eye = jnp.eye(n, dtype=v.dtype).reshape(n, n, *(1,) * (v.ndim - 1)) + jnp.zeros_like(v)[None]
     answer = [dynamics.solve(mass, eye[j]) for j in range(n)]  # column j: accelerations under a unit force at joint j
     safe = jnp.where(h > 0, h, 1.0)
-    after = v + h * free
+    after = v + h[None] * free
     force = [jnp.zeros_like(v[0])] * n
     for _ in range(SWEEPS if n > 1 else 1):
         for j in range(n):
             wanted = force[j] - after[j] / (safe * answer[j][j])
             new = jnp.clip(wanted, -level[j], level[j])
-            after = after + h * answer[j] * (new - force[j])
+            after = after + h[None] * answer[j] * (new - force[j])[None]
             force[j] = new
     return jnp.stack(force)
 
@@ -145,10 +145,11 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
     """State [2n, W] after a row, and the mean dry friction over it [n, W]. extra [n, W] N m; rough: whether anything rubs."""
     n = x.shape[0] // 2
     h = dt / substeps
+    wide = h[None]
 
     def substep(i, carry):
         x, rubbed = carry
-        now = (t + i * h)[None]
+        now = t[None] + i * wide
         q, v = x[:n], x[n:]
         free, mass, act = _accelerate(model, values, q, v, u, now, extra)
         rub = jax.lax.cond(
@@ -161,13 +162,13 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
 
         def stage(carry, ab):
             k, total = carry
-            k = slope(x + ab[0] * h * k, ab[0] * h)
+            k = slope(x + ab[0] * wide * k, ab[0] * wide)
             return (k, total + ab[1] * k), None
 
         kind = x.dtype
-        weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([1.0, 6.0], kind)
+        weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([[1.0, 6.0]], kind)
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), weights)
-        return x + h * total, rubbed + rub / substeps
+        return x + wide * total, rubbed + rub / substeps
 
     return jax.lax.fori_loop(0, substeps, substep, (x, jnp.zeros_like(x[:n])))
 
