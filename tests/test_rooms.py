@@ -12,7 +12,7 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "core", "space", "control", "effects", "mechanisms", "sysid", "learners", "tasks", "adaptation", "baselines", "report",
+    "core", "space", "control", "effects", "mechanisms", "sysid", "attribution", "learners", "tasks", "adaptation", "baselines", "report",
     "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
@@ -21,7 +21,9 @@ WITHIN = {
         "compile_flags", "memory", "kept_programs", "tree_store", "store",
     ),
     "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),
-    "mechanisms": ("plant", "double_pendulum", "dry_friction", "stepping", "closed_loop", "model_file"),
+    "mechanisms": (
+        "lanes", "tree", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write", "plant", "double_pendulum", "dry_friction", "stepping", "closed_loop", "model_file",
+    ),
     "sysid": (
         "types", "criteria", "quality", "io", "noise", "segments", "forward", "dictionary", "estimate", "score", "nuisance",
         "evaluate", "select", "decide", "rivals", "design", "report", "pipeline",

@@ -199,7 +199,7 @@ def _next_experiment(report: Mapping, plan: Mapping | None, out: Path | None) ->
 
 
 def _links(out: Path | None) -> list[str]:
-    names = ("model.toml", "leading.toml", "report.json")
+    names = ("model.xml", "model.toml", "leading.toml", "report.json")
     return [name for name in names if name == "report.json" or (out is not None and (out / name).exists())]
 
 
@@ -213,7 +213,7 @@ def print_summary(report: dict, console: Console, out: Path | None = None) -> No
     for name, value in _summary_rows(report):
         table.add_row(Text(name, style="dim"), Text(value))
     console.print(Padding(table, (0, 0, 0, 2)))
-    for name in ("report.html", "report.json", "model.toml", "leading.toml", _csv_name(report)):
+    for name in ("report.html", "report.json", "model.xml", "model.toml", "leading.toml", _csv_name(report)):
         if out is not None and name and (Path(out) / name).exists():
             console.print(Text(f"  {Path(out) / name}", style="dim"), soft_wrap=True)
 

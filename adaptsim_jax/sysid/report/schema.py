@@ -39,6 +39,7 @@ PARAMETER_LEVEL, ERROR_LEVEL = 0.90, 0.95
 VERDICTS = (
     "explained",
     "explained_class",
+    "partly_explained",
     "confounded_with_declared",
     "structured_unattributed",
     "within_noise",
@@ -215,7 +216,7 @@ def _check_effects(found: _Problems, report: Mapping) -> None:
             found.add(where + "alternatives", "a list of names is wanted (empty where it stands alone)")
     if verdict in NAMELESS and effects:
         found.add("effects", f"the verdict {verdict} names no effect, yet {len(effects)} are listed")
-    if verdict in ("explained", "explained_class") and not effects:
+    if verdict in ("explained", "explained_class", "partly_explained") and not effects:
         found.add("effects", f"the verdict {verdict} names an effect, yet none is listed")
     if verdict == "explained_class" and not any(effect.get("alternatives") for effect in effects):
         found.add("effects", "the verdict explained_class names the alternatives, yet none are listed")
