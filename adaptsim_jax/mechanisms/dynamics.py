@@ -28,7 +28,6 @@ from adaptsim_jax.mechanisms.lanes import (
     apply_transposed,
     cross,
     dot,
-    minus,
     mul,
     neg,
     plus,
@@ -247,7 +246,7 @@ def _bodies(tree: Tree, poses: list[Pose], inertial: Any, dtype: Any) -> list[Bo
             continue
         mass, x, y, z, *six = inertial[i]
         half = product(pose.rotation, symmetric(*six))
-        entry = lambda r, c, half=half, pose=pose: dot(half[r], pose.rotation[c])  # noqa: E731
+        entry = lambda r, c, half=half, pose=pose: dot(half[r], pose.rotation[c])
         inertia = symmetric(entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2))
         bodies.append(Body(mass, apply(pose.rotation, (x, y, z)), inertia))
     return bodies
@@ -335,7 +334,7 @@ def _moved(body: Body, d: Vector) -> Body:
     h, inertia = body.moment, body.inertia
     much = add(dot(h, d), dot(plus(h, times(body.mass, d)), d))  # 2 h.d + m d.d
     md = plus(h, times(body.mass, d))  # so that h d' + d h' + m d d' = h d' + d md'
-    entry = lambda r, c: sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))  # noqa: E731
+    entry = lambda r, c: sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
     six = [add(entry(r, c), much) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)]
     return Body(body.mass, md, symmetric(*six))
 
