@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.core.trig import sin_cos
 from adaptsim_jax.mechanisms.lanes import (
     IDENTITY,
     ZERO,
@@ -39,7 +40,6 @@ from adaptsim_jax.mechanisms.lanes import (
     total,
 )
 from adaptsim_jax.mechanisms.tree import Tree, ancestors
-from adaptsim_jax.models.trig import sin_cos
 
 Array = Any
 

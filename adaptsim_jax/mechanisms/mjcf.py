@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.actuators import NO_RANGE, Actuator
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
 from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, make_tree
