@@ -55,7 +55,8 @@ def _cell(value: Any) -> Any:
 
 def summary(rows: list[dict[str, Any]], swept: list[str], targets: list[str]) -> list[dict[str, Any]]:
     """For each swept key, each of its values and each reward: the mean over the members that are done, with the half width of its
-    95 % interval (Student's, None for one member) and their number. Other swept values are averaged over."""
+    95 % interval (Student's) and what it is an interval over: seeds, each averaged over the other swept values first, since members
+    of one seed go alike; members where all are of one seed; half is None where there is but one."""
     done = [row for row in rows if row["status"] == "done"]
     found = []
     for key in swept or [""]:
@@ -64,9 +65,20 @@ def summary(rows: list[dict[str, Any]], swept: list[str], targets: list[str]) ->
             levels.setdefault(json.dumps(row["values"].get(key)), []).append(row)
         for level, some in levels.items():
             for name in (TRAINING, *targets):
-                rewards = [r for r in (_reward(row, name) for row in some) if r is not None]
-                found.append({"key": key, "value": json.loads(level), "reward": name} | interval(rewards))
+                found.append({"key": key, "value": json.loads(level), "reward": name} | _over_seeds(some, name))
     return found
+
+
+def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
+    pairs = [(row["seed"], _reward(row, name)) for row in rows]
+    by_seed: dict[int, list[float]] = {}
+    for seed, reward in pairs:
+        if reward is not None:
+            by_seed.setdefault(seed, []).append(reward)
+    rewards = [r for some in by_seed.values() for r in some]
+    if len(by_seed) < 2:
+        return interval(rewards) | {"over": "members", "members": len(rewards)}
+    return interval([float(np.mean(some)) for some in by_seed.values()]) | {"over": "seeds", "members": len(rewards)}
 
 
 def _reward(row: dict[str, Any], name: str) -> float | None:

@@ -21,7 +21,7 @@ from adaptsim_jax.store import CHECKPOINT, RunFolder
 def run_sweep(sweep: Sweep, folder: SweepFolder, *, progress: Callable = silent, save_after: float = 30.0) -> None:
     """All batches that are left, one after another in this process (and in all that joined it). The caller holds the folder."""
     total = sum(m.config.phase1.rounds for m in sweep.members)
-    held = _Held(sweep, folder)
+    held = Held(sweep, folder)
     left = folder.left()
     done = total - sum(_rounds(sweep, folder, batch) for batch in left)
     for batch in left:
@@ -45,7 +45,7 @@ def _rounds(sweep: Sweep, folder: SweepFolder, batch: Batch) -> int:
     return sum(m.config.phase1.rounds for m in members_of(sweep, folder, batch))
 
 
-class _Held:
+class Held:
     """The programs of the group that is being run, so that batches of one group share them."""
 
     def __init__(self, sweep: Sweep, folder: SweepFolder):
@@ -70,7 +70,7 @@ def _split(group: Any) -> devices.Split:
     return devices.Split(along, 1)
 
 
-def rows_of(held: _Held, batch: Batch, report: Callable[[int, str], None], save_after: float) -> list[dict[str, Any]]:
+def rows_of(held: Held, batch: Batch, report: Callable[[int, str], None], save_after: float) -> list[dict[str, Any]]:
     """A row for each member of the batch, as `results.json` has it; run folders of members are left where `keep` asks for them."""
     sweep, folder = held.sweep, held.folder
     members = members_of(sweep, folder, batch)
@@ -84,17 +84,22 @@ def rows_of(held: _Held, batch: Batch, report: Callable[[int, str], None], save_
                 _leave_run(programs, sweep, folder, member, jax.tree.map(lambda x, i=i: x[i], state))
         return [_row(sweep, member, each) for member, each in zip(some, found, strict=True)]
 
-    return halved(members, run, lambda member, reason: _head(sweep, member) | {"status": "failed", "reason": reason})
+    return halved(members, run, failed_row)
 
 
-def _head(sweep: Sweep, member: Member) -> dict[str, Any]:
+def failed_row(member: Member, reason: str) -> dict[str, Any]:
+    """The row of a member that came to nothing."""
+    return _head(member) | {"status": "failed", "reason": reason}
+
+
+def _head(member: Member) -> dict[str, Any]:
     return {"member": member.index, "seed": member.config.seed, "values": member.values}
 
 
 def _row(sweep: Sweep, member: Member, found: dict[str, Any]) -> dict[str, Any]:
     reward = np.array(found["reward"])
     tail = reward[-max(1, len(reward) // 10) :]
-    row = _head(sweep, member) | {"status": "done", "reason": "", "train_reward": float(tail.mean()), "curve": found["reward"]}
+    row = _head(member) | {"status": "done", "reason": "", "train_reward": float(tail.mean()), "curve": found["reward"]}
     if not found["whole"] or found["faulty"] >= 0:
         faulty = found["faulty"] + 1 if found["faulty"] >= 0 else len(reward)
         row |= {"status": "failed", "reason": f"the learner's loss or weights were not finite from round {faulty} on"}

@@ -92,7 +92,7 @@ def read_sweep(path: str | Path) -> Sweep:
     axes = _axes(spec, lines)
     for key, value, line in _every(axes):
         with lines.blamed(line):
-            _check_key(spec.task, configs.to_table(base), key, value)
+            _check_key(spec.task, configs.to_table(base), key, value, lines.where(line))
     return _members(spec, base, axes, lines)
 
 
@@ -144,7 +144,7 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path) -> TrainConfig:
             base = configs.from_table(TrainConfig, with_defaults(spec.task, table), spec.config)
     for key, value in leaves(spec.set, configs.to_table(base)).items():
         with lines.blamed(f"set.{key}"):
-            _check_key(spec.task, configs.to_table(base), key, value)
+            _check_key(spec.task, configs.to_table(base), key, value, lines.where(f"set.{key}"))
     return with_values(base, leaves(spec.set, configs.to_table(base)))
 
 
@@ -181,17 +181,17 @@ def _nested(key: str, value: Any) -> dict[str, Any]:
     return value
 
 
-def _check_key(task: str, base: dict[str, Any], key: str, value: Any) -> None:
-    """BadInput where the configuration has no such key, or no such value there."""
+def _check_key(task: str, base: dict[str, Any], key: str, value: Any, where: str) -> None:
+    """BadInput, from `where`, if the configuration has no such key, or no such value there."""
     if key == "seed" or key.startswith("seed."):
         raise BadInput("key 'seed' is not swept; write seeds = 16 or seeds = [3, 5] at the top of the file")
     head, _, option = key.partition(".")
     table = configs.over(base, _nested(key, value))
-    made = configs.from_table(TrainConfig, table, "sweep")
+    made = configs.from_table(TrainConfig, table, where)
     if head == "task" and option and "model" not in made.task:
         kind = TASKS[task][0]
         default = configs.to_table(kind())
-        configs.from_table(kind, configs.over(default, made.task), "sweep", "task.")
+        configs.from_table(kind, configs.over(default, made.task), where, "task.")
     elif head == "task" and not option:
         raise BadInput("key 'task' is a table; name an option in it, such as task.trials")
 

@@ -95,7 +95,10 @@ def _sweep(args: argparse.Namespace) -> int:
         where = None if args.hosts == "slurm" else args.hosts
         sweep_devices.join(where, args.processes, args.process)
     first = sweep_devices.first()
-    plan = sweep_plan.make_plan(sweep, devices=len(jax.devices()), at_once=args.at_once)
+    devices, at_once = len(jax.devices()), args.at_once
+    if args.ray is not None:  # a batch goes to a worker, which has a device of its own
+        devices, at_once = 1, at_once or sweep_plan.PER_CORE
+    plan = sweep_plan.make_plan(sweep, devices=devices, at_once=at_once)
     if first:
         print(f"{len(sweep.members)} members of {sweep.spec.task}, {len(sweep.spec.targets)} targets each")
         print("\n".join(sweep_plan.described(plan)), flush=True)

@@ -21,10 +21,11 @@ def draw(found: dict[str, Any], out: Path) -> list[Path]:
 
 
 def over_values(found: dict[str, Any], key: str) -> Figure:
-    """Mean rewards over the values of `key` with 95 % intervals, a line for Phase 1 and for each target."""
+    """Mean rewards over the values of `key` with 95 % intervals: a line for each target, or one for Phase 1 where there is none."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
-    rows = [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
+    wanted = found["spec"]["targets"] or ["training"]
+    rows = [r for r in found["summary"] if r["key"] == key and r["mean"] is not None and r["reward"] in wanted]
     values = list({repr(r["value"]): r["value"] for r in rows}.values())
     plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     values = sorted(values) if plain else values
@@ -41,8 +42,8 @@ def over_values(found: dict[str, Any], key: str) -> Figure:
         axes.set_xticks(range(len(values)), [str(v) for v in values])
     elif len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20:
         axes.set_xscale("log")
-    least = min((r["count"] for r in rows), default=0)
-    axes.set_xlabel(f"{key} (95 % intervals of means over at least {least} members, other values averaged over)", fontsize=8)
+    least, over = min(((r["count"], r["over"]) for r in rows), default=(0, "members"))
+    axes.set_xlabel(f"{key} (means with 95 % intervals over {least} {over}, other values averaged over)", fontsize=8)
     axes.set_ylabel("reward")
     axes.grid(color=look.GRID)
     if names:
