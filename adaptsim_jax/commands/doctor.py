@@ -17,7 +17,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 where everything that the core needs works here, else 1."""
-    from adaptsim_jax import doctor
+    from adaptsim_jax.commands import doctor_checks as doctor
 
     found = doctor.examine()
     if args.json:

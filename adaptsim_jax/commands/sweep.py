@@ -37,19 +37,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--estimate", action="store_true", help="say what would be run and the memory it takes")
     parser.add_argument("--at-once", type=positive, metavar="N", help="members side by side (default: what fits)")
     parser.add_argument(
-        "--devices", type=positive, metavar="N", help="devices of this machine; on CPUs N groups of cores (default: a core each)"
+        "--devices",
+        type=positive,
+        metavar="N",
+        help="devices of this machine; on CPUs N groups of cores (default: a core each)",
     )
     parser.add_argument("--save-every", type=float, default=30.0, metavar="S", help="seconds between checkpoints (30)")
     many = parser.add_argument_group("many machines (docs/sweeps.md)")
-    many.add_argument("--ray", nargs="?", const="", metavar="ADDRESS", help="share batches out by Ray (extra [cluster])")
-    many.add_argument("--hosts", metavar="slurm | HOST:PORT", help="one program over hosts; HOST:PORT is the first one's")
+    many.add_argument(
+        "--ray", nargs="?", const="", metavar="ADDRESS", help="share batches out by Ray (extra [cluster])"
+    )
+    many.add_argument(
+        "--hosts", metavar="slurm | HOST:PORT", help="one program over hosts; HOST:PORT is the first one's"
+    )
     many.add_argument("--processes", type=positive, metavar="N", help="with HOST:PORT: how many programs")
     many.add_argument("--process", type=int, metavar="I", help="with HOST:PORT: which of them this is, from 0")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run, resume or show a sweep."""
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core.errors import BadInput
 
     if args.words[0] == "show":
         if len(args.words) != 2:
@@ -65,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _set_up_devices(args: argparse.Namespace) -> None:
     """Before JAX is there: a device for each core of a CPU, which members of a batch run on without waiting for each other."""
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core.errors import BadInput
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     flags = os.environ.get("XLA_FLAGS", "")
@@ -84,9 +91,9 @@ def _set_up_devices(args: argparse.Namespace) -> None:
 def _sweep(args: argparse.Namespace) -> int:
     import jax
 
-    from adaptsim_jax.adapt import sweep_devices, sweep_plan
-    from adaptsim_jax.adapt.sweep_folder import locked
-    from adaptsim_jax.adapt.sweep_spec import read_sweep
+    from adaptsim_jax.adaptation import sweep_devices, sweep_plan
+    from adaptsim_jax.adaptation.sweep_folder import locked
+    from adaptsim_jax.adaptation.sweep_spec import read_sweep
     from adaptsim_jax.commands.common import output
 
     spec = args.words[0]
@@ -112,14 +119,14 @@ def _sweep(args: argparse.Namespace) -> int:
 
 
 def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
-    from adaptsim_jax.adapt import sweep_devices
-    from adaptsim_jax.adapt.sweep_run import run_sweep
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.adaptation import sweep_devices
+    from adaptsim_jax.adaptation.sweep_run import run_sweep
+    from adaptsim_jax.core.progress import progress
 
     folder = _folder(args, sweep, plan, out)
     with progress("sweep") as report:
         if args.ray is not None:
-            from adaptsim_jax.adapt.sweep_cluster import run_on_ray
+            from adaptsim_jax.adaptation.sweep_cluster import run_on_ray
 
             run_on_ray(sweep, folder, args.ray or None, progress=report, save_after=args.save_every)
         else:
@@ -128,9 +135,9 @@ def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
 
 
 def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
-    from adaptsim_jax.adapt.sweep_devices import agreed, first
-    from adaptsim_jax.adapt.sweep_folder import HEAD, SweepFolder
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.adaptation.sweep_devices import agreed, first
+    from adaptsim_jax.adaptation.sweep_folder import HEAD, SweepFolder
+    from adaptsim_jax.core.errors import BadInput
 
     there = first() and (out / HEAD).exists()
     if there and not args.resume:
@@ -142,7 +149,7 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
 
 
 def _finish(folder: Any) -> int:
-    from adaptsim_jax.adapt.sweep_results import write_results
+    from adaptsim_jax.adaptation.sweep_results import write_results
     from adaptsim_jax.report.figures_sweep import draw
 
     found = write_results(folder)
@@ -153,7 +160,7 @@ def _finish(folder: Any) -> int:
 
 
 def _show(path: Path) -> int:
-    from adaptsim_jax.adapt.sweep_folder import SweepFolder
+    from adaptsim_jax.adaptation.sweep_folder import SweepFolder
 
     return _finish(SweepFolder.load(path))
 

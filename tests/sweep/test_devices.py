@@ -6,7 +6,7 @@ import socket
 import numpy as np
 import pytest
 
-from adaptsim_jax.adapt.sweep_devices import choose_split
+from adaptsim_jax.adaptation.sweep_devices import choose_split
 from tests.sweep.small import SPEC, run, start, write
 
 FEW = SPEC.replace("[0.1, 0.15]", "[0.1]").replace("[3e-4, 1e-3]", "[1e-3]").replace("seeds = 2", "seeds = 3")

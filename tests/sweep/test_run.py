@@ -8,10 +8,10 @@ import time
 
 import pytest
 
-from adaptsim_jax.adapt.sweep_batch import halved
-from adaptsim_jax.adapt.sweep_folder import locked
+from adaptsim_jax.adaptation.sweep_batch import halved
+from adaptsim_jax.adaptation.sweep_folder import locked
 from adaptsim_jax.cli import main
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from tests.sweep.small import SPEC, run, start, table, write
 
 pytestmark = pytest.mark.slow

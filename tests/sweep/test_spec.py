@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.adapt.sweep_lines import Lines
-from adaptsim_jax.adapt.sweep_plan import grouped, make_plan, member_bytes
-from adaptsim_jax.adapt.sweep_spec import read_sweep
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.adaptation.sweep_lines import Lines
+from adaptsim_jax.adaptation.sweep_plan import grouped, make_plan, member_bytes
+from adaptsim_jax.adaptation.sweep_spec import read_sweep
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.registry import make_task
 from tests.sweep.small import SPEC, write
 
@@ -49,7 +49,10 @@ def test_random_values_lie_in_their_ranges_and_come_again(tmp_path):
 
 
 def test_listed_values_belong_together(tmp_path):
-    text = SPEC.split("[grid]")[0] + "[[list]]\nhyper.delta = 0.1\nhyper.shrink = 1\n[[list]]\nhyper.delta = 0.3\nhyper.shrink = 0.7\n"
+    text = (
+        SPEC.split("[grid]")[0]
+        + "[[list]]\nhyper.delta = 0.1\nhyper.shrink = 1\n[[list]]\nhyper.delta = 0.3\nhyper.shrink = 0.7\n"
+    )
     sweep = read_sweep(write(tmp_path, text))
     assert [m.values for m in sweep.members[::2]] == [
         {"hyper.delta": 0.1, "hyper.shrink": 1},
@@ -63,24 +66,75 @@ def changed(old, new):
 
 
 BAD = {
-    "no such key": (changed("hyper.delta = [0.1", "hyper.dleta = [0.1"), "line 20: unknown key 'hyper.dleta'; did you mean 'delta'?"),
-    "no such key of the task": (changed("task.scaling", "task.scalign"), "line 8: unknown key 'task.scalign'; did you mean 'scaling'?"),
-    "no such table": (changed("[grid]", "[gird]"), "line 19: unknown key 'gird'; did you mean 'grid'?"),
-    "out of bounds": (changed("[0.1, 0.15]", "[0.1, -0.15]"), "line 20: hyper.delta = -0.15: give a positive number"),
-    "of another type": (changed("[3e-4, 1e-3]", '[3e-4, "fast"]'), "line 21: key 'hyper.learner.learning_rate' is 'fast'"),
-    "do not fit": (changed("parallel = 8", "parallel = 7"), "line 10: 64 trajectories do not divide"),
-    "no list": (changed("[0.1, 0.15]", "0.1"), "line 20: key 'hyper.delta' is 0.1; a list of values is wanted"),
-    "no such target": (changed('"ood-1"', '"ood-9"'), "line 3: unknown target 'ood-9'; did you mean"),
-    "a seed twice": (changed("seeds = 2", "seeds = [1, 1]"), "line 2: seeds = [1, 1]"),
-    "no seed": (changed("seeds = 2", "seeds = 0"), "line 2: seeds = 0"),
-    "the seed swept": (changed("hyper.delta = [0.1, 0.15]", "seed = [0, 1]"), "line 20: key 'seed' is not swept"),
-    "swept twice": (SPEC + '[[list]]\n"hyper.delta" = 1\n', "line 20: key 'hyper.delta' is swept twice"),
-    "no such preset": ('preset = "paper-pendulm"\n' + SPEC, "line 1: unknown preset 'paper-pendulm'; did you mean 'paper-pendulum'?"),
-    "no such task": (changed('"pendulum"', '"pendulm"'), "line 1: unknown task 'pendulm'; did you mean 'pendulum'?"),
-    "a size of nothing": (SPEC + "phase1.batch = [8, 0]\n", "line 22: phase1.batch = 0: give at least 1"),
-    "random without a count": (SPEC + "[random]\nseed = 1\n[random.values]\nhyper.gain = {low = 1, high = 2}\n", "line 22: random needs count"),
-    "high below low": (SPEC + "[random]\ncount = 1\n[random.values]\nhyper.gain = {low = 3, high = 2}\n", "line 25: key 'hyper.gain': low = 3.0, high = 2.0"),
-}  # fmt: skip
+    "no such key": (
+        changed("hyper.delta = [0.1", "hyper.dleta = [0.1"),
+        "line 20: unknown key 'hyper.dleta'; did you mean 'delta'?",
+    ),
+    "no such key of the task": (
+        changed("task.scaling", "task.scalign"),
+        "line 8: unknown key 'task.scalign'; did you mean 'scaling'?",
+    ),
+    "no such table": (
+        changed("[grid]", "[gird]"),
+        "line 19: unknown key 'gird'; did you mean 'grid'?",
+    ),
+    "out of bounds": (
+        changed("[0.1, 0.15]", "[0.1, -0.15]"),
+        "line 20: hyper.delta = -0.15: give a positive number",
+    ),
+    "of another type": (
+        changed("[3e-4, 1e-3]", '[3e-4, "fast"]'),
+        "line 21: key 'hyper.learner.learning_rate' is 'fast'",
+    ),
+    "do not fit": (
+        changed("parallel = 8", "parallel = 7"),
+        "line 10: 64 trajectories do not divide",
+    ),
+    "no list": (
+        changed("[0.1, 0.15]", "0.1"),
+        "line 20: key 'hyper.delta' is 0.1; a list of values is wanted",
+    ),
+    "no such target": (
+        changed('"ood-1"', '"ood-9"'),
+        "line 3: unknown target 'ood-9'; did you mean",
+    ),
+    "a seed twice": (
+        changed("seeds = 2", "seeds = [1, 1]"),
+        "line 2: seeds = [1, 1]",
+    ),
+    "no seed": (
+        changed("seeds = 2", "seeds = 0"),
+        "line 2: seeds = 0",
+    ),
+    "the seed swept": (
+        changed("hyper.delta = [0.1, 0.15]", "seed = [0, 1]"),
+        "line 20: key 'seed' is not swept",
+    ),
+    "swept twice": (
+        SPEC + '[[list]]\n"hyper.delta" = 1\n',
+        "line 20: key 'hyper.delta' is swept twice",
+    ),
+    "no such preset": (
+        'preset = "paper-pendulm"\n' + SPEC,
+        "line 1: unknown preset 'paper-pendulm'; did you mean 'paper-pendulum'?",
+    ),
+    "no such task": (
+        changed('"pendulum"', '"pendulm"'),
+        "line 1: unknown task 'pendulm'; did you mean 'pendulum'?",
+    ),
+    "a size of nothing": (
+        SPEC + "phase1.batch = [8, 0]\n",
+        "line 22: phase1.batch = 0: give at least 1",
+    ),
+    "random without a count": (
+        SPEC + "[random]\nseed = 1\n[random.values]\nhyper.gain = {low = 1, high = 2}\n",
+        "line 22: random needs count",
+    ),
+    "high below low": (
+        SPEC + "[random]\ncount = 1\n[random.values]\nhyper.gain = {low = 3, high = 2}\n",
+        "line 25: key 'hyper.gain': low = 3.0, high = 2.0",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", BAD)

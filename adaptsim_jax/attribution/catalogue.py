@@ -1,0 +1,219 @@
+"""The effects that any joint of a machine may have, with what shows them and what they are mistaken for.
+
+Each is an `Effect` as of the double pendulum's catalogue; what acts on the torque is a force here, since the torque of a joint may
+be made by an actuator's own law from a command.
+"""
+
+import jax.numpy as jnp
+
+from adaptsim_jax.effects import force, grids
+from adaptsim_jax.effects.actuator import actuator_lag, delay
+from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
+
+LATEST = 0.05  # s
+
+
+def viscous(p, m):
+    return -p["damping"] * m.v
+
+
+def coulomb(p, m):
+    return Dry(p["level"] + 0.0 * m.q)
+
+
+def asymmetric(p, m):
+    """Half the difference of the levels of dry friction up and down; beside `coulomb`, which has their mean."""
+    return Dry(p["difference"] * jnp.where(m.v >= 0.0, 1.0, -1.0))
+
+
+def stribeck(p, m):
+    return Dry(p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
+
+
+def load_friction(p, m):
+    return Dry(p["share"] * jnp.abs(m.u))
+
+
+def spring(p, m):
+    return p["preload"] - p["stiffness"] * m.q
+
+
+def cogging(p, m):
+    return p["sine"] * jnp.sin(p["order"] * m.q) + p["cosine"] * jnp.cos(p["order"] * m.q)
+
+
+def torque_gain(p, m):
+    return p["gain"] * m.u
+
+
+def position_gain(p, m):
+    return p["gain"] * m.pull
+
+
+def saturation(p, m):
+    """The limit is a share cut off the largest force, so that no cut changes nothing."""
+    limit = (1.0 - p["cut"]) * p["peak"]
+    return jnp.clip(m.u, -limit, limit) - m.u
+
+
+def dead_zone(p, m):
+    return -jnp.clip(m.u, -p["width"], p["width"])
+
+
+def sensor_delay(p, t, q, v, first):
+    """Late by a few rows at most: to first order."""
+    return q - p["delay"] * v, v
+
+
+def encoder_scale(p, t, q, v, first):
+    return (1.0 + p["scale"]) * q, (1.0 + p["scale"]) * v
+
+
+def _late(reach, joint):
+    return [{"delay": s} for s in (-0.02, -0.01, -0.004, 0.004, 0.01, 0.02, 0.04)]
+
+
+def _lags(reach, joint):
+    return [{"lag": s} for s in (0.004, 0.01, 0.025, 0.06)]
+
+
+def _cuts(reach, joint):
+    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.25, 0.45)]
+
+
+def _widths(reach, joint):
+    return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.03, 0.08)]
+
+
+BEFORE = Parameter(
+    "before", "1", 0.0, 1.0, 1.0, None, held=True, optional=True, meaning="share of its first command ahead of the log"
+)
+
+MACHINE: tuple[Effect, ...] = (
+    Effect(
+        "viscous", "force", (Parameter("damping", "N m s/rad", 0.0, 10.0, 0.0, sign=1),), viscous,
+        "friction in proportion to the speed", "fast motion", ("quadratic_drag", "coulomb"), formula="-damping v",
+    ),
+    Effect(
+        "coulomb", "force", (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1),), coulomb, "dry friction: a constant torque against the motion",
+        "reversals, and both slow and fast motion", ("stribeck", "load_friction", "asymmetric_coulomb"),
+        formula="-level sign(v); holds the joint where less than the level would move it",
+    ),
+    Effect(
+        "asymmetric_coulomb", "force", (Parameter("difference", "N m", -1.0, 1.0, 0.0),), asymmetric,
+        "dry friction of another level in each direction", "both directions at like speeds", ("coulomb", "bias"),
+        formula="-difference: half of what friction upwards is more than downwards",
+    ),
+    Effect(
+        "stribeck", "force",
+        (Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1),
+         Parameter("speed", "rad/s", 0.005, 20.0, 0.5, None, meaning="at which the excess has fallen to a third")),
+        stribeck, "dry friction that is higher at creeping speed (Bo and Pavelescu, 1982)",
+        "long stretches of slow motion beside fast ones", ("coulomb", "load_friction"), grid=grids.speeds,
+        formula="-excess exp(-(v / speed)^2) sign(v), beside what is there at speed",
+    ),
+    Effect(
+        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1),), load_friction,
+        "dry friction that grows with the torque that the joint carries", "high and low torque at like speeds",
+        ("coulomb", "stribeck", "torque_gain"), formula="-share |torque| sign(v), beside what is there without load",
+    ),
+    Effect(
+        "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.0, sign=1),), force.quadratic_drag,
+        "air drag or turbulent oil: torque with the square of speed", "a wide range of speeds", ("viscous", "coulomb"),
+        formula="-drag v |v|",
+    ),
+    Effect(
+        "spring", "force",
+        (Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1), Parameter("preload", "N m", -5.0, 5.0, 0.0)), spring,
+        "a torsional spring or a cable; at rest at preload / stiffness", "a wide range of angles",
+        ("bias", "position_gain", "encoder_offset"), contains=("bias",), formula="preload - stiffness q",
+    ),
+    Effect(
+        "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0),), force.bias,
+        "a constant torque: the torque sensor's zero, a cable's pull", "a wide range of angles",
+        ("encoder_offset", "tilt", "spring", "asymmetric_coulomb"), formula="torque",
+    ),
+    Effect(
+        "cogging", "force",
+        (Parameter("sine", "N m", -1.0, 1.0, 0.0), Parameter("cosine", "N m", -1.0, 1.0, 0.0),
+         Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn")),
+        cogging, "torque ripple periodic in the joint's angle (magnets, gear teeth)", "slow sweeps over many periods",
+        ("spring",), grid=grids.orders, formula="sine sin(order q) + cosine cos(order q)",
+    ),
+    Effect(
+        "hard_stop", "force",
+        (Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1), Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
+         Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True), Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True),
+         Parameter("damping", "s", 0.0, 0.5, 0.0, None, held=True, optional=True),
+         Parameter("exponent", "1", 0.7, 2.5, 1.0, None, held=True, optional=True)),
+        force.hard_stop, "an end stop beyond an angle", "motion into the stop, and well inside it", ("spring",),
+        grid=grids.stops, formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
+    ),
+    Effect(
+        "armature", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),), force.rotor_inertia,
+        "the rotor's inertia times the gear ratio squared, felt at its own joint", "fast motion", ("torque_gain", "inertia"),
+        inertia=True, formula="-inertia dv/dt",
+    ),
+    Effect(
+        "torque_gain", "force", (Parameter("gain", "1", -0.9, 2.0, 0.0),), torque_gain,
+        "the actuator's torque is off by a share", "driven motion beside free swings",
+        ("position_gain", "load_friction", "inertia"), formula="(1 + gain) torque",
+    ),
+    Effect(
+        "position_gain", "force", (Parameter("gain", "1", -0.9, 2.0, 0.0),), position_gain,
+        "the stiffness of the position controller is off by a share", "large position errors", ("torque_gain", "spring"),
+        formula="(1 + gain) kp (target - q)",
+    ),
+    Effect(
+        "saturation", "force",
+        (Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest torque"),
+         Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest torque; not fitted")),
+        saturation, "the torque cannot exceed a limit", "torques near and below the limit", ("torque_gain",), jump=True,
+        grid=_cuts, formula="torque within +-(1 - cut) peak",
+    ),
+    Effect(
+        "dead_zone", "force", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),), dead_zone,
+        "torques below a width move nothing, larger ones lose it", "small and large torques", ("coulomb", "torque_gain"),
+        jump=True, grid=_widths, formula="torque less width, zero within +-width",
+    ),
+    Effect(
+        "delay", "command", (Parameter("delay", "s", -LATEST, LATEST, 0.0), BEFORE), delay,
+        "the command reaches the joint late; below zero, its log is late", "fast changes of the command",
+        ("actuator_lag", "sensor_delay", "sensor_lag"), jump=True, grid=_late, formula="command(t - delay)",
+    ),
+    Effect(
+        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), BEFORE), actuator_lag,
+        "the joint follows its command as a first-order lag", "fast changes of the command",
+        ("delay", "sensor_lag", "sensor_delay"), jump=True, grid=_lags, formula="lag torque' = command - torque",
+    ),
+    Effect(
+        "encoder_offset", "measurement", (Parameter("offset", "rad", -0.8, 0.8, 0.0),), encoder_offset,
+        "the encoder's zero is not the model's", "wide angles under gravity", ("bias", "tilt"), formula="reading = q + offset",
+    ),
+    Effect(
+        "encoder_scale", "measurement", (Parameter("scale", "1", -0.5, 0.5, 0.0),), encoder_scale,
+        "the reading is off by a share (a wrong gear ratio)", "wide angles under gravity", ("torque_gain",),
+        formula="reading = (1 + scale) q",
+    ),
+    Effect(
+        "sensor_delay", "measurement", (Parameter("delay", "s", 0.0, LATEST, 0.0, sign=1),), sensor_delay,
+        "the angles are logged late", "fast motion", ("delay", "sensor_lag"), formula="reading(t) = q(t - delay)",
+    ),
+    Effect(
+        "sensor_lag", "measurement", (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),), sensor_lag,
+        "angle and speed come through a first-order filter", "fast motion", ("sensor_delay", "delay"), jump=True, grid=_lags,
+        formula="lag reading' = q - reading",
+    ),
+    Effect(
+        "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,
+        "play between the link and what its encoder turns with", "many reversals", ("coulomb",), jump=True,
+        grid=lambda reach, joint: [{"gap": g * float(reach.q_high[joint] - reach.q_low[joint])} for g in (0.01, 0.04)],
+        formula="reading follows q at a distance of at most gap / 2",
+    ),
+)  # fmt: skip
+
+COMMON = ("delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain")
+"""Effects that are tried with one value for all joints as well: those of the one computer that talks to them."""
+EVERYWHERE = ("coulomb", "armature", "stribeck", "load_friction", "quadratic_drag")
+"""Effects that are tried at all joints at once, with own values: those of like drives."""

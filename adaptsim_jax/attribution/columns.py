@@ -1,0 +1,226 @@
+"""What each parameter does to the measured outputs along a simulated path: one column a parameter, in place at first order.
+
+Forces enter through the response to a force held over a row, inertial parameters as the force that they would take (the regressor
+of the equations of motion is linear in them), commands as the change of the actuator's force, sensors directly.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Vector
+from adaptsim_jax.attribution.problem import TILT, TILTS, Group, Problem, off_value
+from adaptsim_jax.attribution.simulate import Motion, Path, actuated, command_rows
+from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.mechanisms import dynamics
+
+STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
+STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
+
+Shapes = Mapping[str, float]
+
+
+def _middle(path: Path, dt):
+    """Angles, speeds [n, L, W] in the middle of the rows, and mean accelerations."""
+    n = path.x.shape[1] // 2
+    x = jnp.moveaxis(path.x, 0, 1)
+    mid = 0.5 * (x[:, 1:] + x[:, :-1])
+    rise = (x[n:, 1:] - x[n:, :-1]) / jnp.where(dt > 0, dt, 1.0)
+    return mid[:n], mid[n:], jnp.where(dt > 0, rise, 0.0)
+
+
+def _mean_sign(x, n):
+    """Mean sign of a speed that changes linearly over each row, [n, L, W]."""
+    v = jnp.moveaxis(x, 0, 1)[n:]
+    before, after = v[:, :-1], v[:, 1:]
+    change = after - before
+    even = jnp.abs(change) < 1e-9
+    return jnp.where(even, jnp.sign(after), (jnp.abs(after) - jnp.abs(before)) / jnp.where(even, 1.0, change))
+
+
+@partial(jax.jit, static_argnames=("effect", "parameter"))
+def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effect, parameter: str):
+    """Change of the force [n, L, W] per unit of a parameter at every joint; p {name: [n]}, direction: 1, or a jump's size [n]."""
+    n = path.x.shape[1] // 2
+    dt = jnp.diff(time, axis=0)
+    q, v, a = _middle(path, dt)
+    wide = lambda z: z[:, None, :]
+    lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear))
+    if "encoder_offset" in values.effects:
+        lanes = lanes._replace(effects={"encoder_offset": jax.tree.map(wide, values.effects["encoder_offset"])})
+    else:
+        lanes = lanes._replace(effects={})
+    u = jnp.moveaxis(path.u, 0, 1)
+    tau, pull = actuated(lanes, q, v, u)
+    gravity = lambda q: dynamics.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
+    motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u)
+    turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
+
+    def act(value):
+        at = {k: z[:, None, None] for k, z in (p | {parameter: value}).items()}
+        if effect.inertia:
+            return -effect.apply(at) * a
+        answer = effect.apply(at, motion)
+        return answer.force - answer.level * turned if isinstance(answer, Dry) else answer + 0.0 * q
+
+    if effect.jump:
+        return (act(direction) - act(p[parameter])) / jnp.where(
+            direction != p[parameter], direction - p[parameter], 1.0
+        )[:, None, None]
+    return jax.jvp(act, (p[parameter],), (jnp.ones(n),))[1]
+
+
+@jax.jit
+def _regressor(tree, gravity, path: Path, time):
+    q, v, a = _middle(path, jnp.diff(time, axis=0))
+    return dynamics.regressor(tree, q, v, a, gravity[:, None] if gravity.ndim > 1 else gravity)
+
+
+@jax.jit
+def _gravity(tree, inertial, way, path: Path, time):
+    q, _, _ = _middle(path, jnp.diff(time, axis=0))
+    return dynamics.gravity_force(tree, inertial[:, :, None], q, way)
+
+
+@partial(jax.jit, static_argnames=("past", "effect", "parameter"))
+def _command(model, values, stamp, command, path: Path, p, size, past: int, effect: Effect, parameter: str):
+    rows = path.u.shape[0]
+    changed = dict(values.effects)
+    changed[effect.name] = {k: z[:, None] for k, z in p.items()}
+    moved = dict(changed)
+    moved[effect.name] = changed[effect.name] | {parameter: (p[parameter] + size)[:, None]}
+    run = lambda effects: command_rows(model, values._replace(effects=effects), stamp, command, past, rows)
+    by = (values.gear * values.actuator[0])[None]
+    return jnp.moveaxis((run(moved) - run(changed)) * by / size[None, :, None], 0, 1)
+
+
+@partial(jax.jit, static_argnames=("effect", "parameter"))
+def _sensed(time, x, p, size, effect: Effect, parameter: str):
+    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint."""
+    n = x.shape[1] // 2
+    run = lambda value: effect.apply(
+        {k: z[None, :, None] for k, z in (p | {parameter: value}).items()},
+        time[:, None, :],
+        x[:, :n],
+        x[:, n:],
+        x[0, :n],
+    )
+    if effect.jump:
+        on, off = run(p[parameter] + size), run(p[parameter])
+        return tuple((a - b) / size[None, :, None] for a, b in zip(on, off, strict=True))
+    return jax.jvp(run, (p[parameter],), (jnp.ones(n),))[1]
+
+
+class Columns:
+    """Columns of a group at a point: force columns [W, L, n, K] or output columns [W, L+1, 2n, K] on demand, by entry."""
+
+    def __init__(self, problem: Problem, group: Group, vector: Vector, values, path: Path):
+        self.problem, self.group, self.vector, self.values, self.path = problem, group, vector, values, path
+        s = group.stretches
+        self.time, self.n = jnp.asarray(s.time), len(group.joints)
+        self.known = {e.key: float(z) for e, z in zip(vector.entries, vector.values, strict=True)}
+        self._made: dict = {}
+        level = np.abs(np.asarray(path.rub)).max()
+        moved = np.moveaxis(np.asarray(path.rub), 0, 1)
+        self.rub = self._direction(moved) if level > 0 else (np.zeros_like(moved), np.zeros_like(moved))
+
+    def _direction(self, rub: np.ndarray):
+        """Dry friction as it acted, and the share of its level that it took, of the joints whose level is known to be there."""
+        level = np.abs(rub).max((1, 2), keepdims=True)
+        with_ = level > STILL * level.max()
+        return np.where(with_, level, 0.0) + 0.0 * rub, np.where(with_, -rub / np.where(level > 0, level, 1.0), 0.0)
+
+    def at(self, effect: Effect, shape: Shapes | None) -> dict[str, np.ndarray]:
+        """Parameters [n] of an effect as they are, those of `shape` laid over them at joints where it is not in the vector."""
+        out = {}
+        for p in effect.parameters:
+            row = []
+            for j in self.group.joints:
+                mine = next(
+                    (z for k, z in self.known.items() if k[0] == effect.name and k[1] == p.name and j in k[2]), None
+                )
+                base = off_value(self.problem, effect.name, p.name, j)
+                given = (shape or {}).get(p.name) if p.off is None else None
+                row.append(mine if mine is not None else base if given is None else given)
+            out[p.name] = np.array(row, float)
+        return out
+
+    def all_joints(self, effect: Effect, parameter: str, shape: Shapes | None):
+        """('force', [n, L, W]) or ('output', [L+1, 2n, W]) with each joint's own column on its row."""
+        key = (effect.name, parameter, tuple(sorted((shape or {}).items())))
+        if key not in self._made:
+            self._made[key] = self._make(effect, parameter, shape)
+        return self._made[key]
+
+    def _make(self, effect: Effect, parameter: str, shape: Shapes | None):
+        p = self.at(effect, shape)
+        g = self.group
+        size = p[parameter] + STEP
+        if shape and parameter in shape and effect.jump:
+            size = np.full(self.n, float(shape[parameter]))
+        with jax.enable_x64(True):
+            if effect.place == "force":
+                return "force", np.asarray(
+                    _force(g.model.tree, self.values, self.path, self.time, self.rub, p, size, effect, parameter)
+                )
+            if effect.place == "command":
+                s = g.stretches
+                step = size - p[parameter]
+                return "force", np.asarray(
+                    _command(g.model, self.values, s.stamp, s.command, self.path, p, step, s.past, effect, parameter)
+                )
+            dq, dv = _sensed(self.time, self.path.x, p, size - p[parameter], effect, parameter)
+            return "output", np.concatenate([np.asarray(dq), np.asarray(dv)], 1)
+
+    def inertia(self, body: int, name: str) -> np.ndarray:
+        """Force column [n, L, W] of an inertial entry of a body of the group."""
+        if "inertia" not in self._made:
+            with jax.enable_x64(True):
+                gravity = np.asarray(self.values.gravity)
+                y = np.asarray(_regressor(self.group.model.tree, jnp.asarray(gravity), self.path, self.time))
+            eta = np.zeros((self.n, 10))
+            for e, z in zip(self.vector.entries, self.vector.values, strict=True):
+                if e.owner == INERTIA and e.joints[0] in self.group.joints:
+                    eta[self.group.joints.index(e.joints[0]), ETA.index(e.name)] = z
+            self._made["inertia"] = (y, self.group.inertias.at(eta)[1])
+        y, slope = self._made["inertia"]
+        part = y[:, 10 * body : 10 * body + 10]
+        return -np.einsum("niLW,i->nLW", part, slope[body, :, ETA.index(name)])
+
+    def tilt(self, name: str) -> np.ndarray:
+        g = np.asarray(self.group.model.tree.gravity)
+        way = np.cross(g, np.eye(3)[TILTS.index(name)])  # d(gravity)/d(angle) of a turned base
+        with jax.enable_x64(True):
+            force = _gravity(self.group.model.tree, self.values.inertial, jnp.asarray(way), self.path, self.time)
+        return np.asarray(force)
+
+    def stack(self, entries: Sequence[tuple[Entry, Shapes | None]]):
+        """(force [W, L, n, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry is of another group."""
+        width, rows = self.path.x.shape[2], self.path.u.shape[0]
+        force = np.zeros((width, rows, self.n, len(entries)))
+        output = None
+        for k, (e, shape) in enumerate(entries):
+            if e.owner == TILT:
+                force[..., k] = self.tilt(e.name).transpose(2, 1, 0)
+                continue
+            for j in e.joints:
+                if j not in self.group.joints:
+                    continue
+                at = self.group.joints.index(j)
+                if e.owner == INERTIA:
+                    force[..., k] += self.inertia(at, e.name).transpose(2, 1, 0)
+                    continue
+                place, z = self.all_joints(self.problem.effect(e.owner), e.name, shape)
+                if place == "force":
+                    force[:, :, at, k] += z[at].T
+                    continue
+                output = np.zeros((width, rows + 1, 2 * self.n, len(entries))) if output is None else output
+                for c in (at, self.n + at):
+                    output[:, :, c, k] += z[:, c].T
+                if e.owner == "encoder_offset":  # the controller sees it too
+                    push = self.values.actuator[2, at] * self.values.gear[at] ** 2
+                    force[:, :, at, k] += float(push[0])
+        return force, output

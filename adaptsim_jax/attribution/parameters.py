@@ -1,0 +1,173 @@
+"""What is fitted, as one flat vector: inertial parameters by body, and parameters of effects by joint.
+
+The inertial parameters of a body are those of its declared ones under a transformation near the identity,
+J = U0 V(eta) V(eta)' U0', of its pseudo-inertia (log-Cholesky: Rucker and Wensing, 2022), so they are admissible at any eta and all
+ten numbers are without unit. A weak prior holds what the data do not fix at what was declared.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+INERTIA = "inertia"
+ETA = (
+    "size",
+    "stretch_x",
+    "stretch_y",
+    "stretch_z",
+    "shear_xy",
+    "shear_xz",
+    "shear_yz",
+    "shift_x",
+    "shift_y",
+    "shift_z",
+)
+PRIOR = 0.3  # standard deviation of eta
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number of the vector. `owner` is an effect's name or `inertia`; joints: where it acts (several: one shared value; a body
+    goes by its joint); off: its value where nothing is added; prior: standard deviation about `start`, infinite where none."""
+
+    owner: str
+    name: str
+    joints: tuple[int, ...]
+    start: float
+    off: float
+    low: float
+    high: float
+    unit: str
+    prior: float = np.inf
+
+    @property
+    def key(self) -> tuple[str, str, tuple[int, ...]]:
+        return self.owner, self.name, self.joints
+
+
+@dataclass(frozen=True)
+class Vector:
+    """Entries and their values [P]."""
+
+    entries: tuple[Entry, ...]
+    values: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def index(self) -> dict[tuple, int]:
+        return {e.key: i for i, e in enumerate(self.entries)}
+
+    @property
+    def low(self) -> np.ndarray:
+        return np.array([e.low for e in self.entries])
+
+    @property
+    def high(self) -> np.ndarray:
+        return np.array([e.high for e in self.entries])
+
+    @property
+    def precision(self) -> np.ndarray:
+        return np.array([e.prior**-2.0 for e in self.entries])
+
+    @property
+    def start(self) -> np.ndarray:
+        return np.array([e.start for e in self.entries])
+
+    def at(self, values: np.ndarray) -> "Vector":
+        return replace(self, values=np.asarray(values, float))
+
+    def with_entries(self, added: Iterable[Entry], values: Sequence[float] | None = None) -> "Vector":
+        """With more entries; those there are already keep their values."""
+        known = self.index()
+        fresh = [e for e in added if e.key not in known]
+        start = [e.start for e in fresh] if values is None else list(values)
+        return Vector(self.entries + tuple(fresh), np.concatenate([self.values, start]))
+
+    def without(self, keys: Iterable[tuple]) -> "Vector":
+        """Without some entries."""
+        gone = set(keys)
+        keep = [i for i, e in enumerate(self.entries) if e.key not in gone]
+        return Vector(tuple(self.entries[i] for i in keep), self.values[keep])
+
+
+def pseudo_inertia(inertial):
+    """Pseudo-inertia [4, 4] of (m, m c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz) [10] about the body's origin."""
+    m, x, y, z, xx, xy, xz, yy, yz, zz = inertial
+    half = 0.5 * (xx + yy + zz)
+    return jnp.array([[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]])
+
+
+def inertial_of(j):
+    """The reverse of `pseudo_inertia`."""
+    a, b, c = j[0, 0], j[1, 1], j[2, 2]
+    return jnp.stack([j[3, 3], j[0, 3], j[1, 3], j[2, 3], b + c, -j[0, 1], -j[0, 2], a + c, -j[1, 2], a + b])
+
+
+def root(inertial: np.ndarray) -> np.ndarray:
+    """Upper triangular U0 [4, 4] with U0 U0' the pseudo-inertia, of a thin body thickened by a hundredth of its size."""
+    j = np.asarray(pseudo_inertia(np.asarray(inertial, float)))
+    com = j[:3, 3] / j[3, 3]
+    second = j[:3, :3] - j[3, 3] * np.outer(com, com)
+    value, vector = np.linalg.eigh(second)
+    value = np.maximum(value, max(value.max(), 1e-8 * j[3, 3]) * 1e-4)
+    second = vector @ np.diag(value) @ vector.T
+    j = j.copy()
+    j[:3, :3] = second + j[3, 3] * np.outer(com, com)
+    flip = np.eye(4)[::-1]
+    return flip @ np.linalg.cholesky(flip @ j @ flip) @ flip
+
+
+def moved(u0, eta):
+    """Inertial parameters [10] at eta [10] from the root of the declared ones [4, 4]."""
+    a, dx, dy, dz, xy, xz, yz, tx, ty, tz = eta
+    one, zero = jnp.exp(0.0 * a), 0.0 * a
+    v = jnp.array([
+        [jnp.exp(dx), xy, xz, tx], [zero, jnp.exp(dy), yz, ty], [zero, zero, jnp.exp(dz), tz], [zero, zero, zero, one]
+    ]) * jnp.exp(a)  # fmt: skip
+    u = u0 @ v
+    return inertial_of(u @ u.T)
+
+
+@jax.jit
+def _moved_all(roots, eta):
+    """[nb, 10] and its derivative [nb, 10, 10]."""
+    return jax.vmap(moved)(roots, eta), jax.vmap(jax.jacfwd(moved, argnums=1))(roots, eta)
+
+
+@dataclass(frozen=True)
+class Inertias:
+    """Declared inertial parameters [nb, 10] and the roots of those that have a mass."""
+
+    declared: np.ndarray
+    roots: np.ndarray
+    massive: np.ndarray  # [nb] bool
+
+    def at(self, eta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inertial parameters [nb, 10] at eta [nb, 10], and their derivative [nb, 10, 10]."""
+        with jax.enable_x64(True):
+            value, slope = (np.array(z) for z in _moved_all(self.roots, np.asarray(eta, float)))
+        none = np.all(eta == 0.0, axis=1) | ~self.massive
+        value[none] = self.declared[none]
+        slope[~self.massive] = 0.0
+        return value, slope
+
+
+def inertias(declared: np.ndarray) -> Inertias:
+    """Of the declared ones [nb, 10]; bodies without mass stay so."""
+    declared = np.asarray(declared, float)
+    massive = declared[:, 0] > 0.0
+    with jax.enable_x64(True):
+        roots = np.stack([root(d) if m else np.eye(4) for d, m in zip(declared, massive, strict=True)])
+    return Inertias(declared, roots, massive)
+
+
+def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
+    """Ten entries for each body that has a mass."""
+    make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR)
+    wide = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
+    return tuple(make(name, (b,), low=-wide[name], high=wide[name]) for b in np.flatnonzero(massive) for name in ETA)

@@ -1,0 +1,257 @@
+"""One identification problem: joints in groups that share no moving body, their stretches, and the values of a parameter vector."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Inertias, Vector, inertia_entries, inertias
+from adaptsim_jax.attribution.simulate import Model, Values
+from adaptsim_jax.attribution.stretches import Stretches, Track, cut, local_motion
+from adaptsim_jax.effects.base import Effect, Reach
+from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
+
+TILT = "tilt"
+TILTS = ("about_x", "about_y")
+LANES = 16  # stretches are padded to a multiple, so that compiled programs repeat
+
+
+@dataclass(frozen=True)
+class Group:
+    """Joints that share no moving body with the others. joints: their numbers in the whole mechanism; folds [W]."""
+
+    model: Model
+    joints: tuple[int, ...]
+    stretches: Stretches
+    actuator: np.ndarray  # [6, n]
+    gear: np.ndarray  # [n]
+    inertias: Inertias
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A recording ready to be fitted. reach: what it covers, by joint; fold [W] of each stretch, the same in all groups."""
+
+    groups: tuple[Group, ...]
+    joint_names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    reach: Reach
+    fold: np.ndarray
+    folds: tuple[str, ...]
+    has_speed: bool
+    declared: dict[tuple[str, str], np.ndarray]  # (effect, parameter) -> [n] what the model file says
+    floor: np.ndarray  # [2n] noise of angles and speeds
+
+    @property
+    def joints(self) -> int:
+        return len(self.joint_names)
+
+    def effect(self, name: str) -> Effect:
+        return next(e for e in self.effects if e.name == name)
+
+
+def folds_of(stretches: Stretches, least: int = 8) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Fold [W] of each stretch: its trial, or where there are fewer than five trials a block of one, so that there are `least`."""
+    trials = np.unique(stretches.trial)
+    if len(trials) >= 5:
+        return np.searchsorted(trials, stretches.trial), tuple(stretches.names[t] for t in trials)
+    fold, names = np.zeros(stretches.count, int), []
+    for t in trials:
+        mine = np.flatnonzero(stretches.trial == t)
+        parts = max(1, min(len(mine), round(least * len(mine) / stretches.count)))
+        for k, part in enumerate(np.array_split(mine, parts)):
+            fold[part] = len(names)
+            names.append(f"{stretches.names[t]} part {k + 1}")
+    return fold, tuple(names)
+
+
+def prepare(
+    tree: Tree,
+    tracks: Sequence[Track],
+    effects: Sequence[Effect],
+    actuator: np.ndarray | None = None,
+    gear: np.ndarray | None = None,
+    horizon: float = 0.5,
+    most: int = 192,
+    declared: Mapping[tuple[str, str], np.ndarray] | None = None,
+) -> Problem:
+    """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n]."""
+    n = len(tree.joint_names)
+    stretches = cut(tracks, horizon, most)
+    fold, names = folds_of(stretches)
+    stretches = _padded(stretches)
+    if actuator is None:
+        actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
+    gear = np.ones(n) if gear is None else np.asarray(gear, float)
+    groups = []
+    for joints in subtrees(tree):
+        part = _nameless(take(tree, joints))
+        part_of = lambda z, j=list(joints): np.asarray(z)[..., j]
+        groups.append(
+            Group(Model(part, tuple(effects)), tuple(joints), stretches.of(joints), part_of(actuator), part_of(gear),
+                  inertias(np.asarray(part.inertial)))
+        )  # fmt: skip
+    as_declared = {
+        ("viscous", "damping"): np.asarray(tree.damping), ("coulomb", "level"): np.asarray(tree.frictionloss),
+        ("armature", "inertia"): np.asarray(tree.armature), ("spring", "stiffness"): np.asarray(tree.stiffness),
+        ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
+    }  # fmt: skip
+    as_declared |= dict(declared or {})
+    return Problem(
+        tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear), fold, names,
+        bool(np.any(stretches.seen_v)), as_declared, noise(tracks),
+    )  # fmt: skip
+
+
+def _nameless(tree: Tree) -> Tree:
+    """The same with names that say nothing, so that four like legs share one compiled program."""
+    count = range(len(tree.joint_names))
+    return replace(tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count))
+
+
+def _padded(stretches: Stretches) -> Stretches:
+    """The last stretch again, unseen, until there is a multiple of `LANES`."""
+    short = -stretches.count % LANES
+    if not short:
+        return stretches
+    wide = stretches.pick(np.concatenate([np.arange(stretches.count), np.full(short, stretches.count - 1)]))
+    wide.seen[..., -short:] = 0
+    wide.seen_v[..., -short:] = 0
+    return wide
+
+
+def noise(tracks: Sequence[Track]) -> np.ndarray:
+    """Sensor noise [2n] of angles and speeds, from what local cubics leave (a robust standard deviation); 0 where not logged."""
+    n = tracks[0].q.shape[1]
+    out = np.zeros(2 * n)
+    for k, pick in enumerate((lambda t: t.q, lambda t: t.v)):
+        parts = [_rough(pick(t)) for t in tracks if pick(t) is not None]
+        if parts:
+            out[k * n : (k + 1) * n] = np.median(np.array(parts), 0)
+    return out
+
+
+def _rough(z: np.ndarray) -> np.ndarray:
+    """Noise of columns [T, n] from their third differences, of which smooth motion has next to none."""
+    d = np.diff(z, 3, axis=0)
+    size = np.nanmedian(np.abs(d), axis=0) / 0.6745
+    mean = np.sqrt(np.nanmean(d**2, axis=0))
+    return np.where(size > 0, size, mean) / np.sqrt(20.0)
+
+
+def _reach(tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray) -> Reach:
+    torque, peak, speed, low, high = [], [], [], [], []
+    for track in tracks:
+        q, v = local_motion(track.time, track.q, track.v)
+        gain, bias, per_q, per_v, least, most = actuator
+        u = np.clip(gain * np.nan_to_num(track.u) + bias + per_q * gear * q + per_v * gear * v, least, most) * gear
+        torque.append(np.quantile(np.abs(u), 0.998, axis=0))
+        peak.append(np.abs(u).max(0))
+        speed.append(np.quantile(np.abs(v), 0.9, axis=0))
+        low.append(np.quantile(q, 0.005, axis=0))
+        high.append(np.quantile(q, 0.995, axis=0))
+    torque = np.max(torque, 0)
+    longest = max(float(t.time[-1] - t.time[0]) for t in tracks)
+    dt = float(np.median(np.diff(tracks[0].time)))
+    speed = np.maximum(np.max(speed, 0), 0.02)
+    return Reach(torque, np.max(peak, 0), speed, np.min(low, 0), np.max(high, 0), longest, dt, np.ones(len(torque)))
+
+
+def scaled_reach(problem: Problem, inertia: np.ndarray, gravity: np.ndarray) -> Reach:
+    """The reach with torque scales [n] that are not zero where a joint has no actuator: those of its own motion and weight."""
+    r = problem.reach
+    span = 0.5 * (r.q_high - r.q_low) + 1e-3
+    own = np.maximum(gravity, inertia * r.speed**2 / span)
+    torque = np.maximum(r.torque, 0.5 * own)
+    return Reach(torque, np.maximum(r.peak, 1e-9), r.speed, r.q_low, r.q_high, r.duration, r.dt, inertia)
+
+
+def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> Vector:
+    """The vector of the declared model: inertial parameters of all bodies, and viscous friction at every joint."""
+    entries: list[Entry] = []
+    if inertia:
+        for g in problem.groups:
+            local = inertia_entries(g.inertias.massive)
+            entries += [Entry(**{**e.__dict__, "joints": (g.joints[e.joints[0]],)}) for e in local]
+    if damping:
+        start = problem.declared["viscous", "damping"]
+        top = 5.0 * problem.reach.torque / problem.reach.speed + 10.0 * start
+        entries += [
+            Entry("viscous", "damping", (j,), float(start[j]), 0.0, 0.0, float(top[j]), "N m s/rad")
+            for j in range(problem.joints)
+        ]
+    vector = Vector(tuple(entries), np.array([e.start for e in entries]))
+    return vector
+
+
+def off_value(problem: Problem, effect: str, parameter: str, joint: int) -> float:
+    """What the declared model has of a parameter: what its file says, or none of it."""
+    given = problem.declared.get((effect, parameter))
+    if given is not None:
+        return float(given[joint])
+    p = next(p for p in problem.effect(effect).parameters if p.name == parameter)
+    return p.default if p.off is None else p.off
+
+
+def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray | None = None) -> Values:
+    """Values of a group at `vector`; rows [W, P]: other values for each stretch."""
+    n, width = len(group.joints), 1 if rows is None else len(rows)
+    numbers = vector.values[None] if rows is None else np.asarray(rows)
+    place = {j: k for k, j in enumerate(group.joints)}
+    eta = np.zeros((width, n, 10))
+    effects = {
+        e.name: {
+            p.name: np.repeat([[off_value(problem, e.name, p.name, j)] for j in group.joints], width, 1)
+            for p in e.parameters
+        }
+        for e in problem.effects
+    }
+    tilt = np.zeros((width, 2))
+    for i, e in enumerate(vector.entries):
+        for j in e.joints:
+            if e.owner == TILT:
+                tilt[:, TILTS.index(e.name)] = numbers[:, i]
+            elif j not in place:
+                continue
+            elif e.owner == INERTIA:
+                eta[:, place[j], ETA.index(e.name)] = numbers[:, i]
+            else:
+                effects[e.owner][e.name][place[j]] = numbers[:, i]
+    if width > 1 and np.all(eta == eta[:1]):
+        eta = eta[:1]
+    inertial = np.stack([group.inertias.at(z)[0] for z in eta], -1)
+    gravity = np.stack([tilted(np.asarray(group.model.tree.gravity), *z) for z in tilt], -1)
+    wide = lambda z: np.asarray(z, float)[..., None]
+    return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects)
+
+
+def tilted(gravity: np.ndarray, about_x: float, about_y: float) -> np.ndarray:
+    """Gravity [3] in a base turned by small angles [rad] about the world's x and y."""
+    cx, sx, cy, sy = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
+    turn_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
+    turn_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
+    return turn_y @ turn_x @ gravity
+
+
+def own_inertia(problem: Problem, vector: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """What each joint feels of inertia, 1 / diag(M^-1) [n], and the largest force of gravity [n], at middle and start angles."""
+    inertia, weight = np.zeros(problem.joints), np.zeros(problem.joints)
+    for g in problem.groups:
+        v = values_of(problem, g, vector)
+        with jax.enable_x64(True):
+            q = g.stretches.start[: len(g.joints)]
+            mass, force = (np.asarray(z) for z in _at_rest(g.model.tree, v.inertial, v.gravity, q))
+        mass = np.moveaxis(mass, -1, 0)
+        arm = v.effects["armature"]["inertia"][:, 0] if "armature" in v.effects else np.zeros(len(g.joints))
+        inverse = np.linalg.inv(mass + np.diag(arm))
+        inertia[list(g.joints)] = 1.0 / np.median(np.diagonal(inverse, axis1=1, axis2=2), 0)
+        weight[list(g.joints)] = np.abs(force).max(1)
+    return inertia, weight
+
+
+@jax.jit
+def _at_rest(tree: Tree, inertial, gravity, q):
+    return dynamics.mass_matrix(tree, inertial, q), dynamics.gravity_force(tree, inertial, q, gravity)

@@ -1,0 +1,249 @@
+"""Score tests of every candidate at a fit: what would it gain, at first order and without fitting it?
+
+For each candidate at each of its shapes the columns that it adds are freed of what the stretches' starts and the fitted parameters
+explain; what is left is regressed on the residual. Stretches are clusters: the variance of a score is taken from the scores of the
+stretches themselves (White, 1980; Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
+from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project, rows
+from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
+from adaptsim_jax.effects.base import Effect, Reach
+
+PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction")
+"""Effects on the torque of an actuator: not of a joint that has none."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at some joints; sharing: `joint`, `all` (own values at each) or `common` (one value); shape: fixed shapes by joint's
+    number and parameter, where scored."""
+
+    effect: str
+    joints: tuple[int, ...]
+    sharing: str
+    entries: tuple[Entry, ...]
+    shape: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def key(self) -> tuple[str, tuple[int, ...], str]:
+        return self.effect, self.joints, self.sharing
+
+    @property
+    def amplitudes(self) -> tuple[Entry, ...]:
+        return self.entries
+
+    def shaped(self) -> dict[str, float]:
+        return dict(self.shape)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of a candidate at its best shape: amplitudes [K], first-order fall of the loss, of the held-out loss, robust p, share of folds
+    in which it gains."""
+
+    candidate: Candidate
+    amplitude: np.ndarray
+    gain: float
+    held_out: float
+    p: float
+    folds: float
+
+
+def entries_of(
+    problem: Problem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool
+) -> tuple[Entry, ...]:
+    """Amplitude entries of an effect at joints."""
+    out = []
+    for p in effect.amplitudes:
+        for j in [tuple(joints)] if shared else [(j,) for j in joints]:
+            ends = [p.bounds(float(reach.torque[k]), float(reach.speed[k])) for k in j]
+            start = off_value(problem, effect.name, p.name, j[0])
+            low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+            low = 0.0 if p.sign > 0 else low
+            out.append(Entry(effect.name, p.name, j, start, start, min(low, start), high + start, p.unit))
+    return tuple(out)
+
+
+def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple[Entry, ...]:
+    """Entries of the shapes that are fitted once an effect is in the model, at the values it was scored with."""
+    if candidate.effect == TILT:
+        return ()
+    effect, given = problem.effect(candidate.effect), candidate.shaped()
+    out = []
+    for p in effect.shapes:
+        if p.held and p.name not in given:
+            continue
+        for j in [candidate.joints] if candidate.sharing == "common" else [(j,) for j in candidate.joints]:
+            low, high = p.bounds(float(reach.torque[j[0]]), float(reach.speed[j[0]]))
+            value = given.get(p.name, p.default)
+            if p.held:
+                low = high = value
+            elif p.name == "angle":
+                span = float(reach.q_high[j[0]] - reach.q_low[j[0]])
+                low, high = value - 0.2 * span, value + 0.2 * span
+            else:
+                low, high = max(low, value / 3.0 if value > 0 else low), min(high, value * 3.0 if value > 0 else high)
+            out.append(Entry(effect.name, p.name, j, value, value, low, high, p.unit, prior=np.inf))
+    return tuple(out)
+
+
+def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate]:
+    """All that may be added to the vector: each effect at each joint, at all of them, with one value for all; a tilted base."""
+    taken = {(e.owner, j) for e in vector.entries for j in e.joints}
+    driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
+    out = []
+    for effect in problem.effects:
+        free = [
+            j
+            for j in range(problem.joints)
+            if (effect.name, j) not in taken and (j in driven or effect.name not in PASSIVE)
+        ]
+        if effect.name == "viscous":
+            continue
+        follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
+        if effect.name == "position_gain" and not follows:
+            continue
+        grids = [(j, effect.grid_points(reach, j)) for j in free]
+        make = lambda joints, shared, effect=effect: entries_of(problem, reach, effect, joints, shared)
+        for j, points in grids:
+            for point in points:
+                out.append(Candidate(effect.name, (j,), "joint", make([j], False), _fixed(point)))
+        if len(free) > 1 and effect.name in EVERYWHERE and not effect.shapes:
+            out.append(Candidate(effect.name, tuple(free), "all", make(free, False)))
+        if (
+            len(free) > 1
+            and effect.name in COMMON
+            and len(free) == len([j for j in driven if j in free] if effect.name in PASSIVE else free)
+        ):
+            for point in grids[0][1]:
+                out.append(Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point)))
+    if (TILT, 0) not in taken and max(np.abs(np.asarray(g.model.tree.gravity)).max() for g in problem.groups) > 0:
+        everywhere = tuple(range(problem.joints))
+        entries = tuple(Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS)
+        out.append(Candidate(TILT, everywhere, "common", entries))
+    return out
+
+
+def _fixed(point) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted((k, float(z)) for k, z in point.items()))
+
+
+def table(problem: Problem, lin: Linear, many: Sequence[Candidate]) -> list[Score]:
+    """The best shape of each candidate (effect, joints, sharing), sorted by what it gains held out."""
+    pairs = [(e, c.shaped()) for c in many for e in c.entries]
+    where, at = [], 0
+    for c in many:
+        where.append(range(at, at + len(c.entries)))
+        at += len(c.entries)
+    sums = _Sums(problem, lin, at)
+    for first in range(0, at, 64):
+        sums.add(candidate_columns(problem, lin, pairs[first : first + 64]), first)
+    best: dict[tuple, Score] = {}
+    for c, cols in zip(many, where, strict=True):
+        score = sums.score(c, np.array(cols))
+        if c.key not in best or score.held_out > best[c.key].held_out:
+            best[c.key] = score
+    return sorted(best.values(), key=lambda s: -s.held_out)
+
+
+class _Sums:
+    """Scores by stretch [W, K] and curvatures by fold of blocks of columns, freed of starts and fitted parameters.
+
+    Curvatures between columns are kept within a block of neighbours only, which is where a candidate's own columns lie.
+    """
+
+    def __init__(self, problem: Problem, lin: Linear, count: int):
+        self.problem, self.lin = problem, lin
+        width = len(lin.residual[0])
+        self.fold = _fold(problem, width)
+        self.slope = np.zeros((width, count))
+        self.cross = {}
+        self.kept = []
+        shared = lin.shared[0].shape[2]
+        hess = np.zeros((shared, shared))
+        for r, x, s in zip(lin.residual, lin.start, lin.shared, strict=True):
+            live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
+            rp, sp = project(x, r[..., None], s[..., live])
+            flat = rows(sp)
+            hess[np.ix_(live, live)] += flat.T @ flat
+            self.kept.append((rp, sp, x, live))
+        vector = lin.fit.vector
+        live = (vector.values > vector.low) & (vector.values < vector.high)
+        hess = hess + np.diag(vector.precision + np.where(live, 0.0, 1e12))
+        size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
+        self.inverse = np.linalg.pinv(hess / size / size[:, None], rcond=1e-11, hermitian=True) / size / size[:, None]
+        self.columns: list[list[np.ndarray]] = []
+
+    def add(self, blocks: Sequence[np.ndarray], first: int) -> None:
+        """Columns [W, R, K] of each group, the first of which has the number `first`."""
+        count = blocks[0].shape[2]
+        mixed = np.zeros((self.inverse.shape[0], count))
+        freed = []
+        for c, (_, sp, x, live) in zip(blocks, self.kept, strict=True):
+            own = np.flatnonzero(np.any(c != 0.0, axis=(0, 1)))
+            cp = project(x, c[..., own])[0]
+            freed.append((cp, own))
+            mixed[np.ix_(live, own)] += rows(sp).T @ rows(cp)
+        share = self.inverse @ mixed
+        curve = np.zeros((len(self.problem.folds), count, count))
+        for (cp, own), (rp, sp, _, live) in zip(freed, self.kept, strict=True):
+            left = cp - sp @ share[np.ix_(live, own)]
+            self.slope[:, first + own] += np.einsum("wrk,wr->wk", left, rp[..., 0])
+            for k in range(len(curve)):
+                flat = rows(left[self.fold == k])
+                curve[k][np.ix_(own, own)] += flat.T @ flat
+        self.cross[first] = curve
+
+    def _curve(self, cols: np.ndarray) -> np.ndarray:
+        """[F, K, K] of some columns; zero between blocks."""
+        out = np.zeros((len(self.problem.folds), len(cols), len(cols)))
+        for first, curve in self.cross.items():
+            mine = np.flatnonzero((cols >= first) & (cols < first + curve.shape[1]))
+            if len(mine):
+                out[np.ix_(range(len(out)), mine, mine)] = curve[:, cols[mine] - first][:, :, cols[mine] - first]
+        return out
+
+    def score(self, c: Candidate, cols: np.ndarray) -> Score:
+        slope, curve = self.slope[:, cols], self._curve(cols)
+        folds = range(len(curve))
+        by_fold = np.stack([slope[self.fold == k].sum(0) for k in folds])
+        total, bend = by_fold.sum(0), curve.sum(0)
+        amplitude = _solved(c, bend, total)
+        gain = float(amplitude @ total - 0.5 * amplitude @ bend @ amplitude)
+        each = []
+        for k in folds:
+            a = _solved(c, bend - curve[k], total - by_fold[k])
+            each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
+        spread = np.sqrt(np.square(slope).sum(0))
+        z = np.where(spread > 0, np.abs(total) / np.where(spread > 0, spread, 1.0), 0.0)
+        on = amplitude != 0.0
+        p = float(stats.chi2.sf(np.square(z[on]).sum(), int(on.sum()))) if on.any() else 1.0
+        return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))
+
+
+def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Amplitudes within their bounds; those that would leave them at once are left out."""
+    low = np.array([e.low - e.start for e in c.entries])
+    high = np.array([e.high - e.start for e in c.entries])
+    on = np.diagonal(bend) > 1e-12
+    out = np.zeros(len(total))
+    for _ in range(len(total) + 1):
+        out[:] = 0.0
+        if not on.any():
+            break
+        part = bend[np.ix_(on, on)]
+        part = part + 1e-9 * np.diag(np.diagonal(part))
+        out[on] = np.linalg.solve(part, total[on])
+        bad = on & ((out < low) & (low == 0.0))
+        if not bad.any():
+            break
+        on &= ~bad
+    return np.clip(out, low, high)

@@ -1,0 +1,379 @@
+"""Which effects: forward selection by left-out trials, each name then tested beside all others and against its look-alikes.
+
+Every step that chooses looks at folds (trials) that were left out of the parameters with which they are predicted. Parameters of
+a fold come from the normal equations without it, one step from the whole fit (exact for a linear model; the infinitesimal jackknife
+otherwise), and the prediction is simulated, with starts fitted to the fold's own stretches by plain least squares.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.estimate import (
+    Fit,
+    Linear,
+    Weights,
+    _fold,
+    _own,
+    bounded_step,
+    candidate_columns,
+    fit,
+    linear,
+    losses,
+    normal,
+    refitted_start,
+    residuals,
+    run,
+    start_steps,
+)
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import TILT, Problem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
+from adaptsim_jax.effects.base import Reach
+
+LEAST_TRIALS = 5
+EXACT = 14  # folds up to which the sign-flip test takes all patterns of signs
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over a stretch), parameters [F, P]."""
+
+    loss: np.ndarray
+    squared: np.ndarray
+    vectors: np.ndarray
+
+
+@dataclass(frozen=True)
+class Model:
+    """A set of effects fitted, its linearisation and its held-out prediction."""
+
+    added: tuple[Candidate, ...]
+    fit: Fit
+    lin: Linear
+    held: HeldOut
+
+
+@dataclass(frozen=True)
+class Test:
+    """Of one model against another over folds: gain, the share of the loss that it takes off (geometric mean); p of a sign-flip test;
+    better: folds in which it is better."""
+
+    gain: float
+    p: float
+    better: int
+    folds: int
+
+
+@dataclass(frozen=True)
+class Step:
+    """What the search did: action (added, refused, dropped, replaced, ended), candidate, its test, why."""
+
+    action: str
+    candidate: Candidate | None
+    score: Score | None
+    test: Test | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that holds out. test: beside all others; alternatives: effects that do as well in its place; z: size over scatter."""
+
+    candidate: Candidate
+    test: Test
+    alternatives: tuple[Candidate, ...]
+    steady: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What a search found. null: the declared model; stages: (model, added) in turn; final; trace; scores at the declared model and
+    at the final one."""
+
+    null: Model
+    final: Model
+    named: tuple[Named, ...]
+    stages: tuple[Model, ...]
+    trace: tuple[Step, ...]
+    first: tuple[Score, ...]
+    last: tuple[Score, ...]
+    reach: Reach
+
+
+def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> HeldOut:
+    """Each fold predicted with parameters from the others."""
+    now = lin.fit
+    weights = now.weights if weights is None else weights
+    n = normal(problem, lin.residual, lin.start, lin.shared)
+    hess, slope = n.hess.sum(0), n.slope.sum(0)
+    whole = bounded_step(hess, slope, now.vector, 1e-9)
+    steps = np.array(
+        [bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)]
+    )
+    fold = _fold(problem, len(now.loss))
+    rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
+    starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
+    best = None
+    for _ in range(2):
+        paths = run(problem, now.vector, starts, rows)
+        loss = losses(problem, paths, weights)
+        if best is None:
+            best, kept = loss, paths
+        else:
+            better = (loss < best) | ~np.isfinite(best)
+            best = np.where(better, loss, best)
+            kept = [
+                type(a)(*(np.where(better, x, y) for x, y in zip(a, b, strict=True)))
+                for a, b in zip(paths, kept, strict=True)
+            ]
+        moves = []
+        for group, path, x in zip(problem.groups, paths, lin.start, strict=True):
+            w = _weighted(problem, lin, group, path)
+            moves.append(refitted_start(x, w))
+        starts = [x + d for x, d in zip(starts, moves, strict=True)]
+    width, joints = len(best), problem.joints
+    squared = np.zeros((width, 2 * joints))
+    for group, path in zip(problem.groups, kept, strict=True):
+        r = residuals(group, path)
+        seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
+        j = np.array(group.joints)
+        squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
+    return HeldOut(best, squared, now.vector.values + steps)
+
+
+def _weighted(problem: Problem, lin: Linear, group, path) -> np.ndarray:
+    s = group.stretches
+    seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
+    weight = _own(lin.fit.weights, group, problem.joints) * np.sqrt(lin.fit.weights.stretch)[:, None, None] * seen
+    return (residuals(group, path) * weight)[:, lin.picked].reshape(len(seen), -1)
+
+
+def by_fold(problem: Problem, loss: np.ndarray) -> np.ndarray:
+    """Sums [F] of a loss by stretch [W]."""
+    return np.bincount(problem.fold, loss[: len(problem.fold)], len(problem.folds))
+
+
+def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
+    """One model against another by their held-out losses [W] (one-sided: is the second better?): trial by trial, and where there
+    are not enough of those stretch by stretch, each of which has a start of its own."""
+    whole = len(np.unique(problem.groups[0].stretches.trial)) >= LEAST_TRIALS
+    count = len(problem.fold)
+    a, b = (by_fold(problem, z) if whole else z[:count] for z in (without, with_))
+    usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
+    d = np.log((a + usual) / (b + usual))
+    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d))
+
+
+def sign_flip(d: np.ndarray) -> float:
+    """One-sided p of the mean of paired differences [F] under random signs (Fisher's permutation test): all patterns, or 20,000."""
+    count = len(d)
+    if count <= EXACT:
+        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
+    else:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (10_000, count))
+        signs[0] = 1.0
+    return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
+
+
+def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights: Weights | None = None) -> Model:
+    lin = linear(problem, fitted)
+    return Model(tuple(added), fitted, lin, held_out(problem, lin, weights))
+
+
+def refit(
+    problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None
+) -> Fit:
+    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared by groups."""
+    touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
+    owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
+    shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
+    if shared or weights is None or len(touched) == len(problem.groups):
+        return fit(problem, vector, starts, rounds=rounds, weights=weights)
+    part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
+    inside = {j for k in touched for j in problem.groups[k].joints}
+    at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
+    local = fit(
+        part,
+        Vector(tuple(vector.entries[i] for i in at), vector.values[at]),
+        [starts[k] for k in touched],
+        rounds=rounds,
+        weights=weights,
+    )
+    values, starts = vector.values.copy(), list(starts)
+    values[at] = local.vector.values
+    for k, x in zip(touched, local.starts, strict=True):
+        starts[k] = x
+    whole = vector.at(values)
+    loss = losses(problem, run(problem, whole, starts), weights)
+    return replace(local, vector=whole, starts=tuple(starts), loss=loss)
+
+
+def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tuple[Vector, list[np.ndarray], float]:
+    """The base with a candidate added, one step on: vector, starts, and loss of the best of a few lengths of the step."""
+    c = score.candidate
+    columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
+    wide = replace(
+        base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True))
+    )
+    vector = base.fit.vector.with_entries(c.entries)
+    n = normal(problem, wide.residual, wide.start, wide.shared)
+    step = bounded_step(n.hess.sum(0), n.slope.sum(0), vector, 1e-6)
+    shapes = shape_entries(problem, reach, c)
+    best = None
+    for length in (1.0, 0.5, 0.2):
+        starts = [x + d for x, d in zip(base.fit.starts, start_steps(wide, length * step), strict=True)]
+        trial = vector.at(vector.values + length * step).with_entries(shapes)
+        loss = losses(problem, run(problem, trial, starts), base.fit.weights).sum()
+        if best is None or loss < best[2]:
+            best = (trial, starts, float(loss))
+        if loss < 0.9 * base.fit.total:
+            break
+    return best
+
+
+def select(
+    problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None
+) -> Selection:
+    """Forward, then each effect beside the others, then against its look-alikes."""
+    fitted = fit(problem, null, rounds=15)
+    reach = scaled_reach(problem, *own_inertia(problem, fitted.vector))
+    base = first = modelled(problem, (), fitted)
+    trace: list[Step] = []
+    stages = [first]
+    scores = opening = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
+    while len(base.added) < criteria.most_effects:
+        better = _forward(problem, base, scores, reach, criteria, trace, say)
+        if better is None:
+            break
+        base = better
+        stages.append(base)
+        scores = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
+    final, named = judged(problem, base, reach, criteria, trace, say)
+    return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
+
+
+def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say) -> Model | None:
+    """The best candidate that gains held out, fitted; None where none does."""
+    family = max(len(scores), 1)
+    hopeful = [
+        s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()
+    ]
+    tries = []
+    for score in hopeful[: criteria.tried]:
+        say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
+        vector, starts, _ = attempted(problem, base, reach, score)
+        tries.append(
+            (refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.glance, base.fit.weights), score)
+        )
+    tries.sort(key=lambda t: t[0].total)
+    best = None
+    for glance, score in tries[: criteria.fitted]:
+        weights = base.fit.weights
+        whole = refit(problem, base.fit, glance.vector, glance.starts, score.candidate.joints, criteria.rounds, weights)
+        model = modelled(problem, (*base.added, score.candidate), whole, weights)
+        test = paired(problem, base.held.loss, model.held.loss)
+        good = test.gain > criteria.size and test.better > 0.5 * test.folds
+        trace.append(
+            Step(
+                "tried" if good else "refused",
+                score.candidate,
+                score,
+                test,
+                f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss",
+            )
+        )
+        if good and (best is None or test.gain > best[0]):
+            best = (test.gain, model, score, test)
+    if best is None:
+        trace.append(
+            Step(
+                "ended", None, None, None, f"{len(hopeful)} of {family} candidates pass the score test, none holds out"
+            )
+        )
+        return None
+    _, model, score, test = best
+    trace.append(Step("added", score.candidate, score, test, ""))
+    # its own weights from here on: the residual has become smaller, and with it what matters in it
+    again = fit(problem, model.fit.vector, model.fit.starts, rounds=criteria.rounds)
+    return modelled(problem, model.added, again)
+
+
+def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
+    """The model without one of its effects, refitted under the same weights."""
+    keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
+    vector = model.fit.vector.without(keys)
+    fitted = refit(problem, model.fit, vector, model.fit.starts, gone.joints, rounds, model.fit.weights)
+    return modelled(problem, [c for c in model.added if c is not gone], fitted, model.fit.weights)
+
+
+def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
+    """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes."""
+    while True:
+        tests = []
+        for c in model.added:
+            say(f"without {c.effect} at {_where(problem, c)}")
+            less = without(problem, model, c, criteria.rounds)
+            tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(problem, model, c)))
+        failing = []
+        order = sorted(tests, key=lambda t: t[2].p)
+        for rank, (c, less, test, steady) in enumerate(order):
+            level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0**-test.folds)
+            if test.p > level or test.gain < criteria.size or steady < criteria.steady:
+                failing.append((test.gain, c, less, test, steady))
+        if not failing:
+            break
+        _, c, less, test, steady = min(failing, key=lambda f: f[0])
+        trace.append(
+            Step("dropped", c, None, test, f"gain {test.gain:.3f}, p {test.p:.3f}, size over scatter {steady:.1f}")
+        )
+        own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
+        model = modelled(problem, less.added, own)
+    named = tuple(
+        Named(c, test, look_alikes(problem, model, less, c, reach, criteria, say), steady, test.p)
+        for c, less, test, steady in tests
+    )
+    return model, named
+
+
+def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
+    """An effect's amplitude over its scatter between folds (jackknife): the largest of its amplitudes'."""
+    at = [i for i, e in enumerate(model.fit.vector.entries) if any(e.key == k.key for k in c.entries)]
+    folds = len(model.held.vectors)
+    values = model.held.vectors[:, at]
+    scatter = np.sqrt((folds - 1) / folds * np.square(values - values.mean(0)).sum(0))
+    off = np.array([model.fit.vector.entries[i].off for i in at])
+    return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))
+
+
+def look_alikes(
+    problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
+) -> tuple[Candidate, ...]:
+    """Effects that do as well as `c` in its place: of those that gain most without it, and of those that it is mistaken for."""
+    scores = table(problem, less.lin, candidates(problem, less.fit.vector, reach))
+    own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
+    alike = () if c.effect == TILT else problem.effect(c.effect).look_alikes
+    rivals = [
+        s for s in scores
+        if s.candidate.key != c.key and not (s.candidate.effect == c.effect and set(c.joints) & set(s.candidate.joints))
+        and s.held_out > (0.5 if s.candidate.effect in alike else 0.8) * own
+    ]  # fmt: skip
+    out = []
+    for score in rivals[:3]:
+        say(f"{score.candidate.effect} in place of {c.effect}")
+        vector, starts, _ = attempted(problem, less, reach, score)
+        fitted = refit(
+            problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights
+        )
+        other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
+        test = paired(problem, other.held.loss, model.held.loss)
+        if test.gain < criteria.gap or test.p > criteria.confidence:
+            out.append(score.candidate)
+    return tuple(out)
+
+
+def _where(problem: Problem, c: Candidate) -> str:
+    return "base" if c.effect == TILT else ", ".join(problem.joint_names[j] for j in c.joints)

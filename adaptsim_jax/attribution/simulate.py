@@ -1,0 +1,260 @@
+"""Simulation of stretches by a tree of joints with effects, and its linearisation along the simulated path. Stretches lie last.
+
+A step solves for dry friction first (the force that would stop each joint within the step, within its level: Gauss and Seidel's
+sweeps over the joints, as in time-stepping of rigid contact; Stewart and Trinkle, 1996) and then integrates everything else by
+Runge and Kutta's fourth order under that force. So a joint that sticks does not creep, and nothing is stiff.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms.tree import Tree
+
+SWEEPS = 3  # of Gauss and Seidel over the joints
+
+
+class Values(NamedTuple):
+    """Numbers of a model of n joints; every leaf has a last axis of 1, or of one number a stretch.
+
+    inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias per speed, lowest and highest
+    force, before the gear [n, .]; effects {name: {parameter: [n, .]}}.
+    """
+
+    inertial: Any
+    gravity: Any
+    actuator: Any
+    gear: Any
+    effects: dict[str, dict[str, Any]]
+
+
+class Motion(NamedTuple):
+    """What a force effect sees, `[n, ...]` each: q, v, the actuator's force u (N m), time [1, ...] s, `pull`: the part of u that
+    follows the command and the angle, `target`: the command, `gravity(q)`: force of gravity."""
+
+    q: Any
+    v: Any
+    u: Any
+    t: Any
+    memory: Any
+    gravity: Callable
+    clock: Any
+    pull: Any
+    target: Any
+
+
+@dataclass(frozen=True)
+class Model:
+    """A tree and the effects that may act on its joints (static: what is compiled)."""
+
+    tree: Tree
+    effects: tuple[Effect, ...]
+
+
+jax.tree_util.register_dataclass(Model, data_fields=["tree"], meta_fields=["effects"])
+
+
+class Rows(NamedTuple):
+    """What drives the rows: u [L, n, W] mean command, t [L, W] s, dt [L, W] s."""
+
+    u: Any
+    t: Any
+    dt: Any
+
+
+def sensed_offset(values: Values):
+    """What the encoders add to the angles, which the actuators' controllers see too, [n, .]."""
+    return values.effects["encoder_offset"]["offset"] if "encoder_offset" in values.effects else 0.0
+
+
+def actuated(values: Values, q, v, u):
+    """(force of the actuators, the part of it that follows command and angle), `[n, ...]`, N m or N."""
+    gain, bias, per_q, per_v, low, high = values.actuator
+    g = values.gear
+    q = q + sensed_offset(values)
+    pull = gain * u + bias + per_q * g * q
+    return g * jnp.clip(pull + per_v * g * v, low, high), g * pull
+
+
+class Forces(NamedTuple):
+    """`[n, ...]`: smooth force (actuator and effects), level of dry friction, added inertia."""
+
+    smooth: Any
+    level: Any
+    inertia: Any
+
+
+def forces(model: Model, values: Values, q, v, u, t) -> Forces:
+    """All that acts on the joints besides their own dynamics."""
+    tau, pull = actuated(values, q, v, u)
+    gravity = lambda q: dynamics.gravity_force(model.tree, values.inertial, q, values.gravity)
+    motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
+    smooth, level, inertia = tau, jnp.zeros_like(q), jnp.zeros_like(q)
+    for effect in model.effects:
+        if effect.place != "force" or effect.name not in values.effects:
+            continue
+        p = values.effects[effect.name]
+        if effect.inertia:
+            inertia = inertia + effect.apply(p)
+            continue
+        answer = effect.apply(p, motion)
+        if isinstance(answer, Dry):
+            level, answer = level + answer.level, answer.force
+        smooth = smooth + answer
+    return Forces(smooth, level, inertia)
+
+
+def _factors(model: Model, values: Values, q, v, inertia):
+    mass = dynamics.mass_matrix(model.tree, values.inertial, q)
+    n = q.shape[0]
+    mass = mass + inertia[:, None] * jnp.eye(n, dtype=q.dtype).reshape(n, n, *(1,) * (q.ndim - 1))
+    return mass, dynamics.bias_force(model.tree, values.inertial, q, v, values.gravity)
+
+
+def _accelerate(model: Model, values: Values, q, v, u, t, extra):
+    act = forces(model, values, q, v, u, t)
+    mass, bias = _factors(model, values, q, v, act.inertia)
+    return dynamics.solve(mass, act.smooth - bias + extra), mass, act
+
+
+def _friction(mass, free, v, level, h):
+    """Dry friction [n, W] held over a step of h s from the acceleration `free` without it."""
+    n = v.shape[0]
+    eye = jnp.eye(n, dtype=v.dtype).reshape(n, n, *(1,) * (v.ndim - 1)) + jnp.zeros_like(v)
+    answer = [dynamics.solve(mass, eye[j]) for j in range(n)]  # column j: accelerations under a unit force at joint j
+    safe = jnp.where(h > 0, h, 1.0)
+    after = v + h * free
+    force = [jnp.zeros_like(v[0])] * n
+    for _ in range(SWEEPS if n > 1 else 1):
+        for j in range(n):
+            wanted = force[j] - after[j] / (safe * answer[j][j])
+            new = jnp.clip(wanted, -level[j], level[j])
+            after = after + h * answer[j] * (new - force[j])
+            force[j] = new
+    return jnp.stack(force)
+
+
+def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
+    """State [2n, W] after a row, and the mean dry friction over it [n, W]. extra [n, W] N m; rough: whether anything rubs."""
+    n = x.shape[0] // 2
+    h = dt / substeps
+
+    def substep(i, carry):
+        x, rubbed = carry
+        now = (t + i * h)[None]
+        q, v = x[:n], x[n:]
+        free, mass, act = _accelerate(model, values, q, v, u, now, extra)
+        rub = jax.lax.cond(
+            rough, lambda: _friction(mass, free, v, jnp.maximum(act.level, 0.0), h), lambda: jnp.zeros_like(v)
+        )
+
+        def slope(x, at):
+            a, _, _ = _accelerate(model, values, x[:n], x[n:], u, now + at, extra + rub)
+            return jnp.concatenate([x[n:], a])
+
+        def stage(carry, ab):
+            k, total = carry
+            k = slope(x + ab[0] * h * k, ab[0] * h)
+            return (k, total + ab[1] * k), None
+
+        kind = x.dtype
+        weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([1.0, 6.0], kind)
+        (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), weights)
+        return x + h * total, rubbed + rub / substeps
+
+    return jax.lax.fori_loop(0, substeps, substep, (x, jnp.zeros_like(x[:n])))
+
+
+def command_rows(model: Model, values: Values, stamp, command, past: int, rows: int):
+    """The command [L, n, W] as it reaches the joints: effects of the place `command` act on a longer piece of it."""
+    u = command
+    for effect in model.effects:
+        if effect.place == "command" and effect.name in values.effects:
+            p = {k: z[None] for k, z in values.effects[effect.name].items()}
+            u = effect.apply(p, stamp[:, None, :], u)
+    return u[past : past + rows]
+
+
+def measure(model: Model, values: Values, time, x):
+    """What the sensors say [L+1, 2n, W] of states x [L+1, 2n, W] at time [L+1, W] s."""
+    n = x.shape[1] // 2
+    q, v = x[:, :n], x[:, n:]
+    for effect in model.effects:
+        if effect.place == "measurement" and effect.name in values.effects:
+            p = {k: z[None] for k, z in values.effects[effect.name].items()}
+            q, v = effect.apply(p, time[:, None, :], q, v, q[0])
+    return jnp.concatenate([q, v], 1)
+
+
+class Path(NamedTuple):
+    """x [L+1, 2n, W]; sensed [L+1, 2n, W]; rub [L, n, W] mean dry friction; u [L, n, W] command as it arrived."""
+
+    x: Any
+    sensed: Any
+    rub: Any
+    u: Any
+
+
+@partial(jax.jit, static_argnames=("past",))
+def simulate(model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int) -> Path:
+    """Stretches from x0 [2n, W]."""
+    drive = _drive(model, values, time, stamp, command, past)
+
+    def row(x, now):
+        new, rub = row_step(model, values, x, *now, jnp.zeros_like(x[: x.shape[0] // 2]), substeps, rough)
+        return new, (x, rub)
+
+    last, (x, rub) = jax.lax.scan(row, x0, drive)
+    x = jnp.concatenate([x, last[None]])
+    return Path(x, measure(model, values, time, x), rub, drive.u)
+
+
+@partial(jax.jit, static_argnames=("past",))
+def linearise(model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int):
+    """(Path, derivatives of each row's end by its start [L, 2n, 2n, W] and by a force held over the row [L, 2n, n, W])."""
+    drive = _drive(model, values, time, stamp, command, past)
+    states, width = x0.shape
+    n = states // 2
+    zero = jnp.zeros((n, width), x0.dtype)
+    ways = jnp.eye(states + n, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
+
+    def row(x, now):
+        end = lambda x, extra: row_step(model, values, x, *now, extra, substeps, rough)
+        along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
+        (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])
+        return new, (x, rub, jnp.swapaxes(slopes, 0, 1))
+
+    last, (x, rub, slopes) = jax.lax.scan(row, x0, drive)
+    x = jnp.concatenate([x, last[None]])
+    return Path(x, measure(model, values, time, x), rub, drive.u), slopes[:, :, :states], slopes[:, :, states:]
+
+
+def _drive(model, values, time, stamp, command, past) -> Rows:
+    rows = len(time) - 1
+    return Rows(command_rows(model, values, stamp, command, past, rows), time[:-1], jnp.diff(time, axis=0))
+
+
+def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Change of the states [W, L+1, 2n, K] under force columns [W, L, n, K]; slopes [W, L, 2n, 2n] and [W, L, 2n, n]."""
+    width, rows, _, count = force.shape
+    out = np.zeros((width, rows + 1, by_state.shape[2], count))
+    for k in range(rows):
+        out[:, k + 1] = by_state[:, k] @ out[:, k] + by_force[:, k] @ force[:, k]
+    return out
+
+
+def responded_start(by_state: np.ndarray) -> np.ndarray:
+    """Change of the states [W, L+1, 2n, 2n] with the start."""
+    width, rows, states, _ = by_state.shape
+    out = np.zeros((width, rows + 1, states, states))
+    out[:, 0] = np.eye(states)
+    for k in range(rows):
+        out[:, k + 1] = by_state[:, k] @ out[:, k]
+    return out

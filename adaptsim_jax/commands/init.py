@@ -1,0 +1,49 @@
+"""`adaptsim init`: a meta.toml for recordings of a mechanism, with guesses marked as such."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+EXAMPLES = """
+  adaptsim init logs --model robot.xml                      writes logs/meta.toml
+  adaptsim init run.mcap --model robot.urdf --out rig       writes rig/meta.toml, which names the bag
+  adaptsim init run.mcap --out rig --command-topic /arm/commands
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "data",
+        type=Path,
+        metavar="DATA",
+        help="folder or file of recordings: CSV, NPZ, ROS bag, MCAP, LeRobot data set",
+    )
+    parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF or URDF of the mechanism")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for meta.toml (default: DATA, if it is a folder)"
+    )
+    parser.add_argument("--state-topic", metavar="NAME", help="ROS topic of joint states (default: the largest)")
+    parser.add_argument("--command-topic", metavar="NAME", help="ROS topic of commands")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Writes the file and says how the data read with it."""
+    from adaptsim_jax.sysid.io.begin import begin
+
+    topics = {"state_topic": args.state_topic, "command_topic": args.command_topic}
+    begun = begin(args.data, args.out, args.model, {key: name for key, name in topics.items() if name})
+    print(f"wrote {begun.path}")
+    guesses = sum("# guess" in line for line in begun.text.splitlines())
+    print(f"{guesses} guesses in it: check each line marked 'guess'")
+    if begun.log is None:
+        print(f"to mend before it reads: {begun.to_mend}")
+        return 0
+    log = begun.log
+    seconds = sum(float(trial.time[-1] - trial.time[0]) for trial in log.trials)
+    print(
+        f"reads as {len(log.trials)} trial(s), {seconds:.4g} s, joints {', '.join(log.joint_names)}, input: {log.input_kind}"
+    )
+    for note in log.notes:
+        print(f"  {note}")
+    return 0

@@ -1,0 +1,1 @@
+"""Recordings of mechanisms, read from the files that people have."""

@@ -1,0 +1,96 @@
+"""Series that were logged at times of their own, brought onto one clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.tables import MIN_ROWS
+
+HELD = ("tau", "target", "ctrl", "u", "i")
+"""Stems of columns that hold from their row to the next; others are interpolated."""
+LATE = 10
+"""Rows of its own, as a multiple of their median spacing, after which a series has a gap."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names changed their order."""
+
+    time: np.ndarray
+    columns: dict[str, np.ndarray]
+    reordered: bool = False
+
+
+def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Columns on one clock with `time` from 0 s, and what was done to get there.
+
+    The clock is that of the state series with most rows, over the time that all state series share. Other states are
+    interpolated between their rows (efforts held), commands hold from their time to the next; before the first
+    command rows are cut off. A joint's gap of more than 10 of its intervals is NaN.
+    """
+    notes: list[str] = []
+    states = [_sorted(series, notes) for series in states]
+    commands = [_sorted(series, notes) for series in commands]
+    if any(series.reordered for series in (*states, *commands)):
+        notes.append("the order of joint names changes between messages: sorted by name")
+    main = max(states, key=lambda series: len(series.time))
+    start = max(series.time[0] for series in (*states, *commands))
+    stop = min(series.time[-1] for series in states)
+    rows = (main.time >= start) & (main.time <= stop)
+    clock = main.time[rows]
+    if len(clock) < MIN_ROWS:
+        raise BadInput(
+            f"{path}: its topics share {len(clock)} rows; a trial needs at least {MIN_ROWS}, record joints and commands together"
+        )
+    out = {"time": clock - clock[0]}
+    for series in states:
+        for name, values in series.columns.items():
+            if series is main:
+                out[name] = values[rows]
+            elif name in out:
+                continue
+            else:
+                out[name] = _onto(clock, series.time, values, hold=name.split("_")[0] in HELD)
+    for series in commands:
+        out |= {
+            name: _onto(clock, series.time, values, hold=True)
+            for name, values in series.columns.items()
+            if name not in out
+        }
+    if len(states) > 1:
+        notes.append(f"{len(states)} publishers of joint states brought onto the clock of the one with most messages")
+    cut = len(main.time) - len(clock)
+    if cut:
+        notes.append(f"{cut} rows cut off where not all joints and commands are there")
+    return out, tuple(dict.fromkeys(notes))
+
+
+def _sorted(series: Series, notes: list[str]) -> Series:
+    """By time, of rows with the same time the first."""
+    order = np.argsort(series.time, kind="stable")
+    if np.any(np.diff(series.time) < 0):
+        notes.append("messages out of order: sorted by their stamps")
+    time = series.time[order]
+    keep = np.concatenate([[True], np.diff(time) > 0])
+    if not keep.all():
+        notes.append(f"{int((~keep).sum())} messages repeat a stamp: left out")
+    columns = {name: values[order][keep] for name, values in series.columns.items()}
+    return Series(time[keep], columns, series.reordered)
+
+
+def _onto(clock: np.ndarray, time: np.ndarray, values: np.ndarray, *, hold: bool) -> np.ndarray:
+    here = np.isfinite(values)
+    time, values = time[here], values[here]
+    if not len(time):
+        return np.full(len(clock), np.nan)
+    if hold:
+        return values[np.maximum(np.searchsorted(time, clock, side="right") - 1, 0)]
+    out = np.interp(clock, time, values)
+    if len(time) > 1:
+        after = np.minimum(np.searchsorted(time, clock), len(time) - 1)
+        wide = np.concatenate([[False], np.diff(time) > LATE * np.median(np.diff(time))])
+        out[wide[after] & (clock != time[after])] = np.nan
+    return out

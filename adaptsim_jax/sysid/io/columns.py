@@ -1,0 +1,71 @@
+"""What a column's name says: which quantity of which joint (`q3`, `q_elbow`, `tau`, `target_elbow`)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+TIME = ("time", "t", "timestamp", "time_s", "stamp")
+TRIAL = ("trial", "episode", "episode_index")
+STEMS = {
+    "q": ("q", "pos", "position"),
+    "v": ("v", "vel", "velocity", "qd", "dq"),
+    "tau": ("tau", "torque", "effort"),
+    "target": ("target",),
+    "ctrl": ("ctrl",),
+    "u": ("u", "voltage"),
+    "i": ("i", "current"),
+}
+"""Our stem -> the words that open a column's name."""
+INPUT_STEMS = ("tau", "target", "ctrl", "u", "i", "tau_commanded")
+NOT_JOINTS = (
+    "d", "des", "desired", "cmd", "command", "commanded", "ref", "reference", "target", "goal", "error", "err", "raw",
+    "filtered", "std", "min", "max", "limit", "s", "rad", "deg", "m", "ff", "measured",
+)  # fmt: skip
+"""What follows a stem without being a joint's name: such columns are told, not refused."""
+_STEM_OF = {word: stem for stem, words in STEMS.items() for word in words}
+_PATTERN = re.compile(rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?:_?(\d+)|[_./ ](.+))?")
+
+
+@dataclass(frozen=True)
+class Role:
+    """`stem`: time, trial, q, v, tau, tau_commanded, target, ctrl, u, i; `joint`: its number as written, name, or None."""
+
+    stem: str
+    joint: int | str | None = None
+
+    def words(self, name: str, joint: str) -> tuple[str, ...]:
+        """The names that `meta.toml` may give this column, closest first; `joint` is the model's name of it."""
+        stem, after = ("tau", "_commanded") if self.stem == "tau_commanded" else (self.stem, "")
+        number = "" if isinstance(self.joint, str) or self.joint is None else self.joint
+        return (name, f"{stem}{number}{after}", f"{stem}_{joint}{after}", joint)
+
+
+def role(name: str, joints: Iterable[str] = ()) -> Role | None:
+    """The role that a column's name tells; None for a column that is none of ours. `joints`: the model's, where known."""
+    if name in TIME:
+        return Role("time")
+    if name in TRIAL:
+        return Role("trial")
+    commanded = name.endswith("_commanded")
+    found = _PATTERN.fullmatch(name.removesuffix("_commanded") if commanded else name)
+    if not found:
+        return None
+    stem, number, joint = _STEM_OF[found[1]], found[2], found[3]
+    joints = tuple(joints)
+    if number and number not in joints:
+        who: int | str | None = int(number)
+    else:
+        who = number or joint
+    if isinstance(who, str) and who not in joints and who.lower() in NOT_JOINTS:
+        return None
+    if commanded:
+        return Role("tau_commanded", who) if stem == "tau" else None
+    return Role(stem, who)
+
+
+def is_ignored(name: str, ignore: Iterable[str], joints: Iterable[str] = ()) -> bool:
+    """Whether `ignore` leaves this column out, by its own name or by that of its joint."""
+    found = role(name, joints)
+    return name in ignore or (found is not None and isinstance(found.joint, str) and found.joint in ignore)

@@ -1,0 +1,165 @@
+"""`adaptsim init`: what it writes, what it guesses, what it refuses."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from tests.sysid.io.log_files import motion, named, numbered, write_csv
+
+from adaptsim_jax.cli import main
+from adaptsim_jax.sysid.io.guess import guess, guess_units
+from adaptsim_jax.sysid.io.log import ModelNames
+from adaptsim_jax.sysid.io.read import read_log, read_with_model
+
+ARM = ("shoulder", "elbow")
+M = motion(2, rows=200)
+URDF = """<robot name="arm">
+  <link name="base"/>
+  {links}
+</robot>
+"""
+LINK = """<link name="{name}_link"><inertial><origin xyz="0 0 -0.1"/><mass value="1"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{name}_link"/><axis xyz="0 1 0"/></joint>"""
+
+
+def model(path):
+    links = LINK.format(name="shoulder", parent="base") + LINK.format(name="elbow", parent="shoulder_link")
+    path.write_text(URDF.format(links=links))
+    return path
+
+
+def init(*words) -> int:
+    return main(["init", *map(str, words)])
+
+
+def test_a_folder_of_odd_columns_reads_after_init(tmp_path, capsys):
+    columns = {
+        "__time": 1e3 * M["time"],
+        "/joint_states/shoulder/position": np.degrees(M["q"][:, 0]),
+        "/joint_states/elbow/position": np.degrees(M["q"][:, 1]),
+        "/joint_states/shoulder/velocity": M["v"][:, 0],
+        "/joint_states/elbow/velocity": M["v"][:, 1],
+        "/joint_states/shoulder/effort": M["tau"][:, 0],
+        "/joint_states/elbow/effort": M["tau"][:, 1],
+        "battery": M["time"] * 0 + 12,
+    }
+    write_csv(tmp_path / "logs" / "run.csv", columns)
+    assert init(tmp_path / "logs", "--model", model(tmp_path / "arm.urdf")) == 0
+    assert "reads as 1 trial(s), 1.99 s, joints shoulder, elbow, input: torque" in capsys.readouterr().out
+    mechanism, log = read_with_model(tmp_path / "logs")
+    assert mechanism.tree.joint_names == ARM
+    np.testing.assert_allclose(log.trials[0].time, M["time"], atol=1e-12)
+    np.testing.assert_allclose(log.trials[0].q, M["q"], atol=1e-12)
+    np.testing.assert_allclose(log.trials[0].v, M["v"], atol=1e-12)
+    np.testing.assert_allclose(log.trials[0].u, M["tau"], atol=1e-12)
+    text = (tmp_path / "logs" / "meta.toml").read_text()
+    table = tomllib.loads(text)
+    assert table["units"] == {"time": "ms", "angle": "deg", "velocity": "rad/s"}
+    assert all(
+        "# guess" in line
+        for line in text.splitlines()
+        if line.startswith(("time =", "angle =", "convention")) and "_" not in line
+    )
+
+
+def test_a_file_needs_out_and_is_named_by_the_new_meta(tmp_path, capsys):
+    run = write_csv(tmp_path / "run.csv", numbered(M, "q", "tau"))
+    assert init(run) == 2
+    assert "name a folder for meta.toml by --out" in capsys.readouterr().err
+    assert init(run, "--out", tmp_path / "rig") == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rig", "run.csv"]
+    log = read_log(tmp_path / "rig")
+    assert [trial.name for trial in log.trials] == ["run"]
+
+
+def test_it_never_overwrites(tmp_path, capsys):
+    write_csv(tmp_path / "logs" / "run.csv", numbered(M, "q"))
+    meta = tmp_path / "logs" / "meta.toml"
+    meta.write_text("mine")
+    assert init(tmp_path / "logs") == 2
+    assert init(tmp_path / "logs", "--out", tmp_path / "logs") == 2
+    assert init(tmp_path / "logs", "--out", tmp_path / "logs" / "sub") == 2
+    assert meta.read_text() == "mine" and len(list((tmp_path / "logs").iterdir())) == 2
+    for line in capsys.readouterr().err.splitlines():
+        assert line.startswith("adaptsim: ")
+
+
+@pytest.mark.parametrize("what", ["nothing", "empty", "bad model"])
+def test_nothing_is_left_where_it_fails(tmp_path, what, capsys):
+    data = tmp_path / "logs"
+    words = []
+    if what != "nothing":
+        data.mkdir()
+    if what == "bad model":
+        write_csv(data / "run.csv", numbered(M, "q"))
+        (tmp_path / "arm.xml").write_text("<mujoco>")
+        words = ["--model", tmp_path / "arm.xml"]
+    assert init(data, "--out", tmp_path / "rig", *words) == 2
+    assert not (tmp_path / "rig").exists()
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_what_does_not_read_yet_is_said(tmp_path, capsys):
+    write_csv(tmp_path / "logs" / "run.csv", named(M, ("shoulder", "wrist"), "q"))
+    assert init(tmp_path / "logs", "--model", model(tmp_path / "arm.urdf")) == 0
+    assert "to mend before it reads" in capsys.readouterr().out
+
+
+def test_joints_of_other_names_and_joints_that_the_model_lacks(tmp_path, capsys):
+    m = motion(3, rows=60)
+    write_csv(tmp_path / "logs" / "run.csv", named(m, ("shoulder_joint", "elbow_joint", "gripper"), "q", "tau"))
+    assert init(tmp_path / "logs", "--model", model(tmp_path / "arm.urdf")) == 0
+    table = tomllib.loads((tmp_path / "logs" / "meta.toml").read_text())
+    assert table["ignore"] == ["gripper"]
+    assert table["columns"]["q_elbow"] == "q_elbow_joint"
+    np.testing.assert_array_equal(read_log(tmp_path / "logs").trials[0].u, m["tau"][:, :2])
+
+
+def test_a_bag_with_its_topics(tmp_path, capsys):
+    pytest.importorskip("rosbags.rosbag2", reason="extra 'ros' is not installed")
+    from tests.sysid.io.test_bags import Bag, states
+
+    bag = Bag("mcap")
+    states(bag)
+    for i, t in enumerate(M["time"][:60]):
+        bag.array("/arm/commands", 1_700_000_000_000_000_000 + round(t * 1e9), M["q"][i])
+    path = bag.write(tmp_path)
+    assert init(path, "--out", tmp_path / "rig") == 0
+    table = tomllib.loads((tmp_path / "rig" / "meta.toml").read_text())
+    assert table["ros"] == {"state_topic": "/joint_states", "command_topic": "/arm/commands"}
+    assert table["input"] == "torque"
+    assert read_log(tmp_path / "rig").joint_names == ARM
+    assert init(path, "--out", tmp_path / "other", "--command-topic", "/arm/comands") == 2
+    assert "did you mean '/arm/commands'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("columns", "units"),
+    [
+        (named(M, ARM, "q", "v"), {}),
+        (named(M | {"q": np.degrees(M["q"])}, ARM, "q", "v"), {"angle": "deg", "velocity": "rad/s"}),
+        (named(M | {"v": np.degrees(M["v"])}, ARM, "q", "v"), {"velocity": "deg/s"}),
+        (named(M | {"v": M["v"] * 60 / (2 * np.pi)}, ARM, "q", "v"), {"velocity": "rpm"}),
+        (named(M | {"q": np.degrees(M["q"])}, ARM, "q"), {"angle": "deg"}),
+        (named(M | {"time": M["time"] * 1e9}, ARM, "q", "v"), {"time": "ns"}),
+        (named(M | {"time": M["time"] * 1e6}, ARM, "q"), {"time": "us"}),
+    ],
+)
+def test_units_that_numbers_betray(columns, units):
+    assert {key: unit for key, (unit, _) in guess_units(columns).items()} == units
+
+
+def test_column_names_of_many_kinds():
+    row = np.arange(30.0)
+    names = {
+        "Time [s]": "time",
+        "joint_1_pos": "q1",
+        "pos.joint2": "q2",
+        "shoulder_pan.velocity": "v_shoulder_pan",
+        "J1 current": "i1",
+        "elbow_pos_desired": "target_elbow",
+        "elbow torque (Nm)": "tau_elbow",
+    }
+    found = guess({name: row for name in names}, ModelNames(("shoulder_pan", "elbow")))
+    assert {theirs: ours for ours, theirs in found.columns.items()} == names
