@@ -226,7 +226,9 @@ class _Sums:
         mean = slope.sum(0) / count
         spread = np.sqrt(np.maximum(np.square(slope).sum(0) / count - np.square(mean), 0.0) / (count - 1))
         t = np.abs(mean) / np.maximum(spread, 1e-300)
-        z = stats.norm.isf(np.maximum(stats.t.sf(t, count - 1), 1e-300))  # as far out as Student's t of so few stretches
+        z = stats.norm.isf(
+            np.maximum(stats.t.sf(t, count - 1), 1e-300)
+        )  # as far out as Student's t of so few stretches
         on = amplitude != 0.0
         p = float(stats.chi2.sf(np.square(z[on]).sum(), int(on.sum()))) if on.any() else 1.0
         return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))

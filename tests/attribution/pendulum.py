@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 
 XML = """<mujoco><compiler angle="radian"/><option timestep="0.0005" integrator="implicitfast"/><worldbody>
-<body name="link"><joint name="hinge" axis="0 1 0" damping="{damping}" frictionloss="{friction}" solreffriction="0.002 1"/>
+<body name="link"><joint name="hinge" axis="0 1 0" damping="{damping}" frictionloss="{friction}"
+solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 <inertial pos="0 0 -0.25" mass="{mass}" diaginertia="0.01 0.01 0.001"/></body></worldbody>
 <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
 RATE = 250
 
 
-def record(folder: Path, friction: float, trials: int = 6, seconds: float = 4.0, seed: int = 0, noise: float = 2e-4) -> Path:
+def record(
+    folder: Path, friction: float, trials: int = 6, seconds: float = 4.0, seed: int = 0, noise: float = 2e-4
+) -> Path:
     """A folder with meta.toml, the declared model (mass 20 % off, no friction) and trials of the true one."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(XML.format(damping=0.02, friction=friction, mass=1.0))
