@@ -111,32 +111,24 @@ def forces(model: Model, values: Values, q, v, u, t) -> Forces:
     return Forces(smooth, level, inertia)
 
 
-def _factors(model: Model, values: Values, q, v, inertia):
-    mass = dynamics.mass_matrix(model.tree, values.inertial, q)
-    n = q.shape[0]
-    mass = mass + inertia[:, None] * jnp.eye(n, dtype=q.dtype).reshape(n, n, *(1,) * (q.ndim - 1))
-    return mass, dynamics.bias_force(model.tree, values.inertial, q, v, values.gravity)
-
-
 def _accelerate(model: Model, values: Values, q, v, u, t, extra):
     act = forces(model, values, q, v, u, t)
-    mass, bias = _factors(model, values, q, v, act.inertia)
-    return dynamics.solve(mass, act.smooth - bias + extra), mass, act
+    force = act.smooth + extra
+    return dynamics.acceleration(model.tree, values.inertial, q, v, force, act.inertia, values.gravity), act
 
 
-def _friction(mass, free, v, level, h):
+def _friction(model: Model, values: Values, q, inertia, free, v, level, h):
     """Dry friction [n, W] held over a step of h s from the acceleration `free` without it."""
     n = v.shape[0]
-    eye = jnp.eye(n, dtype=v.dtype).reshape(n, n, *(1,) * (v.ndim - 1)) + jnp.zeros_like(v)[None]
-    answer = [dynamics.solve(mass, eye[j]) for j in range(n)]  # column j: accelerations under a unit force at joint j
+    answer = dynamics.inverse_mass(model.tree, values.inertial, q, inertia)  # column j: under a unit force at joint j
     safe = jnp.where(h > 0, h, 1.0)
     after = v + h[None] * free
     force = [jnp.zeros_like(v[0])] * n
     for _ in range(SWEEPS if n > 1 else 1):
         for j in range(n):
-            wanted = force[j] - after[j] / (safe * answer[j][j])
+            wanted = force[j] - after[j] / (safe * answer[j, j])
             new = jnp.clip(wanted, -level[j], level[j])
-            after = after + h[None] * answer[j] * (new - force[j])[None]
+            after = after + h[None] * answer[:, j] * (new - force[j])[None]
             force[j] = new
     return jnp.stack(force)
 
@@ -151,13 +143,15 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
         x, rubbed = carry
         now = t[None] + i * wide
         q, v = x[:n], x[n:]
-        free, mass, act = _accelerate(model, values, q, v, u, now, extra)
+        free, act = _accelerate(model, values, q, v, u, now, extra)
         rub = jax.lax.cond(
-            rough, lambda: _friction(mass, free, v, jnp.maximum(act.level, 0.0), h), lambda: jnp.zeros_like(v)
+            rough,
+            lambda: _friction(model, values, q, act.inertia, free, v, jnp.maximum(act.level, 0.0), h),
+            lambda: jnp.zeros_like(v),
         )
 
         def slope(x, at):
-            a, _, _ = _accelerate(model, values, x[:n], x[n:], u, now + at, extra + rub)
+            a, _ = _accelerate(model, values, x[:n], x[n:], u, now + at, extra + rub)
             return jnp.concatenate([x[n:], a])
 
         def stage(carry, ab):
