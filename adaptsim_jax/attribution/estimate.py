@@ -315,7 +315,7 @@ def settled(
     refine: int = 1,
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, list[Path]]:
     """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better, refined `refine` times by least
-    squares with the derivatives of `lin`. A stretch that sticks and slips need not follow its derivative: no step is taken on trust."""
+    squares with the derivatives of `lin`. A stretch that sticks and slips need not follow them: no step is taken on trust."""
     best: list = []
 
     def offer(starts: Sequence[np.ndarray]) -> None:

@@ -164,7 +164,7 @@ def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights:
 def refit(
     problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None
 ) -> Fit:
-    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared by groups."""
+    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
     touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
     owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
     shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)

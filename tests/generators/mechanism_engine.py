@@ -1,9 +1,9 @@
 """Trials of a true machine, stepped by MuJoCo's C engine; what its joints and actuators do beside lies in `mechanism_forces.py`.
 
 All trials go side by side. Accelerations are MuJoCo's forward dynamics, speeds and positions leapfrog in steps of 0.5 ms (Verlet,
-second order, also in forces that follow the speed: they see the speed extrapolated by half a step). A command that changes at a step acts by half before it,
-since a step's force acts from half a step before it to half a step after. Dry friction is MuJoCo's `frictionloss`, its level set
-anew each step, with a time constant of 2 ms.
+second order, also in forces that follow the speed: they see the speed extrapolated by half a step). A command that changes at a
+step acts by half before it, since a step's force acts from half a step before it to half a step after. Dry friction is
+MuJoCo's `frictionloss`, its level set anew each step, with a time constant of 2 ms.
 """
 
 from dataclasses import dataclass

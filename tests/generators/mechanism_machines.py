@@ -122,7 +122,6 @@ def _arm6(rng) -> Machine:
     a rolling forearm and wrist as other arms of six joints."""
     s, w = rng.uniform(0.8, 1.2), rng.uniform(0.7, 1.3)
     rolls = bool(rng.integers(2))
-    a2, a3 = 0.425 * s, 0.392 * s
     arm = rng.uniform(0.05, 0.15, 6) * [1, 1, 1, 0.1, 0.1, 0.1] * w
     damping = rng.uniform(1.0, 4.0, 6) * [1, 1, 0.6, 0.12, 0.12, 0.08] * w
     home = np.array([0.0, -1.0, 1.2, -0.6, 0.4, 0.0]) + rng.uniform(-0.25, 0.25, 6)
@@ -209,7 +208,8 @@ def to_xml(machine: Machine, mode: str, gains: np.ndarray, extras: Extras | None
     if x.payload:
         r = 0.4 * x.payload * 0.03**2
         lines += [f'{pad}<body name="payload" pos="{number(machine.tip)}">',
-                  f'{pad}  <inertial pos="0 0 0" mass="{x.payload:.9g}" diaginertia="{r:.9g} {r:.9g} {r:.9g}"/>', f"{pad}</body>"]  # fmt: skip
+                  f'{pad}  <inertial pos="0 0 0" mass="{x.payload:.9g}" diaginertia="{r:.9g} {r:.9g} {r:.9g}"/>',
+                  f"{pad}</body>"]  # fmt: skip
     lines += ["  " * (k + 2) + "</body>" for k in reversed(range(machine.n))] + ["  </worldbody>"]
     if actuators:
         lines += ["  <actuator>"]

@@ -7,7 +7,8 @@ from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf, write_mjcf
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
-<body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/><inertial pos="0 0.01 -0.2" mass="1" diaginertia="0.01 0.01 0.002"/>
+<body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
+<inertial pos="0 0.01 -0.2" mass="1" diaginertia="0.01 0.01 0.002"/>
   <body name="lower" pos="0 0 -0.4" quat="0.9 0.1 0.2 0"><joint name="elbow" axis="1 1 0"/>
     <inertial pos="0 0 -0.1" mass="0.5" diaginertia="0.004 0.004 0.001"/>
     <body name="tool" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></body></body>

@@ -27,13 +27,14 @@ def random_mjcf(seed: int) -> str:
         for k in range(int(rng.integers(1, 3)) if rng.random() < 0.3 else 1):
             kind = "hinge" if rng.random() < 0.7 else "slide"
             joints.append(
-                f'<joint name="j{b}_{k}" type="{kind}" axis="{numbers(rng.normal(size=3))}" pos="{numbers(0.1 * rng.normal(size=3))}"'
-                f' ref="{0.3 * rng.normal():.4g}" armature="{rng.uniform(0, 0.1):.4g}" damping="{rng.uniform(0, 0.1):.4g}"/>'
+                f'<joint name="j{b}_{k}" type="{kind}" axis="{numbers(rng.normal(size=3))}" pos="{numbers(0.1 * rng.normal(size=3))}" '
+                f'ref="{0.3 * rng.normal():.4g}" armature="{rng.uniform(0, 0.1):.4g}" damping="{rng.uniform(0, 0.1):.4g}"/>'
             )
         inertia = np.sort(rng.uniform(0.02, 0.03, 3))
         return (
             f'<body name="b{b}" pos="{numbers(0.3 * rng.normal(size=3))}" quat="{numbers(rng.normal(size=4))}">{"".join(joints)}'
-            f'<inertial pos="{numbers(0.1 * rng.normal(size=3))}" quat="{numbers(rng.normal(size=4))}" mass="{rng.uniform(0.2, 2):.4g}" '
+            f'<inertial pos="{numbers(0.1 * rng.normal(size=3))}" quat="{numbers(rng.normal(size=4))}" '
+            f'mass="{rng.uniform(0.2, 2):.4g}" '
             f'diaginertia="{numbers(inertia)}"/>{"".join(body(c) for c in parts[b])}</body>'
         )
 
