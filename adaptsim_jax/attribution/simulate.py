@@ -122,15 +122,17 @@ def _friction(model: Model, values: Values, q, inertia, free, v, level, h):
     n = v.shape[0]
     answer = dynamics.inverse_mass(model.tree, values.inertial, q, inertia)  # column j: under a unit force at joint j
     safe = jnp.where(h > 0, h, 1.0)
-    after = v + h[None] * free
-    force = [jnp.zeros_like(v[0])] * n
-    for _ in range(SWEEPS if n > 1 else 1):
-        for j in range(n):
-            wanted = force[j] - after[j] / (safe * answer[j, j])
-            new = jnp.clip(wanted, -level[j], level[j])
-            after = after + h[None] * answer[:, j] * (new - force[j])[None]
-            force[j] = new
-    return jnp.stack(force)
+    own = jnp.stack([answer[j, j] for j in range(n)])
+
+    def turn(carry, j):  # a loop: written out for each joint it takes many times as long to compile
+        after, force = carry
+        new = jnp.clip(force[j] - after[j] / (safe * own[j]), -level[j], level[j])
+        after = after + h[None] * answer[:, j] * (new - force[j])[None]
+        return (after, force.at[j].set(new)), None
+
+    order = jnp.tile(jnp.arange(n), SWEEPS if n > 1 else 1)
+    (_, force), _ = jax.lax.scan(turn, (v + h[None] * free, jnp.zeros_like(v)), order)
+    return force
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
