@@ -36,10 +36,6 @@ class Candidate:
     def key(self) -> tuple[str, tuple[int, ...], str]:
         return self.effect, self.joints, self.sharing
 
-    @property
-    def amplitudes(self) -> tuple[Entry, ...]:
-        return self.entries
-
     def shaped(self) -> dict[str, float]:
         return dict(self.shape)
 
