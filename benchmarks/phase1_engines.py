@@ -78,5 +78,7 @@ if __name__ == "__main__":
     args = parser.parse_args()
     gpu = jax.default_backend() == "gpu"
     for name in ("native", "mjx"):
-        for row in rates(name, [64, 256] + gpu * [1024, 4096, 16384]) if args.trials else [phase1(name, args.trajectories)]:
+        for row in (
+            rates(name, [64, 256] + gpu * [1024, 4096, 16384]) if args.trials else [phase1(name, args.trajectories)]
+        ):
             print(json.dumps(row), flush=True)
