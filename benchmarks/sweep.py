@@ -5,8 +5,8 @@
     python benchmarks/sweep.py --trajectories 10000     the members as the paper trains them
 
 Both start with an empty compile cache. CPU seconds (user and system, of all children) stand beside wall seconds, because on a busy
-machine only they can be compared; two calls at a time keep two cores busy, so that half their CPU seconds is the wall time that a quiet
-machine of two cores would take at best.
+machine only they can be compared; two calls at a time keep two cores busy, so that half their CPU seconds is what a quiet machine of two
+cores would take at best.
 """
 
 import argparse

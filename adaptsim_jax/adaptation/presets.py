@@ -150,7 +150,7 @@ def pushing_mjx() -> TrainConfig:
 
 
 def scooping_hydro() -> TrainConfig:
-    """`scooping` without the bank: policies are trained and Phase 1 runs in the hydroelastic engine itself. Nothing is corrected, since
+    """`scooping` without the bank: policies are trained and Phase 1 runs in the hydroelastic engine. Nothing is corrected, since
     corrections are by the bank."""
     return replace(scooping(), task={"simulator": "hydro"})
 

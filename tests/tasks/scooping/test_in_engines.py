@@ -29,7 +29,7 @@ def test_corrections_are_by_the_bank_and_refused_without():
 @pytest.mark.slow
 def test_a_trial_in_mjx_is_that_of_the_world():
     options = scooping.checked(SHORT)
-    params, actions = model.draw(0, 6)
+    params, _ = model.draw(0, 6)
     params[5, 3] = 1.0  # m: no piece that the scene is made for
     contexts = scooping.test_contexts(6)
     units = np.random.default_rng(1).uniform(-1, 1, (6, 3))
