@@ -4,9 +4,9 @@
     python benchmarks/sweep.py --calls 8                time 8 of the calls of `train`, and count the rest as these
     python benchmarks/sweep.py --trajectories 10000     the members as the paper trains them
 
-Both start with an empty compile cache. CPU seconds (user and system, of all children) stand beside wall seconds, because on a busy
-machine only they can be compared; two calls at a time keep two cores busy, so that half their CPU seconds is what a quiet machine of two
-cores would take at best.
+Both start with an empty compile cache. CPU seconds (user and system, of all children) stand beside wall seconds, because on a
+busy machine only they can be compared; two calls at a time keep two cores busy, so that half their CPU seconds is what a quiet
+machine of two cores would take at best.
 """
 
 import argparse

@@ -59,7 +59,9 @@ def learners(learner: str, policies: int, peer_python: str, batch: int = 64) -> 
         run, took = _bdq(policies, batch)
         script = ["bdq_torch.py", "--policies", str(min(policies, 64))]
     found = {"unit": "updates/s", "ours": run()[0], "compile_s": took}
-    done = subprocess.run([peer_python, str(HERE / script[0]), *script[1:]], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [peer_python, str(HERE / script[0]), *script[1:]], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         return found | {"note": f"no peer: {done.stderr.strip().splitlines()[-1][:80]}"}
     return found | {"peer": float(done.stdout.split()[0]), "peer_name": "PyTorch, a loop"}
@@ -182,7 +184,9 @@ def markdown(table: dict[str, Any]) -> str:
     for row in table["rows"]:
         ours = f"{number(row['ours'])} {row['unit']}" if "ours" in row else row.get("note", "")
         peer = f"{number(row['peer'])} ({row['peer_name']})" if "peer" in row else row.get("note", "") * ("ours" in row)
-        lines.append(f"| {row['what']} | {ours} | {peer} | {number(row.get('ratio'))} | {number(row.get('compile_s'))} |")
+        lines.append(
+            f"| {row['what']} | {ours} | {peer} | {number(row.get('ratio'))} | {number(row.get('compile_s'))} |"
+        )
     return "\n".join(lines) + "\n"
 
 

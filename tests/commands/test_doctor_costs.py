@@ -1,5 +1,7 @@
 """`adaptsim doctor --costs`: every engine has its row; the cheapest is measured."""
 
+import pytest
+
 from adaptsim_jax.commands.doctor_costs import costs, engines, line
 
 
@@ -9,6 +11,7 @@ def test_every_engine_of_every_task_has_a_configuration_of_its_own():
     assert len({str(sorted(options.items())) for options in made.values()}) == len(made)
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_the_pendulum_takes_milliseconds():
     (row,) = costs(("pendulum",))
     assert 1e-6 < row["s_a_trajectory"] < 1.0 and line(row).startswith("cost       pendulum in exact")

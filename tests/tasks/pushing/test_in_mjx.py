@@ -5,10 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.presets import PRESETS
-from adaptsim_jax.adaptation.reuse import ReuseConfig
-from adaptsim_jax.adaptation.training import traced
+from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.engines.registry import make_backend
 from adaptsim_jax.tasks.pushing.simulator import make_guide, make_simulator
@@ -29,17 +27,20 @@ def test_the_simulator_is_the_backend_of_that_name():
 
 
 @pytest.mark.slow
-def test_phase_1_runs_in_it():
-    """Policies made, refined and rehearsed in MJX; what is learned in two rounds is not looked at."""
-    config = PRESETS["mjx-pushing"]()
-    task = make_task(
-        "pushing", config.task | {"duration": 0.65, "shared": {"contexts": 8, "trials": 4, "candidates": 4}}
-    )
-    sizes = Phase1Config(
-        trajectories=8, parallel=4, horizon=2, updates=2, batch=8, capacity=16, archive=16, hidden=(8,),
-        reuse=ReuseConfig(threshold=9.0, first=2000, most=3000, least=1000, capacity=4, together=4),
-    )  # fmt: skip
-    phase1 = make_phase1(task, sizes)
-    state, info = jax.jit(phase1.run)(jax.jit(phase1.init)(jax.random.key(0)), traced(config.hyper), jnp.arange(2))
-    assert np.all((info.reward >= 0) & (info.reward <= 1)) and info.reward.mean() > 0
-    assert np.isfinite(state.learner.target).all()
+def test_policies_are_trained_refined_and_visits_made_in_it():
+    """What Phase 1 takes of the task: `train_many` from the untrained, and `rehearse`; how good they are is not looked at."""
+    options = {"duration": 0.65, "trials": 20, "rehearsal": [2, 1]}
+    task = make_task("pushing", PRESETS["mjx-pushing"]().task | options)
+    mean = jnp.full(4, 0.5)
+
+    def visit(key):
+        policy = task.init_policy(key)
+        one = lambda x: jax.tree.map(lambda y: y[None], x)
+        trained = task.train_many(key[None], one(gaussian(task.space, mean)), one(policy), jnp.full(1, 20))
+        policy = jax.tree.map(lambda x: x[0], trained)
+        return policy, task.rehearse(key, policy, task.space.physical(mean))
+
+    policy, seen = jax.jit(visit)(jax.random.key(0))
+    assert np.isfinite(policy.weights).all() and 0 <= float(seen.tested) <= 1
+    moved = np.linalg.norm(np.asarray(seen.points[:, -1]) - np.array(model.START), axis=-1)  # m
+    assert np.all((moved > 0.01) & (moved < 2.0))
