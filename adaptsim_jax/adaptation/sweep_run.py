@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation import sweep_devices as devices
@@ -117,5 +118,5 @@ def _leave_run(programs: Programs, sweep: Sweep, folder: SweepFolder, member: Me
         return
     (path / "config.toml").unlink(missing_ok=True)  # of a process that was killed in between
     run = RunFolder.create(Path(path), configs.to_table(member.config), task=sweep.spec.task)
-    key = jax.random.wrap_key_data(np.asarray(state.key))
+    key = jax.random.wrap_key_data(jnp.asarray(state.key))
     run.save(state._replace(key=key), programs.phase1.config.rounds)

@@ -36,8 +36,8 @@ def over_values(found: dict[str, Any], key: str) -> Figure:
         x = np.array(some, float) if plain else np.array([values.index(v) for v in some], float)
         mean = [mine[repr(v)]["mean"] for v in some]
         half = [mine[repr(v)]["half"] or 0.0 for v in some]
-        style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
-        axes.errorbar(x, mean, half, capsize=3, linewidth=1.2, markersize=4, label=look.setting(name), **style)
+        colour, mark = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
+        axes.errorbar(x, mean, half, capsize=3, color=colour, marker=mark, markersize=4, label=look.setting(name))
     if not plain:
         axes.set_xticks(range(len(values)), [str(v) for v in values])
     elif len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20:

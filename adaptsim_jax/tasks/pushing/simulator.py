@@ -42,6 +42,7 @@ def _in_mjx(options: PushOptions) -> Push:
     with jax.ensure_compile_time_eval():  # the model is kept, and must hold no tracers of a caller's program
         simulate = make_push(model.check_options(options), model.ELASTICITY)
 
+    @jax.jit  # traced once, though Phase 1 pushes in many places
     def push(params, action):
         # MJX relies on rank promotion, which a strict caller may have forbidden
         with jax.numpy_rank_promotion("allow"):
