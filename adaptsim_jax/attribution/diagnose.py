@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit, run
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes
+from adaptsim_jax.attribution.mend import changes, declared_changes, holdable
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, Problem, nuisances, prepare
 from adaptsim_jax.attribution.score import Candidate
@@ -64,7 +64,7 @@ def diagnose(
     report = check(report)
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        write_model(folder, machine, problem, found, told)
+        write_model(folder, machine, problem, found, criteria or Criteria(), told)
         (page or plain)(folder, report, evidence)
     return report
 
@@ -78,13 +78,16 @@ def command_of(data: str | Path, model: str | Path | None, exclude: Sequence[str
     return shlex.join(words)
 
 
-def write_model(folder: Path, machine: Machine, problem: Problem, found: Selection, told: Mapping[str, Any]) -> None:
-    """`model.xml` and `model.toml` into the folder; what an earlier run of another kind left there goes."""
+def write_model(
+    folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria, told: Mapping[str, Any]
+) -> None:
+    """`declared.xml`, `model.xml` and `model.toml` into the folder; what an earlier run of another kind left there goes."""
     for name in (*OTHERS, MODEL):
         (folder / name).unlink(missing_ok=True)
-    made, held = changes(machine, problem, found)
+    made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
+    write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
     write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
-    write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, held, told).encode())
+    write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told).encode())
 
 
 def plain(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:

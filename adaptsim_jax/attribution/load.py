@@ -1,7 +1,6 @@
 """From a recording and a model file to what is identified."""
 
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 from adaptsim_jax.attribution import model_toml
@@ -36,7 +35,7 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"
             )
         made = machine(*read_with_model(data, Path(model).parent / beside))
-        return replace(made, declared=made.declared | model_toml.read(Path(model), made.tree.joint_names))
+        return model_toml.read(Path(model), made)
     if model is None:
         raise BadInput(f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml of it")
     recording = read_recording(data)

@@ -59,8 +59,7 @@ def partly_explained(
         report = check(report)
         if out is not None:
             folder = output_folder(out)
-            write_model(folder, machine, problem, found, told)
-            declared_machine(recording, theta, folder / DECLARED)
+            write_model(folder, machine, problem, found, criteria or Criteria(), told)
             write_toml(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
             (page or plain)(folder, report, evidence)
         return report

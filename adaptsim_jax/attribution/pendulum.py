@@ -45,7 +45,7 @@ def pendulum_machine(recording: Recording, model: str | Path) -> Machine:
                 f"{model}: has {mechanism.tree.n} joints, but {recording.path} is of a double pendulum; give one of 2"
             )
         log = log_of(recording)
-        names = dict(zip(JOINTS, mechanism.tree.joint_names, strict=True))
+        names: dict[str, str] = dict(zip(JOINTS, mechanism.tree.joint_names, strict=True))
         told = tuple(names[n] for n in log.driven)
         return machine(mechanism, replace(log, joint_names=mechanism.tree.joint_names, input_names=told, driven=told))
     from adaptsim_jax.mechanisms.model_file import read_model
