@@ -15,10 +15,11 @@ import sys
 import traceback
 from typing import NoReturn
 
-from adaptsim_jax import __version__, compile_cache
+from adaptsim_jax import __version__
 from adaptsim_jax.commands import SUMMARIES, common
-from adaptsim_jax.config import nearest, suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 _DISK = (errno.ENOSPC, errno.EDQUOT)
@@ -144,7 +145,7 @@ def _set_up_cache(args: argparse.Namespace) -> None:
 
 def _set_up_memory() -> None:
     if "jax" not in sys.modules:  # else a Python program called us, whose memory is its own
-        from adaptsim_jax import memory
+        from adaptsim_jax.core import memory
 
         memory.keep_freed()
         memory.collect_rarely()

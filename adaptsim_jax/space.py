@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.config import suggest
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.given import brief, finite
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
 
 Scale = Literal["linear", "log", "categorical"]
 

@@ -17,9 +17,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models import pushing
-from adaptsim_jax.models.backends.pushing import make_backend
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.pushing import model as pushing
+from adaptsim_jax.tasks.pushing.engines.registry import make_backend
 
 SHARE = {"planar": 4096, "drake": 12}  # pushes that a turn of these is worth; the others take --samples
 
@@ -65,7 +65,7 @@ def speeds(samples: int, repeats: int, seed: int) -> None:
 
 
 def drake_steps(samples: int, steps: list[float], seed: int) -> None:
-    from adaptsim_jax.models.backends.pushing_drake import DrakeContact
+    from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
 
     batch = pushing.draw(seed, samples)
     place = lambda dt: make_backend("drake", contact=DrakeContact(dt=dt)).simulate(*batch).state[:, -1, :2]

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from adaptsim_jax.control.riccati import solve_care
-from adaptsim_jax.models.pendulum import linearized
+from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 
 
 def best_time(work: Callable[[], object], repeats: int) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from adaptsim_jax.control.riccati import solve_care, solve_dare
-from adaptsim_jax.models.pendulum import linearized
+from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 
 SETTINGS = {
     "wd": (1.8, 1.2, 1.5, 1.5),

@@ -14,7 +14,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from adaptsim_jax import compile_flags, memory
+from adaptsim_jax.core import compile_flags, memory
 from experiments.closeloop_suites import diagnose_folder
 from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case

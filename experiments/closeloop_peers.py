@@ -52,14 +52,14 @@ class Declared:
 
 def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     """The package's own steps up to the declared model and its held-out error."""
-    from adaptsim_jax.closeloop.audit import audit, usable
-    from adaptsim_jax.closeloop.declared import declared, timed
-    from adaptsim_jax.closeloop.earning import Settings
-    from adaptsim_jax.closeloop.heldout import held_out
-    from adaptsim_jax.closeloop.noise import noise_floor
-    from adaptsim_jax.closeloop.problem import prepare_within_reach
-    from adaptsim_jax.closeloop.recording import read_recording
-    from adaptsim_jax.models.effects import catalogue
+    from adaptsim_jax.effects.registry import catalogue
+    from adaptsim_jax.sysid.criteria import Criteria
+    from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
+    from adaptsim_jax.sysid.evaluate.crossval import cross_validate
+    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.sysid.noise.floor import noise_floor
+    from adaptsim_jax.sysid.nuisance.null_model import declared, timed
+    from adaptsim_jax.sysid.quality.audit import audit, usable
 
     recording = read_recording(folder)
     checked = audit(recording)
@@ -67,8 +67,8 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     effects = tuple(e for e in catalogue(recording.task) if e.name not in exclude)
     problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), effects)
     base, view = declared(problem, start)
-    problem, view = timed(problem, base, view, Settings().alpha)
-    return Declared(problem, base, view, held_out(problem, base, view))
+    problem, view = timed(problem, base, view, Criteria().alpha)
+    return Declared(problem, base, view, cross_validate(problem, base, view))
 
 
 def nothing(d: Declared, python: str) -> Active:
@@ -80,7 +80,7 @@ def always_coulomb(d: Declared, python: str) -> Active:
 
 
 def sparse_regression(d: Declared, python: str) -> Active:
-    from adaptsim_jax.closeloop.disturbance import unexplained_force
+    from adaptsim_jax.sysid.estimate.variance import unexplained_force
 
     force, _ = unexplained_force(d.view.lin, d.base.parts)
     live = (d.problem.windows.dt > 0) & d.problem.windows.real[:, None]
@@ -90,10 +90,10 @@ def sparse_regression(d: Declared, python: str) -> Active:
 
 def bic_forward(d: Declared, python: str) -> Active:
     """Least squares and BIC, every sample counted as independent."""
-    from adaptsim_jax.closeloop.fit import ROOM
-    from adaptsim_jax.closeloop.problem import fit_plain
-    from adaptsim_jax.closeloop.start import started
-    from adaptsim_jax.closeloop.view import view
+    from adaptsim_jax.sysid.estimate.output_error import ROOM
+    from adaptsim_jax.sysid.estimate.problem import fit_plain
+    from adaptsim_jax.sysid.score.table import view
+    from adaptsim_jax.sysid.select.start import started
 
     problem, current, seen = d.problem, d.base, d.view
     samples = int((np.asarray(problem.windows.weight) > 0).sum())
@@ -129,7 +129,7 @@ def _size(problem, active: Active) -> int:
 
 def refitted(d: Declared, active: Active, theta=None, eff=None, x0=None):
     """The package's own refit of a model with those effects, from the declared one where no start is given."""
-    from adaptsim_jax.closeloop.rivals import fitted
+    from adaptsim_jax.sysid.estimate.fit import fitted
 
     c = d.base.candidate
     theta, eff, x0 = (a if b is None else b for a, b in ((c.theta, theta), (c.eff, eff), (c.refit.point.x0, x0)))
@@ -138,7 +138,7 @@ def refitted(d: Declared, active: Active, theta=None, eff=None, x0=None):
 
 def from_scores(d: Declared, active: Active) -> np.ndarray:
     """Effect parameters `[E]` to start from: each effect at its best shape and linear amplitude, small where none is."""
-    from adaptsim_jax.closeloop.start import started
+    from adaptsim_jax.sysid.select.start import started
 
     eff = d.base.candidate.eff.copy()
     ranked = {r.instance: r for r in d.view.ranked()}
@@ -158,15 +158,15 @@ RULES: dict[str, Callable[[Declared, str], Active]] = {
 
 def report_of(d: Declared, active: Active) -> dict:
     """What `score_case` needs: the names, and the held-out error before and after by the package's own simulation."""
-    from adaptsim_jax.closeloop.heldout import held_out
-    from adaptsim_jax.closeloop.problem import Diverged
-    from adaptsim_jax.closeloop.view import view
+    from adaptsim_jax.sysid.estimate.problem import Diverged
+    from adaptsim_jax.sysid.evaluate.crossval import cross_validate
+    from adaptsim_jax.sysid.score.table import view
 
     noise, error, why = d.problem.noise.std, d.error.rmse(), ""
     if active:
         try:
             model = refitted(d, active, eff=from_scores(d, active))
-            error = held_out(d.problem, model, view(d.problem, model)).rmse()
+            error = cross_validate(d.problem, model, view(d.problem, model)).rmse()
         except (Diverged, ValueError, np.linalg.LinAlgError) as problem:
             why = f"the model with {active} was not simulated, its error is that of the declared one: {problem}"
     floor = float(np.sqrt(np.mean([noise[c] ** 2 for c in ("q1", "q2")])))

@@ -14,16 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax import compile_flags, memory
-from adaptsim_jax.closeloop.audit import audit, usable
-from adaptsim_jax.closeloop.diagnose import Diagnosis, examine
-from adaptsim_jax.closeloop.earning import Settings
-from adaptsim_jax.closeloop.noise import noise_floor
-from adaptsim_jax.closeloop.problem import Active, Problem, fit_plain, initial_states, prepare
-from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.rivals import Fitted
-from adaptsim_jax.closeloop.trial import Recording
-from adaptsim_jax.models.effects import catalogue
+from adaptsim_jax.core import compile_flags, memory
+from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.sysid.criteria import Criteria
+from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.problem import Active, Problem, fit_plain, initial_states, prepare
+from adaptsim_jax.sysid.io.recording import read_recording
+from adaptsim_jax.sysid.noise.floor import noise_floor
+from adaptsim_jax.sysid.pipeline import Diagnosis, examine
+from adaptsim_jax.sysid.quality.audit import audit, usable
+from adaptsim_jax.sysid.types import Recording
 
 CHOSEN_ON = ("trial_00", "trial_01", "trial_02", "trial_03")
 
@@ -37,7 +37,7 @@ class Rig:
     rest: Problem
 
     @property
-    def likeliest(self) -> Fitted:
+    def likeliest(self) -> Fit:
         """What was named, or the likeliest set where nothing was."""
         d = self.diagnosis
         return d.found.final if d.verdict.named else d.leading or d.found.base
@@ -58,7 +58,7 @@ def judged(folder: Path) -> Rig:
     checked = audit(first)
     first = usable(first, checked)
     say = lambda done, total, note: print(f"{folder.name}: {note}", flush=True)
-    diagnosis = examine(first, checked, noise_floor(first, checked), effects, Settings(), 0, say)
+    diagnosis = examine(first, checked, noise_floor(first, checked), effects, Criteria(), 0, say)
     times = np.asarray(diagnosis.problem.windows.times)
     duration = float(np.median(times[:, -1] - times[:, 0]))
     checked = audit(rest)

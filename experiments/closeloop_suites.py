@@ -20,7 +20,7 @@ from pathlib import Path
 
 import jax
 
-from adaptsim_jax import compile_flags, memory
+from adaptsim_jax.core import compile_flags, memory
 from experiments.closeloop_scores import row, score_case, summarise, table
 from experiments.closeloop_truth import true_error
 from tests.generators import make_datasets, write_dataset
@@ -33,7 +33,7 @@ _diagnosed = itertools.count()
 
 def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tuple[dict, float]:
     """The report of one folder (without its follow-up) and the seconds it took; a crash is a report, verdict `error`."""
-    from adaptsim_jax.closeloop.diagnose import diagnose
+    from adaptsim_jax.commands.diagnose import diagnose
 
     options: dict = {"follow_up": False} | ({"exclude": exclude} if exclude else {})
     if variant == "irrelevant":

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax import config
-from adaptsim_jax.closeloop.audit import audit, usable
-from adaptsim_jax.closeloop.declared import fit_declared
-from adaptsim_jax.closeloop.heldout import held_out
-from adaptsim_jax.closeloop.noise import noise_floor
-from adaptsim_jax.closeloop.recording import read_recording
-from adaptsim_jax.closeloop.trial import Recording
-from adaptsim_jax.files import write_bytes
-from adaptsim_jax.models.effects import catalogue
+from adaptsim_jax.core import config
+from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.sysid.evaluate.crossval import cross_validate
+from adaptsim_jax.sysid.io.recording import read_recording
+from adaptsim_jax.sysid.noise.floor import noise_floor
+from adaptsim_jax.sysid.nuisance.null_model import fit_declared
+from adaptsim_jax.sysid.quality.audit import audit, usable
+from adaptsim_jax.sysid.types import Recording
 
 BRISTLE_DAMPING = 0.01  # s, of the generator's LuGre joint
 STOP_DAMPING = 0.002  # s, of its stop
@@ -98,4 +98,4 @@ def true_error(folder: Path, truth: dict, stretch: float = 0.5) -> dict:
     recording = usable(recording, checked)
     noise = noise_floor(recording, checked)
     problem, base, first = fit_declared(recording, checked, noise, catalogue(recording.task), duration=stretch)
-    return {"rmse": held_out(problem, base, first).rmse(), "force": base.parts.force_std().tolist()}
+    return {"rmse": cross_validate(problem, base, first).rmse(), "force": base.parts.force_std().tolist()}

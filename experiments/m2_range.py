@@ -13,10 +13,10 @@ from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.baselines.ranges import adaptsim_over_ranges, sysid_over_ranges
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
-from adaptsim_jax.progress import progress
+from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
-from adaptsim_jax.tasks.pendulum import SETTINGS, PendulumConfig, pendulum_space
+from adaptsim_jax.tasks.pendulum.task import SETTINGS, PendulumConfig, pendulum_space
 
 SHIFTS = (0.0, 0.1, 0.2, 0.3)
 TRIALS = {"adaptsim": 22, "sysid_bayes": 11, "sysid_point": 11}

@@ -14,10 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.models import pushing as model
-from adaptsim_jax.models import pushing_planar as planar
 from adaptsim_jax.space import gaussian
-from adaptsim_jax.tasks.pushing import PushingConfig, draw_goal, make_policy, make_pushing, push_reward
+from adaptsim_jax.tasks.pushing import model, planar
+from adaptsim_jax.tasks.pushing.task import PushingConfig, draw_goal, make_policy, make_pushing, push_reward
 
 
 def best_rewards(params: jax.Array, goals: jax.Array) -> jax.Array:

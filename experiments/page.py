@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.adapt.presets import PRESETS
-from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines.summary import normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
-from adaptsim_jax.files import output_folder, write_bytes, write_json
+from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 
 RESULTS = Path("docs/results")
 START = time.monotonic()

@@ -15,7 +15,7 @@ from adaptsim_jax.baselines.problem import pendulum_problem
 from adaptsim_jax.baselines.reward_map import reward_map
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
-from adaptsim_jax.tasks.pendulum import PendulumConfig, pendulum_space
+from adaptsim_jax.tasks.pendulum.task import PendulumConfig, pendulum_space
 
 
 def main() -> None:

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.reachable import reachable_values
-from adaptsim_jax.models import pushing_planar as planar
-from adaptsim_jax.tasks import pushing
 from adaptsim_jax.tasks.one_shot import action_grid
-from adaptsim_jax.tasks.pushing import PushingConfig
+from adaptsim_jax.tasks.pushing import planar
+from adaptsim_jax.tasks.pushing import task as pushing
+from adaptsim_jax.tasks.pushing.task import PushingConfig
 
 
 def earned(targets: np.ndarray, points: tuple[int, int] = (81, 21), goals: int = 24):

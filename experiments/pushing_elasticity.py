@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax import config, files
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models import pushing_fit
-from adaptsim_jax.models.backends.pushing import NAMES, make_backend
-from adaptsim_jax.models.backends.pushing_drake import DrakeContact
-from adaptsim_jax.models.pushing import PushOptions, check_options
-from adaptsim_jax.progress import progress
+from adaptsim_jax.core import config, files
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.progress import progress
+from adaptsim_jax.tasks.pushing import model_fit as pushing_fit
+from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
+from adaptsim_jax.tasks.pushing.engines.registry import NAMES, make_backend
+from adaptsim_jax.tasks.pushing.model import PushOptions, check_options
 
 
 def arguments() -> argparse.Namespace:

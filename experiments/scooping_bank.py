@@ -17,15 +17,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import compile_cache
-from adaptsim_jax.files import atomic_file
-from adaptsim_jax.models import scooping as model
-from adaptsim_jax.models.scooping import MESSAGES, ScoopOptions
-from adaptsim_jax.models.scooping_hydro import Numerics
-from adaptsim_jax.progress import progress
-from adaptsim_jax.tasks import scooping_bank
-from adaptsim_jax.tasks.scooping_bank import Bank, Trials
-from adaptsim_jax.tasks.scooping_bank_fit import fit
+from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core.files import atomic_file
+from adaptsim_jax.core.progress import progress
+from adaptsim_jax.tasks.scooping import bank as scooping_bank
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping.bank import Bank, Trials
+from adaptsim_jax.tasks.scooping.bank_fit import fit
+from adaptsim_jax.tasks.scooping.hydro import Numerics
+from adaptsim_jax.tasks.scooping.model import MESSAGES, ScoopOptions
 
 CHUNK, CANDIDATES = 2048, 256
 SEEDS = {"omega": 0, "wide": 1}

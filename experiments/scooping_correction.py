@@ -3,9 +3,9 @@
     python experiments/scooping_correction.py --out OUT --visits own 0 1 --doubts 1,0.5,1,3 0,0.5,2,3
 
 AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. They are taken as they
-were (`own`), or the last scoop of each is replaced by a probe with as much optimism (`tasks/scooping_corrected.py`), E going where
+were (`own`), or the last scoop of each is replaced by a probe with as much optimism (`tasks/scooping/deployed.py`), E going where
 it went. Each doubt (others,
-reach, spread, most; see `tasks/scooping_told.py`) then says what would be deployed at the last visits, scored in the engine in
+reach, spread, most; see `tasks/scooping/corrections.py`) then says what would be deployed at the last visits, scored in the engine in
 12 test contexts. `network` is E's policy as it is, `search` the best action when nothing was seen of the target, `start` the default
 doubt by the bank at the mean that E had first, and not at its own.
 """
@@ -23,17 +23,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import compile_cache
 from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, Trials, lanes
 from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
 from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.baselines.methods import default_comparison
-from adaptsim_jax.config import from_table
-from adaptsim_jax.files import output_folder, write_json
+from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core.config import from_table
+from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.tasks.registry import make_one_shot
-from adaptsim_jax.tasks.scooping import ScoopingConfig, ScoopingPolicy
-from adaptsim_jax.tasks.scooping_corrected import make_choice, make_probe
-from adaptsim_jax.tasks.scooping_told import Doubt
+from adaptsim_jax.tasks.scooping.corrections import Doubt
+from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
+from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy
 from experiments.scooping_choices import targets
 
 CONFIG = default_comparison("scooping")

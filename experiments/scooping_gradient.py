@@ -19,13 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import compile_cache
-from adaptsim_jax.files import write_json
-from adaptsim_jax.models import scooping as model
-from adaptsim_jax.models.scooping import ScoopOptions
-from adaptsim_jax.models.scooping_fit import RANGES, make_modulus_fit, scaled, smoothed, track_until, unscaled
-from adaptsim_jax.models.scooping_hydro import Numerics, rollout, steps_of
-from adaptsim_jax.tasks.scooping_bank import load_bank
+from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core.files import write_json
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping.bank import load_bank
+from adaptsim_jax.tasks.scooping.hydro import Numerics, rollout, steps_of
+from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model_fit import RANGES, make_modulus_fit, scaled, smoothed, track_until, unscaled
 
 WD, ACTION = np.array([0.3, 5e4, 1.0, 0.02]), np.array([0.10, 0.0, 0.0125])
 CASES = {

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from adaptsim_jax.files import output_folder, write_json
-from adaptsim_jax.models import scooping as model
-from adaptsim_jax.models.backends import scooping as backend
-from adaptsim_jax.models.backends.scooping_drake import DrakeContact
-from adaptsim_jax.models.backends.scooping_parity import LOW_RELAXATION
-from adaptsim_jax.models.scooping_hydro import Numerics
+from adaptsim_jax.core.files import output_folder, write_json
+from adaptsim_jax.tasks.scooping import interface, model
+from adaptsim_jax.tasks.scooping.engines import registry as backend
+from adaptsim_jax.tasks.scooping.engines.drake import DrakeContact
+from adaptsim_jax.tasks.scooping.engines.parity import LOW_RELAXATION
+from adaptsim_jax.tasks.scooping.hydro import Numerics
 
 POINTS = ((8, 3), (10, 3), (2, 3), (4, 2))
 
@@ -53,7 +53,7 @@ def outcomes(out: Path, name: str, made: tuple[str, dict], samples: int) -> tupl
         begin = time.process_time()
         found = backend.make_backend(made[0], **made[1]).simulate(params, actions, np.zeros((samples, 2)))
         cpu = time.process_time() - begin
-        np.savez(path, success=backend.outcome(found.state)[0], code=found.code, cpu=cpu)
+        np.savez(path, success=interface.outcome(found.state)[0], code=found.code, cpu=cpu)
         print(f"{name}: {cpu:.0f} s of CPU time", flush=True)
     kept = np.load(path)
     return kept["success"], kept["code"]

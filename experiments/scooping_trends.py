@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptsim_jax import compile_cache
-from adaptsim_jax.files import write_json
-from adaptsim_jax.models import scooping as model
-from adaptsim_jax.models.backends import scooping as backends
+from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core.files import write_json
+from adaptsim_jax.tasks.scooping import interface, model
+from adaptsim_jax.tasks.scooping.engines import registry as backends
 
 
 class Quantity(NamedTuple):
@@ -77,7 +77,7 @@ def trend(simulate: Simulate, shape: int, name: str, samples: int, seed: int) ->
 
 def engine(backend: str) -> Simulate:
     simulate = backends.make_backend(backend).simulate
-    return lambda p, a: backends.outcome(simulate(p, a, np.zeros((len(p), 2))).state)[0]
+    return lambda p, a: interface.outcome(simulate(p, a, np.zeros((len(p), 2))).state)[0]
 
 
 def line(row: dict) -> str:

@@ -11,7 +11,7 @@ from page import parser, rows_table, scored_row, train_config, write_page
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
 from adaptsim_jax.baselines.compare import find_bounds
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
-from adaptsim_jax.progress import progress
+from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.tasks.registry import make_task

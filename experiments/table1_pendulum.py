@@ -9,7 +9,7 @@ from page import parser, sysid_config, train_config, write_page
 
 from adaptsim_jax.baselines.compare import compare
 from adaptsim_jax.baselines.methods import CompareConfig
-from adaptsim_jax.progress import progress
+from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.comparison import table

@@ -12,7 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does, 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # a test process for each core is enough
 
-from adaptsim_jax import memory  # noqa: E402
+from adaptsim_jax.core import memory  # noqa: E402
 
 memory.keep_freed()  # as the command line does
 

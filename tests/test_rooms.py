@@ -1,4 +1,7 @@
-"""The rooms of the package (docs/architecture.md): each imports only from those above it, so that none knows what it is used for."""
+"""The rooms of the package (docs/architecture.md): each imports only from those above it, so that none knows what it is used for.
+
+The same holds within a room: its files and sub-rooms stand in an order of their own.
+"""
 
 import ast
 from pathlib import Path
@@ -9,20 +12,44 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "errors", "given", "files", "progress", "config", "compile_cache", "compile_flags", "memory", "kept_programs", "space",
-    "control", "models", "mechanisms", "attribution", "learners", "tasks", "tree_store", "store", "adapt", "baselines", "closeloop",
-    "sysid", "report", "doctor", "demo", "commands", "cli", "__main__",
+    "core", "space", "control", "effects", "mechanisms", "sysid", "attribution", "learners", "tasks", "adaptation",
+    "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
-PAGE = ("closeloop/diagnose.py", "report")  # `diagnose(out=...)` writes its page, when all is computed
+WITHIN = {
+    "core": (
+        "errors", "given", "files", "progress", "config", "constants", "once", "trig", "parallel", "compile_cache",
+        "compile_flags", "memory", "kept_programs", "tree_store", "store",
+    ),
+    "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),
+    "mechanisms": (
+        "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write",
+        "plant", "double_pendulum",
+        "dry_friction", "stepping", "closed_loop", "model_file",
+    ),
+    "sysid": (
+        "types", "criteria", "quality", "io", "noise", "segments", "forward", "dictionary", "estimate", "score", "nuisance",
+        "evaluate", "select", "decide", "rivals", "design", "report", "pipeline",
+    ),
+    "tasks": (
+        "base", "camera_record", "saved_policy", "one_shot", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing",
+        "scooping", "parity", "registry",
+    ),
+}  # fmt: skip
+FILES = sorted(f for f in PACKAGE.rglob("*.py") if f != PACKAGE / "__init__.py")
 
 
-def room(path: Path) -> str:
-    inside = path.relative_to(PACKAGE)
-    return inside.parts[0] if len(inside.parts) > 1 else inside.stem
+def place(path: Path) -> tuple[str, ...]:
+    """Folders and stem of a file; of a package's own `__init__`, the folders."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return parts[:-1] if parts[-1] == "__init__" else parts
 
 
-def imported(tree: ast.AST) -> set[str]:
-    """Rooms that a module imports from, inside functions too; not what only a type checker reads."""
+MODULES = {place(f) for f in FILES}
+
+
+def imported(path: Path) -> set[tuple[str, ...]]:
+    """Modules of this package that a file imports, inside functions too; not what only a type checker reads."""
+    tree = ast.parse(path.read_text())
     checked = {
         id(n)
         for i in ast.walk(tree)
@@ -31,26 +58,54 @@ def imported(tree: ast.AST) -> set[str]:
     }
     found = set()
     for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.ImportFrom)
-            and (node.module or "").split(".")[0] == "adaptsim_jax"
-            and id(node) not in checked
-        ):
-            inside = node.module.split(".")[1:]
-            found |= {inside[0]} if inside else {alias.name for alias in node.names}
-    return found - {"__version__"}
+        names = []
+        if isinstance(node, ast.ImportFrom) and not node.level and id(node) not in checked:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import) and id(node) not in checked:
+            names = [alias.name for alias in node.names]
+        for parts in (tuple(n.split(".")[1:]) for n in names if n.split(".")[0] == "adaptsim_jax"):
+            found |= {parts} if parts in MODULES else {parts[:-1]}
+    return found - {()}
+
+
+IMPORTS = {place(f): imported(f) for f in FILES}
 
 
 def test_every_room_has_its_place():
-    there = {room(f) for f in PACKAGE.rglob("*.py")} - {"__init__"}
-    assert there == set(ROOMS)
+    assert {p[0] for p in MODULES} == set(ROOMS)
+    for room, order in WITHIN.items():
+        assert {p[1] for p in MODULES if p[0] == room and len(p) > 1} == set(order)
 
 
-@pytest.mark.parametrize("name", ROOMS)
-def test_a_room_imports_only_from_those_above_it(name):
-    above = set(ROOMS[: ROOMS.index(name) + 1])
-    files = [f for f in PACKAGE.rglob("*.py") if room(f) == name]
-    wrong = {
-        (str(f.relative_to(PACKAGE)), other) for f in files for other in imported(ast.parse(f.read_text())) - above
-    } - {PAGE}
-    assert not wrong
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_from_those_above_it(room):
+    above = set(ROOMS[: ROOMS.index(room) + 1])
+    assert not {(p, other) for p in MODULES if p[0] == room for other in IMPORTS[p] if other[0] not in above}
+
+
+@pytest.mark.parametrize("room", WITHIN)
+def test_a_part_of_a_room_imports_only_from_those_above_it(room):
+    order = WITHIN[room]
+    inside = [p for p in MODULES if p[0] == room and len(p) > 1]
+    assert not {
+        (p, other)
+        for p in inside
+        for other in IMPORTS[p]
+        if other[0] == room and (len(other) < 2 or order.index(other[1]) > order.index(p[1]))
+    }
+
+
+def test_no_file_imports_itself_in_a_circle():
+    done, path = set(), []
+
+    def visit(module):
+        assert module not in path, " -> ".join(".".join(m) for m in [*path, module])
+        if module not in done:
+            path.append(module)
+            for other in sorted(IMPORTS[module]):
+                visit(other)
+            path.pop()
+            done.add(module)
+
+    for module in sorted(MODULES):
+        visit(module)

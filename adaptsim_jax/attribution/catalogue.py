@@ -6,11 +6,10 @@ be made by an actuator's own law from a command.
 
 import jax.numpy as jnp
 
-from adaptsim_jax.models import effects_force as force
-from adaptsim_jax.models import effects_grids as grids
-from adaptsim_jax.models.effect import Dry, Effect, Parameter
-from adaptsim_jax.models.effects_command import actuator_lag, delay
-from adaptsim_jax.models.effects_measurement import backlash, encoder_offset, sensor_lag
+from adaptsim_jax.effects import force, grids
+from adaptsim_jax.effects.actuator import actuator_lag, delay
+from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
 
 LATEST = 0.05  # s
 
@@ -87,7 +86,9 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.03, 0.08)]
 
 
-BEFORE = Parameter("before", "1", 0.0, 1.0, 1.0, None, held=True, optional=True, meaning="share of its first command ahead of the log")
+BEFORE = Parameter(
+    "before", "1", 0.0, 1.0, 1.0, None, held=True, optional=True, meaning="share of its first command ahead of the log"
+)
 
 MACHINE: tuple[Effect, ...] = (
     Effect(
@@ -95,7 +96,8 @@ MACHINE: tuple[Effect, ...] = (
         "friction in proportion to the speed", "fast motion", ("quadratic_drag", "coulomb"), formula="-damping v",
     ),
     Effect(
-        "coulomb", "force", (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1),), coulomb, "dry friction: a constant torque against the motion",
+        "coulomb", "force", (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1),), coulomb,
+        "dry friction: a constant torque against the motion",
         "reversals, and both slow and fast motion", ("stribeck", "load_friction", "asymmetric_coulomb"),
         formula="-level sign(v); holds the joint where less than the level would move it",
     ),
@@ -216,4 +218,3 @@ COMMON = ("delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain")
 """Effects that are tried with one value for all joints as well: those of the one computer that talks to them."""
 EVERYWHERE = ("coulomb", "armature", "stribeck", "load_friction", "quadratic_drag")
 """Effects that are tried at all joints at once, with own values: those of like drives."""
-

@@ -14,8 +14,8 @@ import numpy as np
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Group, Problem, off_value
 from adaptsim_jax.attribution.simulate import Motion, Path, actuated, command_rows
+from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
-from adaptsim_jax.models.effect import Dry, Effect
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
@@ -28,6 +28,7 @@ def _middle(path: Path, dt):
     n = path.x.shape[1] // 2
     x = jnp.moveaxis(path.x, 0, 1)
     mid = 0.5 * (x[:, 1:] + x[:, :-1])
+    dt = dt[None]
     rise = (x[n:, 1:] - x[n:, :-1]) / jnp.where(dt > 0, dt, 1.0)
     return mid[:n], mid[n:], jnp.where(dt > 0, rise, 0.0)
 
@@ -67,7 +68,9 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
         return answer.force - answer.level * turned if isinstance(answer, Dry) else answer + 0.0 * q
 
     if effect.jump:
-        return (act(direction) - act(p[parameter])) / jnp.where(direction != p[parameter], direction - p[parameter], 1.0)[:, None, None]
+        return (act(direction) - act(p[parameter])) / jnp.where(
+            direction != p[parameter], direction - p[parameter], 1.0
+        )[:, None, None]
     return jax.jvp(act, (p[parameter],), (jnp.ones(n),))[1]
 
 
@@ -100,7 +103,11 @@ def _sensed(time, x, p, size, effect: Effect, parameter: str):
     """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint."""
     n = x.shape[1] // 2
     run = lambda value: effect.apply(
-        {k: z[None, :, None] for k, z in (p | {parameter: value}).items()}, time[:, None, :], x[:, :n], x[:, n:], x[0, :n]
+        {k: z[None, :, None] for k, z in (p | {parameter: value}).items()},
+        time[:, None, :],
+        x[:, :n],
+        x[:, n:],
+        x[0, :n],
     )
     if effect.jump:
         on, off = run(p[parameter] + size), run(p[parameter])
@@ -133,7 +140,9 @@ class Columns:
         for p in effect.parameters:
             row = []
             for j in self.group.joints:
-                mine = next((z for k, z in self.known.items() if k[0] == effect.name and k[1] == p.name and j in k[2]), None)
+                mine = next(
+                    (z for k, z in self.known.items() if k[0] == effect.name and k[1] == p.name and j in k[2]), None
+                )
                 base = off_value(self.problem, effect.name, p.name, j)
                 given = (shape or {}).get(p.name) if p.off is None else None
                 row.append(mine if mine is not None else base if given is None else given)

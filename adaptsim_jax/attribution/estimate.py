@@ -75,7 +75,13 @@ def substeps(problem: Problem, vector: Vector, group: Group) -> int:
 def rough(vector: Vector, values) -> bool:
     """Whether anything may rub dry."""
     names = ("coulomb", "asymmetric_coulomb", "stribeck", "load_friction")
-    return any(np.any(np.asarray(z) != 0.0) for n in names if n in values.effects for k, z in values.effects[n].items() if k != "speed")
+    return any(
+        np.any(np.asarray(z) != 0.0)
+        for n in names
+        if n in values.effects
+        for k, z in values.effects[n].items()
+        if k != "speed"
+    )
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
@@ -148,8 +154,9 @@ def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
     return tuple(g.stretches.start for g in problem.groups)
 
 
-def linear(problem: Problem, fit: Fit) -> Linear:
-    """Linearise a fit; its loss is made anew."""
+def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -> Linear:
+    """Linearise a fit, by the starts and by `entries` (those of its vector where None)."""
+    entries = fit.vector.entries if entries is None else entries
     at = picked(problem)
     residual, start, shared, columns, slopes = [], [], [], [], []
     with jax.enable_x64(True):
@@ -169,20 +176,29 @@ def linear(problem: Problem, fit: Fit) -> Linear:
             start.append(flat(responded_start(slope[0])))
             columns.append(made)
             slopes.append(slope)
-            shared.append(_output(made, slope, [(e, None) for e in fit.vector.entries], flat))
+            shared.append(_output(made, slope, [(e, None) for e in entries], flat))
     return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), at)
 
 
 def _output(made: Columns, slope, entries, flat) -> np.ndarray:
-    parts = []
-    for first in range(0, max(len(entries), 1), 48):
-        force, output = made.stack(entries[first : first + 48])
+    """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
+    own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
+    parts = [
+        np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, slope[0].shape[2], 1))).shape[:2], 0))
+    ]
+    for first in range(0, len(own), 48):
+        force, output = made.stack([entries[k] for k in own[first : first + 48]])
         y = respond(*slope, force)
         parts.append(flat(y if output is None else y + output))
-    return np.concatenate(parts, 2)
+    found = np.concatenate(parts, 2)
+    out = np.zeros((*found.shape[:2], len(entries)))
+    out[..., own] = found
+    return out
 
 
-def candidate_columns(problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]) -> list[np.ndarray]:
+def candidate_columns(
+    problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
+) -> list[np.ndarray]:
     """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`."""
     out = []
     for group, made, slope in zip(problem.groups, lin.paths, lin.slopes, strict=True):
@@ -217,17 +233,27 @@ def normal(problem: Problem, residual: Sequence[np.ndarray], start, shared) -> N
     count, folds = shared[0].shape[2], len(problem.folds)
     hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
     for r, x, s in zip(residual, start, shared, strict=True):
-        rp, sp = project(x, r[..., None], s)
+        live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
+        rp, sp = project(x, r[..., None], s[..., live])
         fold = _fold(problem, len(r))
         for k in range(folds):
-            mine = sp[fold == k].reshape(-1, count)
-            hess[k] += mine.T @ mine
-            slope[k] += mine.T @ rp[fold == k].reshape(-1)
+            mine = rows(sp[fold == k])
+            hess[k][np.ix_(live, live)] += mine.T @ mine
+            slope[k][live] += mine.T @ rp[fold == k].reshape(-1)
     return Normal(hess, slope)
 
 
+def rows(columns: np.ndarray) -> np.ndarray:
+    """[W, R, K] as [W R, K]."""
+    return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
+
+
 def _fold(problem: Problem, width: int) -> np.ndarray:
-    return np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)]) if width > len(problem.fold) else problem.fold
+    return (
+        np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
+        if width > len(problem.fold)
+        else problem.fold
+    )
 
 
 def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: float) -> np.ndarray:
@@ -272,8 +298,58 @@ def refitted_start(start: np.ndarray, left: np.ndarray) -> np.ndarray:
     return (np.linalg.solve(normal, np.swapaxes(x, 1, 2) @ left[..., None])[..., 0] / scale).T
 
 
+def weighted(problem: Problem, lin: Linear, group: Group, path: Path) -> np.ndarray:
+    """Residuals [W, R] of a path with the weights of `lin`."""
+    s = group.stretches
+    seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
+    weight = _own(lin.fit.weights, group, problem.joints) * np.sqrt(lin.fit.weights.stretch)[:, None, None] * seen
+    return (residuals(group, path) * weight)[:, lin.picked].reshape(len(seen), -1)
+
+
+def settled(
+    problem: Problem,
+    lin: Linear,
+    vector: Vector,
+    options: Sequence[Sequence[np.ndarray]],
+    rows: np.ndarray | None = None,
+    refine: int = 1,
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, list[Path]]:
+    """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better, refined `refine` times by least
+    squares with the derivatives of `lin`. A stretch that sticks and slips need not follow them: no step is taken on trust."""
+    best: list = []
+
+    def offer(starts: Sequence[np.ndarray]) -> None:
+        paths = run(problem, vector, starts, rows)
+        loss = losses(problem, paths, lin.fit.weights)
+        if not best:
+            best[:] = [tuple(starts), loss, paths]
+            return
+        good = loss < best[1]
+        pick = lambda a, b: np.where(good, a, b)
+        best[0] = tuple(pick(a, b) for a, b in zip(starts, best[0], strict=True))
+        best[2] = [
+            Path(*(pick(a, b) for a, b in zip(new, old, strict=True))) for new, old in zip(paths, best[2], strict=True)
+        ]
+        best[1] = pick(loss, best[1])
+
+    for starts in options:
+        offer(starts)
+    for _ in range(refine):
+        moves = [
+            refitted_start(x, weighted(problem, lin, g, p))
+            for g, p, x in zip(problem.groups, best[2], lin.start, strict=True)
+        ]
+        offer([x + d for x, d in zip(best[0], moves, strict=True)])
+    return best[0], best[1], best[2]
+
+
 def fit(
-    problem: Problem, vector: Vector, starts: Sequence[np.ndarray] | None = None, *, rounds: int = 12, weights: Weights | None = None,
+    problem: Problem,
+    vector: Vector,
+    starts: Sequence[np.ndarray] | None = None,
+    *,
+    rounds: int = 12,
+    weights: Weights | None = None,
     tolerance: float = 1e-4,
 ) -> Fit:
     """Fit the vector and all starts. weights: fixed ones (made anew along the way where None). Codes: converged, stopped (rounds
@@ -292,9 +368,8 @@ def fit(
             step = bounded_step(n.hess.sum(0), n.slope.sum(0), now.vector, damping)
             moves = start_steps(lin, step)
             trial = now.vector.at(now.vector.values + step)
-            at = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
-            paths = run(problem, trial, at)
-            loss = losses(problem, paths, weights)
+            moved = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
+            at, loss, paths = settled(problem, lin, trial, (moved, now.starts))
             if _cost(loss, trial) < _cost(now.loss, now.vector):
                 taken = replace(now, vector=trial, starts=at, loss=loss, rounds=k + 1)
                 break

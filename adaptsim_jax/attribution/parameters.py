@@ -14,8 +14,19 @@ import jax.numpy as jnp
 import numpy as np
 
 INERTIA = "inertia"
-ETA = ("size", "stretch_x", "stretch_y", "stretch_z", "shear_xy", "shear_xz", "shear_yz", "shift_x", "shift_y", "shift_z")
-PRIOR = 1.0  # standard deviation of eta: a factor of e, more or less
+ETA = (
+    "size",
+    "stretch_x",
+    "stretch_y",
+    "stretch_z",
+    "shear_xy",
+    "shear_xz",
+    "shear_yz",
+    "shift_x",
+    "shift_y",
+    "shift_z",
+)
+PRIOR = 0.3  # standard deviation of eta
 
 
 @dataclass(frozen=True)
@@ -159,6 +170,4 @@ def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
     """Ten entries for each body that has a mass."""
     make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR)
     wide = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
-    return tuple(
-        make(name, (b,), low=-wide[name], high=wide[name]) for b in np.flatnonzero(massive) for name in ETA
-    )
+    return tuple(make(name, (b,), low=-wide[name], high=wide[name]) for b in np.flatnonzero(massive) for name in ETA)

@@ -1,17 +1,18 @@
 """One identification problem: joints in groups that share no moving body, their stretches, and the values of a parameter vector."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Inertias, Vector, inertia_entries, inertias
 from adaptsim_jax.attribution.simulate import Model, Values
-from adaptsim_jax.attribution.stretches import Stretches, Track, cut, local_motion
+from adaptsim_jax.attribution.stretches import Stretches, Track, cut
+from adaptsim_jax.effects.base import Effect, Reach
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
-from adaptsim_jax.models.effect import Effect, Reach
+from adaptsim_jax.sysid.segments import local_motion
 
 TILT = "tilt"
 TILTS = ("about_x", "about_y")
@@ -76,31 +77,40 @@ def prepare(
     gear: np.ndarray | None = None,
     horizon: float = 0.5,
     most: int = 192,
+    declared: Mapping[tuple[str, str], np.ndarray] | None = None,
 ) -> Problem:
     """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n]."""
     n = len(tree.joint_names)
-    stretches = _padded(cut(tracks, horizon, most))
+    stretches = cut(tracks, horizon, most)
+    fold, names = folds_of(stretches)
+    stretches = _padded(stretches)
     if actuator is None:
         actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
     groups = []
     for joints in subtrees(tree):
-        part = take(tree, joints)
+        part = _nameless(take(tree, joints))
         part_of = lambda z, j=list(joints): np.asarray(z)[..., j]
         groups.append(
             Group(Model(part, tuple(effects)), tuple(joints), stretches.of(joints), part_of(actuator), part_of(gear),
                   inertias(np.asarray(part.inertial)))
         )  # fmt: skip
-    fold, names = folds_of(stretches)
     as_declared = {
         ("viscous", "damping"): np.asarray(tree.damping), ("coulomb", "level"): np.asarray(tree.frictionloss),
         ("armature", "inertia"): np.asarray(tree.armature), ("spring", "stiffness"): np.asarray(tree.stiffness),
         ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
     }  # fmt: skip
+    as_declared |= dict(declared or {})
     return Problem(
         tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear), fold, names,
         bool(np.any(stretches.seen_v)), as_declared, noise(tracks),
     )  # fmt: skip
+
+
+def _nameless(tree: Tree) -> Tree:
+    """The same with names that say nothing, so that four like legs share one compiled program."""
+    count = range(len(tree.joint_names))
+    return replace(tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count))
 
 
 def _padded(stretches: Stretches) -> Stretches:

@@ -12,10 +12,10 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
-from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project
+from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project, rows
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
-from adaptsim_jax.models.effect import Effect, Reach
+from adaptsim_jax.effects.base import Effect, Reach
 
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction")
 """Effects on the torque of an actuator: not of a joint that has none."""
@@ -36,10 +36,6 @@ class Candidate:
     def key(self) -> tuple[str, tuple[int, ...], str]:
         return self.effect, self.joints, self.sharing
 
-    @property
-    def amplitudes(self) -> tuple[Entry, ...]:
-        return self.entries
-
     def shaped(self) -> dict[str, float]:
         return dict(self.shape)
 
@@ -57,7 +53,9 @@ class Score:
     folds: float
 
 
-def entries_of(problem: Problem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool) -> tuple[Entry, ...]:
+def entries_of(
+    problem: Problem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool
+) -> tuple[Entry, ...]:
     """Amplitude entries of an effect at joints."""
     out = []
     for p in effect.amplitudes:
@@ -99,7 +97,11 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
     driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
     out = []
     for effect in problem.effects:
-        free = [j for j in range(problem.joints) if (effect.name, j) not in taken and (j in driven or effect.name not in PASSIVE)]
+        free = [
+            j
+            for j in range(problem.joints)
+            if (effect.name, j) not in taken and (j in driven or effect.name not in PASSIVE)
+        ]
         if effect.name == "viscous":
             continue
         follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
@@ -112,7 +114,11 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
                 out.append(Candidate(effect.name, (j,), "joint", make([j], False), _fixed(point)))
         if len(free) > 1 and effect.name in EVERYWHERE and not effect.shapes:
             out.append(Candidate(effect.name, tuple(free), "all", make(free, False)))
-        if len(free) > 1 and effect.name in COMMON and len(free) == len([j for j in driven if j in free] if effect.name in PASSIVE else free):
+        if (
+            len(free) > 1
+            and effect.name in COMMON
+            and len(free) == len([j for j in driven if j in free] if effect.name in PASSIVE else free)
+        ):
             for point in grids[0][1]:
                 out.append(Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point)))
     if (TILT, 0) not in taken and max(np.abs(np.asarray(g.model.tree.gravity)).max() for g in problem.groups) > 0:
@@ -160,10 +166,11 @@ class _Sums:
         shared = lin.shared[0].shape[2]
         hess = np.zeros((shared, shared))
         for r, x, s in zip(lin.residual, lin.start, lin.shared, strict=True):
-            rp, sp = project(x, r[..., None], s)
-            flat = sp.reshape(-1, shared)
-            hess += flat.T @ flat
-            self.kept.append((rp, sp, x))
+            live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
+            rp, sp = project(x, r[..., None], s[..., live])
+            flat = rows(sp)
+            hess[np.ix_(live, live)] += flat.T @ flat
+            self.kept.append((rp, sp, x, live))
         vector = lin.fit.vector
         live = (vector.values > vector.low) & (vector.values < vector.high)
         hess = hess + np.diag(vector.precision + np.where(live, 0.0, 1e12))
@@ -176,18 +183,19 @@ class _Sums:
         count = blocks[0].shape[2]
         mixed = np.zeros((self.inverse.shape[0], count))
         freed = []
-        for c, (_, sp, x) in zip(blocks, self.kept, strict=True):
-            cp = project(x, c)[0]
-            freed.append(cp)
-            mixed += sp.reshape(-1, sp.shape[2]).T @ cp.reshape(-1, count)
+        for c, (_, sp, x, live) in zip(blocks, self.kept, strict=True):
+            own = np.flatnonzero(np.any(c != 0.0, axis=(0, 1)))
+            cp = project(x, c[..., own])[0]
+            freed.append((cp, own))
+            mixed[np.ix_(live, own)] += rows(sp).T @ rows(cp)
         share = self.inverse @ mixed
         curve = np.zeros((len(self.problem.folds), count, count))
-        for cp, (rp, sp, _) in zip(freed, self.kept, strict=True):
-            left = cp - sp @ share
-            self.slope[:, first : first + count] += np.einsum("wrk,wr->wk", left, rp[..., 0])
+        for (cp, own), (rp, sp, _, live) in zip(freed, self.kept, strict=True):
+            left = cp - sp @ share[np.ix_(live, own)]
+            self.slope[:, first + own] += np.einsum("wrk,wr->wk", left, rp[..., 0])
             for k in range(len(curve)):
-                flat = left[self.fold == k].reshape(-1, count)
-                curve[k] += flat.T @ flat
+                flat = rows(left[self.fold == k])
+                curve[k][np.ix_(own, own)] += flat.T @ flat
         self.cross[first] = curve
 
     def _curve(self, cols: np.ndarray) -> np.ndarray:
@@ -210,8 +218,13 @@ class _Sums:
         for k in folds:
             a = _solved(c, bend - curve[k], total - by_fold[k])
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
-        spread = np.sqrt(np.square(slope).sum(0))
-        z = np.where(spread > 0, np.abs(total) / np.where(spread > 0, spread, 1.0), 0.0)
+        count = max(int(np.any(slope != 0.0, axis=1).sum()), 2)
+        mean = slope.sum(0) / count
+        spread = np.sqrt(np.maximum(np.square(slope).sum(0) / count - np.square(mean), 0.0) / (count - 1))
+        t = np.abs(mean) / np.maximum(spread, 1e-300)
+        z = stats.norm.isf(
+            np.maximum(stats.t.sf(t, count - 1), 1e-300)
+        )  # as far out as Student's t of so few stretches
         on = amplitude != 0.0
         p = float(stats.chi2.sf(np.square(z[on]).sum(), int(on.sum()))) if on.any() else 1.0
         return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))

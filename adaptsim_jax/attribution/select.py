@@ -16,23 +16,24 @@ from adaptsim_jax.attribution.estimate import (
     Linear,
     Weights,
     _fold,
-    _own,
     bounded_step,
     candidate_columns,
     fit,
     linear,
     losses,
     normal,
-    refitted_start,
     residuals,
     run,
+    settled,
     start_steps,
 )
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TILT, Problem, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
-from adaptsim_jax.models.effect import Reach
+from adaptsim_jax.effects.base import Reach
 
+TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
+LEAST_TRIALS = 5
 EXACT = 14  # folds up to which the sign-flip test takes all patterns of signs
 
 
@@ -53,6 +54,12 @@ class Model:
     fit: Fit
     lin: Linear
     held: HeldOut
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard errors [P] by the jackknife over folds."""
+        v = self.held.vectors
+        return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
 
 
 @dataclass(frozen=True)
@@ -110,25 +117,14 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     n = normal(problem, lin.residual, lin.start, lin.shared)
     hess, slope = n.hess.sum(0), n.slope.sum(0)
     whole = bounded_step(hess, slope, now.vector, 1e-9)
-    steps = np.array([bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)])
+    steps = np.array(
+        [bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)]
+    )
     fold = _fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
-    best = None
-    for _ in range(2):
-        paths = run(problem, now.vector, starts, rows)
-        loss = losses(problem, paths, weights)
-        if best is None:
-            best, kept = loss, paths
-        else:
-            better = (loss < best) | ~np.isfinite(best)
-            best = np.where(better, loss, best)
-            kept = [type(a)(*(np.where(better, x, y) for x, y in zip(a, b, strict=True))) for a, b in zip(paths, kept, strict=True)]
-        moves = []
-        for group, path, x in zip(problem.groups, paths, lin.start, strict=True):
-            w = _weighted(problem, lin, group, path)
-            moves.append(refitted_start(x, w))
-        starts = [x + d for x, d in zip(starts, moves, strict=True)]
+    _, _, kept = settled(problem, lin, now.vector, (starts, now.starts), rows, refine=2)
+    best = losses(problem, kept, weights)
     width, joints = len(best), problem.joints
     squared = np.zeros((width, 2 * joints))
     for group, path in zip(problem.groups, kept, strict=True):
@@ -139,22 +135,19 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     return HeldOut(best, squared, now.vector.values + steps)
 
 
-def _weighted(problem: Problem, lin: Linear, group, path) -> np.ndarray:
-    s = group.stretches
-    seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
-    weight = _own(lin.fit.weights, group, problem.joints) * np.sqrt(lin.fit.weights.stretch)[:, None, None] * seen
-    return (residuals(group, path) * weight)[:, lin.picked].reshape(len(seen), -1)
-
-
 def by_fold(problem: Problem, loss: np.ndarray) -> np.ndarray:
     """Sums [F] of a loss by stretch [W]."""
     return np.bincount(problem.fold, loss[: len(problem.fold)], len(problem.folds))
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
-    """One model against another by their held-out losses [W] (one-sided: is the second better?)."""
-    a, b = by_fold(problem, without), by_fold(problem, with_)
-    d = np.log(np.maximum(a, 1e-300) / np.maximum(b, 1e-300))
+    """One model against another by their held-out losses [W] (one-sided: is the second better?): trial by trial, and where there
+    are not enough of those stretch by stretch, each of which has a start of its own."""
+    whole = len(np.unique(problem.groups[0].stretches.trial)) >= LEAST_TRIALS
+    count = len(problem.fold)
+    a, b = (by_fold(problem, z) if whole else z[:count] for z in (without, with_))
+    usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
+    d = np.log((a + usual) / (b + usual))
     return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d))
 
 
@@ -164,7 +157,7 @@ def sign_flip(d: np.ndarray) -> float:
     if count <= EXACT:
         signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
     else:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (20_000, count))
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (10_000, count))
         signs[0] = 1.0
     return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
 
@@ -174,20 +167,51 @@ def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights:
     return Model(tuple(added), fitted, lin, held_out(problem, lin, weights))
 
 
+def refit(
+    problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None
+) -> Fit:
+    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
+    touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
+    owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
+    shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
+    if shared or weights is None or len(touched) == len(problem.groups):
+        return fit(problem, vector, starts, rounds=rounds, weights=weights)
+    part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
+    inside = {j for k in touched for j in problem.groups[k].joints}
+    at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
+    local = fit(
+        part,
+        Vector(tuple(vector.entries[i] for i in at), vector.values[at]),
+        [starts[k] for k in touched],
+        rounds=rounds,
+        weights=weights,
+    )
+    values, starts = vector.values.copy(), list(starts)
+    values[at] = local.vector.values
+    for k, x in zip(touched, local.starts, strict=True):
+        starts[k] = x
+    whole = vector.at(values)
+    loss = losses(problem, run(problem, whole, starts), weights)
+    return replace(local, vector=whole, starts=tuple(starts), loss=loss)
+
+
 def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tuple[Vector, list[np.ndarray], float]:
     """The base with a candidate added, one step on: vector, starts, and loss of the best of a few lengths of the step."""
     c = score.candidate
     columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
-    wide = replace(base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True)))
+    wide = replace(
+        base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True))
+    )
     vector = base.fit.vector.with_entries(c.entries)
     n = normal(problem, wide.residual, wide.start, wide.shared)
     step = bounded_step(n.hess.sum(0), n.slope.sum(0), vector, 1e-6)
     shapes = shape_entries(problem, reach, c)
     best = None
     for length in (1.0, 0.5, 0.2):
-        starts = [x + d for x, d in zip(base.fit.starts, start_steps(wide, length * step), strict=True)]
+        moved = [x + d for x, d in zip(base.fit.starts, start_steps(wide, length * step), strict=True)]
         trial = vector.at(vector.values + length * step).with_entries(shapes)
-        loss = losses(problem, run(problem, trial, starts), base.fit.weights).sum()
+        starts, by_lane, _ = settled(problem, base.lin, trial, (moved, base.fit.starts))
+        loss = by_lane.sum()
         if best is None or loss < best[2]:
             best = (trial, starts, float(loss))
         if loss < 0.9 * base.fit.total:
@@ -195,7 +219,9 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tupl
     return best
 
 
-def select(problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None) -> Selection:
+def select(
+    problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None
+) -> Selection:
     """Forward, then each effect beside the others, then against its look-alikes."""
     fitted = fit(problem, null, rounds=15)
     reach = scaled_reach(problem, *own_inertia(problem, fitted.vector))
@@ -217,24 +243,41 @@ def select(problem: Problem, null: Vector, criteria: Criteria, say: Callable[[st
 def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say) -> Model | None:
     """The best candidate that gains held out, fitted; None where none does."""
     family = max(len(scores), 1)
-    hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()]
+    hopeful = [
+        s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()
+    ]
     tries = []
     for score in hopeful[: criteria.tried]:
-        vector, starts, loss = attempted(problem, base, reach, score)
-        tries.append((loss / base.fit.total, score, vector, starts))
-    tries.sort(key=lambda t: t[0])
-    best = None
-    for share, score, vector, starts in tries[: criteria.fitted]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
+        vector, starts, _ = attempted(problem, base, reach, score)
+        tries.append(
+            (refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.glance, base.fit.weights), score)
+        )
+    tries.sort(key=lambda t: t[0].total)
+    best = None
+    for glance, score in tries[: criteria.fitted]:
         weights = base.fit.weights
-        model = modelled(problem, (*base.added, score.candidate), fit(problem, vector, starts, rounds=criteria.rounds, weights=weights), weights)
+        whole = refit(problem, base.fit, glance.vector, glance.starts, score.candidate.joints, criteria.rounds, weights)
+        model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         good = test.gain > criteria.size and test.better > 0.5 * test.folds
-        trace.append(Step("tried" if good else "refused", score.candidate, score, test, f"first step leaves {share:.2f} of the loss"))
-        if good and (best is None or test.gain > best[0]):
+        trace.append(
+            Step(
+                "tried" if good else "refused",
+                score.candidate,
+                score,
+                test,
+                f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss",
+            )
+        )
+        if good and (best is None or _beats(problem, model, best[1], criteria)):
             best = (test.gain, model, score, test)
     if best is None:
-        trace.append(Step("ended", None, None, None, f"{len(hopeful)} of {family} candidates pass the score test, none holds out"))
+        trace.append(
+            Step(
+                "ended", None, None, None, f"{len(hopeful)} of {family} candidates pass the score test, none holds out"
+            )
+        )
         return None
     _, model, score, test = best
     trace.append(Step("added", score.candidate, score, test, ""))
@@ -243,11 +286,19 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     return modelled(problem, model.added, again)
 
 
+def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
+    """Whether a model is to be taken instead of another: the one with fewer parameters, unless the larger holds out better."""
+    small, large = sorted((other, model), key=lambda m: len(m.fit.vector))
+    test = paired(problem, small.held.loss, large.held.loss)
+    chosen = large if test.gain > criteria.size and test.p < criteria.confidence else small
+    return chosen is model
+
+
 def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
     """The model without one of its effects, refitted under the same weights."""
     keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
     vector = model.fit.vector.without(keys)
-    fitted = fit(problem, vector, model.fit.starts, rounds=rounds, weights=model.fit.weights)
+    fitted = refit(problem, model.fit, vector, model.fit.starts, gone.joints, rounds, model.fit.weights)
     return modelled(problem, [c for c in model.added if c is not gone], fitted, model.fit.weights)
 
 
@@ -262,19 +313,49 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         failing = []
         order = sorted(tests, key=lambda t: t[2].p)
         for rank, (c, less, test, steady) in enumerate(order):
-            level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0 ** -len(problem.folds))
-            if test.p > level or test.gain < criteria.size or steady < criteria.steady:
+            level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0**-test.folds)
+            if (
+                test.p > level
+                or test.gain < criteria.size
+                or steady < criteria.steady
+                or _too_short(problem, model, c, criteria)
+                or eased(problem, less, model) < 0.0
+            ):
                 failing.append((test.gain, c, less, test, steady))
         if not failing:
             break
         _, c, less, test, steady = min(failing, key=lambda f: f[0])
-        trace.append(Step("dropped", c, None, test, f"gain {test.gain:.3f}, p {test.p:.3f}, size over scatter {steady:.1f}"))
+        trace.append(
+            Step("dropped", c, None, test, f"gain {test.gain:.3f}, p {test.p:.3f}, size over scatter {steady:.1f}")
+        )
         own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
     named = tuple(
-        Named(c, test, look_alikes(problem, model, less, c, reach, criteria, say), steady, test.p) for c, less, test, steady in tests
+        Named(c, test, look_alikes(problem, model, less, c, reach, criteria, say), steady, test.p)
+        for c, less, test, steady in tests
     )
     return model, named
+
+
+def eased(problem: Problem, less: Model, model: Model) -> float:
+    """Share of the held-out error of the angles that a model takes off another's: medians over stretches, geometric mean over joints.
+
+    What only the estimator's weights see is of no use to who simulates.
+    """
+    before, after = (
+        np.median(np.sqrt(m.held.squared[: len(problem.fold), : problem.joints]), 0) for m in (less, model)
+    )
+    return 1.0 - float(np.exp(np.mean(np.log(np.maximum(after, 1e-12) / np.maximum(before, 1e-12)))))
+
+
+def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether it is a shift in time of less than the log resolves."""
+    times = [
+        abs(z)
+        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        if e.owner == c.effect and e.unit == "s"
+    ]
+    return bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
 
 
 def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
@@ -287,7 +368,9 @@ def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
     return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))
 
 
-def look_alikes(problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say) -> tuple[Candidate, ...]:
+def look_alikes(
+    problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
+) -> tuple[Candidate, ...]:
     """Effects that do as well as `c` in its place: of those that gain most without it, and of those that it is mistaken for."""
     scores = table(problem, less.lin, candidates(problem, less.fit.vector, reach))
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
@@ -301,7 +384,9 @@ def look_alikes(problem, model: Model, less: Model, c: Candidate, reach, criteri
     for score in rivals[:3]:
         say(f"{score.candidate.effect} in place of {c.effect}")
         vector, starts, _ = attempted(problem, less, reach, score)
-        fitted = fit(problem, vector, starts, rounds=criteria.rounds, weights=model.fit.weights)
+        fitted = refit(
+            problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights
+        )
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
         test = paired(problem, other.held.loss, model.held.loss)
         if test.gain < criteria.gap or test.p > criteria.confidence:

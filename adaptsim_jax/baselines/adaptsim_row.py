@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from adaptsim_jax.adapt.phase1 import Phase1Config, Phase1Hyper, make_phase1
-from adaptsim_jax.adapt.sweep import adapt_many, stack, starts_of, train_many
-from adaptsim_jax.progress import silent
+from adaptsim_jax.adaptation.phase1 import Phase1Config, Phase1Hyper, make_phase1
+from adaptsim_jax.adaptation.sweep import adapt_many, stack, starts_of, train_many
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 
 

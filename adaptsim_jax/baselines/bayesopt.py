@@ -11,7 +11,7 @@ from adaptsim_jax.baselines import gp
 from adaptsim_jax.baselines.arena import lanes
 from adaptsim_jax.baselines.learned import Bout, Trip, first_policies, two_keys
 from adaptsim_jax.baselines.memory import Memory
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.space import gaussian
 
 

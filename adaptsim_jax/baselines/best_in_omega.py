@@ -9,7 +9,7 @@ import numpy as np
 from scipy import optimize
 
 from adaptsim_jax.baselines.problem import Problem
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 
 
 class Best(NamedTuple):

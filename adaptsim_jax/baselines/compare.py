@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import config as configs
 from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
 from adaptsim_jax.baselines.compare_learned import compare_learned
@@ -17,8 +16,9 @@ from adaptsim_jax.baselines.methods import METHODS, VISITING, CompareConfig, Run
 from adaptsim_jax.baselines.problem import Problem, costs, discrepancy, pendulum_problem
 from adaptsim_jax.baselines.summary import normalised, physical, row
 from adaptsim_jax.baselines.udr import Udr, udr
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.progress import silent
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.registry import make_one_shot, make_task
 
 SCHEMA = 1

@@ -15,8 +15,8 @@ from adaptsim_jax.baselines.direct import learn_in_target, udr, udr_target
 from adaptsim_jax.baselines.learned import Bout, Trip, adaptsim, sysid_bayes, sysid_point
 from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig
 from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.progress import silent
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, World
 
 RUNS: dict[str, Callable[[Bout], Trip]] = {

@@ -12,7 +12,7 @@ import optax
 
 from adaptsim_jax.baselines.arena import Trials, lanes
 from adaptsim_jax.baselines.learned import Bout, Trip
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.one_shot import OneShot, action_grid
 
 

@@ -12,15 +12,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adapt.phase1 import make_phase1
-from adaptsim_jax.adapt.sweep import TrainedMany, stack, starts_of, train_many
+from adaptsim_jax.adaptation.phase1 import make_phase1
+from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many
 from adaptsim_jax.baselines import sysid
 from adaptsim_jax.baselines.arena import Arena, Lanes, Progress, lanes
 from adaptsim_jax.baselines.memory import Memory
 from adaptsim_jax.baselines.sysid_bayes import mixture_estimator
 from adaptsim_jax.baselines.sysid_point import point_estimator
 from adaptsim_jax.baselines.tour import tour
-from adaptsim_jax.progress import silent
+from adaptsim_jax.core.progress import silent
 
 
 class Trip(NamedTuple):

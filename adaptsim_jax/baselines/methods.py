@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import config as configs
-from adaptsim_jax.adapt.presets import default_config
-from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.adaptation.presets import default_config
+from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines import gradient, mdn
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
@@ -19,8 +18,9 @@ from adaptsim_jax.baselines.problem import Problem
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.progress import silent
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.models import pendulum
+from adaptsim_jax.mechanisms.double_pendulum import linear as pendulum
 from adaptsim_jax.space import Space
 
 

@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import config as configs
-from adaptsim_jax.adapt.phase1 import make_phase1
-from adaptsim_jax.adapt.phase2 import adapt, draw_starts
-from adaptsim_jax.adapt.training import TrainConfig, traced
+from adaptsim_jax.adaptation.phase1 import make_phase1
+from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
+from adaptsim_jax.adaptation.training import TrainConfig, traced
 from adaptsim_jax.baselines.sysid import SysIdConfig
-from adaptsim_jax.models import pendulum as model
-from adaptsim_jax.progress import silent
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.progress import silent
+from adaptsim_jax.mechanisms.double_pendulum import linear as model
 from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.pendulum import PendulumConfig, PendulumPolicy, best_in_space, make_pendulum
+from adaptsim_jax.tasks.pendulum.task import PendulumConfig, PendulumPolicy, best_in_space, make_pendulum
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.baselines import mdn
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.base import Task
 

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adapt.phase1 import Archive, Phase1, Phase1Hyper
+from adaptsim_jax.adaptation.phase1 import Archive, Phase1, Phase1Hyper
 from adaptsim_jax.baselines.arena import Arena, Lanes, Progress
 from adaptsim_jax.baselines.memory import Memory
-from adaptsim_jax.progress import silent
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.space import gaussian, step
 
 

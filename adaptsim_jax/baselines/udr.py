@@ -16,7 +16,7 @@ from scipy import optimize
 from scipy.stats import qmc
 
 from adaptsim_jax.baselines.problem import Problem
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 
 
 class Udr(NamedTuple):

@@ -3,10 +3,12 @@
 SUMMARIES = {
     "demo": "the tour: train, adapt, close the loop on sample data; a few minutes on two cores",
     "train": "Phase 1: learn how to adapt simulation parameters, in simulation",
+    "sweep": "many runs of Phase 1 and 2: hyper-parameters x seeds, on all devices or many machines",
     "adapt": "Phase 2: adapt a trained run to a target",
     "compare": "methods x settings x seeds, as in Table 1 of the paper",
     "init": "a meta.toml for recordings of a mechanism, guesses marked as such",
     "diagnose": "close the loop: measured data in, cause of the residual and mended model out",
+    "replay": "simulate any model file over recordings: error by trial, joint and horizon",
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",
     "parity": "physics backends against each other over random samples",

@@ -32,8 +32,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Phase 2 of a trained run: result.json, and a few lines for a person."""
     from adaptsim_jax.commands.task_parts import adapt_part
-    from adaptsim_jax.errors import BadInput
-    from adaptsim_jax.store import RunFolder
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.store import RunFolder
 
     folder = RunFolder.open(args.folder)
     part, options = adapt_part(folder.task), folder.config.get("task", {})
@@ -41,9 +41,9 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(f"{args.folder}: there is no film of task '{folder.task}'; leave --video out")
     import jax
 
-    from adaptsim_jax.adapt.training import load_run
+    from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.commands.common import output, read_target
-    from adaptsim_jax.files import write_json
+    from adaptsim_jax.core.files import write_json
 
     trained = load_run(folder)
     task = trained.phase1.task
@@ -67,7 +67,7 @@ def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Name
     """What Phase 2 found, as plain data: the best policy, where it came from, and every trial; None for what is not finite."""
     import numpy as np
 
-    from adaptsim_jax.files import without_nan
+    from adaptsim_jax.core.files import without_nan
 
     names = task.space.names
     physical = np.asarray(task.space.physical(result.history.mean))

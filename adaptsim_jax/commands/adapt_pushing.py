@@ -15,7 +15,7 @@ GOALS = ((0.78, 0.05), (0.93, -0.06))  # m: a near one on the left and a far one
 
 def adapt(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
     """Phase 2 in `target [D]`, as it is deployed."""
-    from adaptsim_jax.adapt.training import adapt_run
+    from adaptsim_jax.adaptation.training import adapt_run
 
     return deployed(options, adapt_run(trained, key, target, starts=starts, iterations=iterations), target)
 
@@ -26,9 +26,9 @@ def deployed(options: dict[str, Any], result: Any, target: Any) -> Any:
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax import config
-    from adaptsim_jax.tasks import pushing_deployed as after
-    from adaptsim_jax.tasks.pushing import PushingConfig
+    from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.pushing import deployed as after
+    from adaptsim_jax.tasks.pushing.task import PushingConfig
 
     made = config.from_table(PushingConfig, options, "config, [task]")
     if not made.correct or not made.show_goal:
@@ -47,11 +47,11 @@ def show(
     trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
 ) -> list[str]:
     """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
-    from adaptsim_jax import config
-    from adaptsim_jax.adapt.phase2 import best_visit
+    from adaptsim_jax.adaptation.phase2 import best_visit
+    from adaptsim_jax.core import config
     from adaptsim_jax.report import figures as look
     from adaptsim_jax.report import figures_pushing as draw
-    from adaptsim_jax.tasks.pushing import PushingConfig
+    from adaptsim_jax.tasks.pushing.task import PushingConfig
 
     task, made = trained.phase1.task, config.from_table(PushingConfig, options, found["run"])
     start, best = map(int, best_visit(result.history.score))
@@ -93,9 +93,9 @@ def _pushes(made: Any, result: Any, start: int, target: np.ndarray) -> tuple[np.
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax.models import pushing_planar as planar
-    from adaptsim_jax.models.pushing import PushOptions
-    from adaptsim_jax.tasks import pushing
+    from adaptsim_jax.tasks.pushing import planar
+    from adaptsim_jax.tasks.pushing import task as pushing
+    from adaptsim_jax.tasks.pushing.model import PushOptions
 
     policy = jax.tree.map(lambda x: x[start], result.history.policy)
     options = PushOptions(friction=made.friction, duration=made.duration)
@@ -113,9 +113,9 @@ def _pushes(made: Any, result: Any, start: int, target: np.ndarray) -> tuple[np.
 
 def _film(made: Any, target: np.ndarray, takes: list[tuple[str, np.ndarray, np.ndarray]], out: Path) -> str:
     """Pushes (who, action, goal) in the MuJoCo scene, on film."""
-    from adaptsim_jax.models.backends.pushing import make_backend
-    from adaptsim_jax.models.pushing import START, PushOptions
     from adaptsim_jax.report.push_video import Clip, write_push_video
+    from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+    from adaptsim_jax.tasks.pushing.model import START, PushOptions
 
     actions, count = np.stack([action for _, action, _ in takes]), len(takes)
     scene = make_backend("native", PushOptions(friction=made.friction, duration=made.duration))

@@ -16,17 +16,17 @@ MOMENTS = (0.35, 0.5, 1.0)  # s, that the figure shows of a trial
 def adapt(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
     """Phase 2 in `target [D]`; where the task corrects what is deployed, with the visits and the corrections of `compare`. The best
     policy is that of the visit with the highest return, corrected by all scoops that were made."""
-    from adaptsim_jax import config
-    from adaptsim_jax.adapt.training import adapt_run
-    from adaptsim_jax.tasks.scooping import ScoopingConfig
+    from adaptsim_jax.adaptation.training import adapt_run
+    from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.scooping.task import ScoopingConfig
 
     if not config.from_table(ScoopingConfig, options, "config, [task]").correct:
         return adapt_run(trained, key, target, starts=starts, iterations=iterations)
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax.adapt.phase2 import draw_starts
-    from adaptsim_jax.adapt.training import archive_size
+    from adaptsim_jax.adaptation.phase2 import draw_starts
+    from adaptsim_jax.adaptation.training import archive_size
     from adaptsim_jax.baselines.arena import Arena, lanes
     from adaptsim_jax.baselines.tour import tour
     from adaptsim_jax.tasks.registry import make_one_shot
@@ -46,8 +46,8 @@ def as_deployed(arena: Any, batch: Any, found: Any) -> Any:
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax.adapt.episode import Episode
-    from adaptsim_jax.adapt.phase2 import Phase2Result, best_visit
+    from adaptsim_jax.adaptation.episode import Episode
+    from adaptsim_jax.adaptation.phase2 import Phase2Result, best_visit
 
     told = [found.memory.deployed(policies, i) for i, policies in enumerate(found.policies)]
     policies = jax.tree.map(lambda *x: jnp.stack(x, 1), *told)
@@ -62,12 +62,12 @@ def show(
     trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
 ) -> list[str]:
     """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
-    from adaptsim_jax import config
-    from adaptsim_jax.adapt.phase2 import best_visit
+    from adaptsim_jax.adaptation.phase2 import best_visit
+    from adaptsim_jax.core import config
     from adaptsim_jax.report import figures as look
     from adaptsim_jax.report.figures_pushing import axes_of
     from adaptsim_jax.report.figures_scooping import scoops_over_iterations
-    from adaptsim_jax.tasks.scooping import ScoopingConfig
+    from adaptsim_jax.tasks.scooping.task import ScoopingConfig
 
     task, made = trained.phase1.task, config.from_table(ScoopingConfig, options, found["run"])
     reward = np.asarray(result.history.reward)
@@ -103,9 +103,9 @@ def clips_of(made: Any, result: Any, start: int, target: np.ndarray) -> list[Any
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax.models import scooping_hydro as hydro
     from adaptsim_jax.report.scoop_video import ScoopClip
-    from adaptsim_jax.tasks import scooping
+    from adaptsim_jax.tasks.scooping import hydro
+    from adaptsim_jax.tasks.scooping import task as scooping
 
     policy = jax.tree.map(lambda x: x[start], result.history.policy)
     act, options = scooping.make_policy(made), scooping.checked(made)

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax import config
 from adaptsim_jax.commands import TASKS
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.given import MAX_SEED
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import MAX_SEED
 
 
 def check_task(task: str) -> str:
@@ -22,7 +22,7 @@ def check_task(task: str) -> str:
 @contextlib.contextmanager
 def output(path: str | Path) -> Iterator[Path]:
     """The folder `path` to write into, made if need be; where the work fails before it wrote anything, it is gone again."""
-    from adaptsim_jax.files import output_folder
+    from adaptsim_jax.core.files import output_folder
 
     new = not Path(path).exists()
     out = output_folder(path)
@@ -49,8 +49,8 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
         raise BadInput(f"unknown target '{text}', and no such file; {config.suggest(text, known)}")
     table = config.read(path)
     if "declared" in table and "schema" in table:
-        from adaptsim_jax.models.model_file import model_of
-        from adaptsim_jax.tasks.pendulum_target import in_world
+        from adaptsim_jax.mechanisms.model_file import model_of
+        from adaptsim_jax.tasks.pendulum.target import in_world
 
         return path.stem, *in_world(task, model_of(table, str(path)))
     if "params" in table:

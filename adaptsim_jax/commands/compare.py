@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
     check_task(args.task)
     from adaptsim_jax.baselines.compare import compare
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.core.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 
     asked = config_of(args)
@@ -75,9 +75,9 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
 
 def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
-    from adaptsim_jax import config
-    from adaptsim_jax.adapt.phase1 import make_phase1
+    from adaptsim_jax.adaptation.phase1 import make_phase1
     from adaptsim_jax.baselines.methods import CompareConfig, default_comparison
+    from adaptsim_jax.core import config
     from adaptsim_jax.tasks.registry import make_task
 
     where = args.config or "--set"

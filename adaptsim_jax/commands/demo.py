@@ -18,8 +18,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """The tour on small sizes."""
-    from adaptsim_jax.files import output_folder
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.core.files import output_folder
+    from adaptsim_jax.core.progress import progress
 
     out = output_folder(args.out)
     args.resume_hint = f"continue with: adaptsim demo --out {shlex.quote(args.out)} --seed {args.seed}"
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         flush=True,
     )
     with progress("demo") as report:
-        from adaptsim_jax.demo import demo
+        from adaptsim_jax.commands.demo_tour import demo
 
         tour = demo(out, args.seed, report)
     _show(tour, out)

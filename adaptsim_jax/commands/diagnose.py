@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
-    from adaptsim_jax.progress import Report
+    from adaptsim_jax.core.progress import Report
+    from adaptsim_jax.sysid.types import Recording
 
 BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)
 """Share of the time that has passed when each stage of `diagnose` begins; the search is most of it."""
@@ -16,12 +22,25 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
   adaptsim diagnose logs/rig --out out2 --seed 1
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
+  adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
+  adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("data", metavar="DATA", help="a folder with meta.toml and one CSV or npz a trial")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for report.json, report.html, model.toml")
+    parser.add_argument(
+        "data", metavar="DATA", help="a folder with meta.toml and one CSV or npz a trial, or a log (CSV, bag, MCAP)"
+    )
+    parser.add_argument(
+        "--out", required=True, metavar="DIR", help="folder for report.json, report.html, model.toml or model.xml"
+    )
+    parser.add_argument(
+        "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
+    )
+    parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out")
+    parser.add_argument(
+        "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
+    )
     parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects pendulum` lists them all",
@@ -30,24 +49,93 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Close the loop on a folder of measured data."""
-    from adaptsim_jax import compile_flags
-    from adaptsim_jax.closeloop.recording import read_recording
     from adaptsim_jax.commands.common import output
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.sysid.io.recording import read_recording
 
-    recording = read_recording(args.data)  # refused within a second, and before JAX is loaded
+    if args.model is not None or of_a_mechanism(Path(args.data)):
+        return run_mechanism(args)
+    recording = without(read_recording(args.data), args.without)  # refused within a second, and before JAX is loaded
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
-        from adaptsim_jax.closeloop.diagnose import diagnose
-
-        result = diagnose(recording, out=out, seed=args.seed, exclude=args.exclude, progress=paced(report))
+        result = diagnose(
+            recording, out=out, seed=args.seed, exclude=args.exclude, strict=args.strict, progress=paced(report)
+        )
     from rich.console import Console
 
     from adaptsim_jax.report.diagnosis import print_summary
 
     print_summary(result, Console(), out)
     return 0
+
+
+def of_a_mechanism(data: Path) -> bool:
+    """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so (or which has none)."""
+    meta = data / "meta.toml"
+    if not data.is_dir():
+        return data.exists()
+    try:
+        return tomllib.loads(meta.read_text(encoding="utf-8")).get("task") == "mechanism"
+    except (OSError, ValueError):  # the reader of the declared task says what is wrong
+        return False
+
+
+def run_mechanism(args: argparse.Namespace) -> int:
+    """Any mechanism: effects judged one by one, and the model file with what is named."""
+    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.sysid.io.read import read_with_model
+
+    out = Path(args.out)
+    if out.exists() and Path(args.data).exists() and out.resolve() == Path(args.data).resolve():
+        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
+    if "jax" not in sys.modules:
+        compile_flags.small_steps()
+    read_with_model(args.data, args.model)  # refused before anything is written
+    from adaptsim_jax.attribution import diagnose as machines
+    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+
+    with output(args.out) as folder, progress("diagnose") as report:
+        result = machines.diagnose(
+            args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(args.without),
+            progress=report, page=write_diagnosis,
+        )  # fmt: skip
+    from rich.console import Console
+
+    print_summary(result, Console(), folder)
+    return 0
+
+
+def without(recording: Recording, names: Sequence[str]) -> Recording:
+    """The recording without these trials."""
+    known = [t.name for t in recording.trials]
+    if unknown := sorted(set(names) - set(known)):
+        raise BadInput(f"{recording.path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
+    if not set(known) - set(names):
+        raise BadInput(f"{recording.path}: --without leaves no trial; leave fewer out")
+    return recording.replace(trials=tuple(t for t in recording.trials if t.name not in set(names)))
+
+
+def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: Any) -> dict[str, Any]:
+    """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`; where it names nothing
+    although the declared model does not explain the data, what holds out by itself (`attribution.partly`), unless `strict`."""
+    from adaptsim_jax.attribution.partly import partly_explained
+    from adaptsim_jax.commands.task_reward import task_reward
+    from adaptsim_jax.report.diagnosis import write_diagnosis
+    from adaptsim_jax.sysid import pipeline
+    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.sysid.quality.audit import audit, usable
+
+    recording = read_recording(data) if isinstance(data, (str, Path)) else data
+    report = pipeline.diagnose(recording, reward=task_reward, page=write_diagnosis, **options)
+    if strict or report["verdict"] != "structured_unattributed" or recording.model != "rigid_body":
+        return report
+    kept = {k: options[k] for k in ("out", "exclude") if k in options}
+    found = partly_explained(usable(recording, audit(recording)), report, page=write_diagnosis, **kept)
+    return found or report
 
 
 def paced(report: Report) -> Report:

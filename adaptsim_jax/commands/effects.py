@@ -27,12 +27,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
     from adaptsim_jax.commands.common import check_task
-    from adaptsim_jax.config import pick
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core.config import pick
+    from adaptsim_jax.core.errors import BadInput
 
     if check_task(args.task) != "pendulum":
         raise BadInput(f"effects of task '{args.task}' are not in this version yet; there are those of: pendulum")
-    from adaptsim_jax.models.effects import catalogue
+    from adaptsim_jax.effects.registry import catalogue
 
     effects = [describe(effect) for effect in catalogue(args.task)]
     if args.name:
@@ -80,7 +80,7 @@ def _brief(effects: list[dict[str, Any]]) -> None:
 
 
 def _show(effect: dict[str, Any]) -> None:
-    from adaptsim_jax.models.effect import UNITS
+    from adaptsim_jax.effects.base import UNITS
 
     where = "at each joint" if effect["scope"] == "joint" else f"at the {effect['scope']}"
     print(

@@ -26,10 +26,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Final-state differences of the backends over random parameters, commands and starts."""
     from adaptsim_jax.commands.common import check_task
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.core.progress import progress
 
     check_task(args.task)
-    from adaptsim_jax.models.backends.parity import parity
+    from adaptsim_jax.tasks.parity import parity
 
     with progress(f"parity {args.task}") as report:
         found = parity(args.task, samples=args.samples, seed=args.seed, progress=report)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from adaptsim_jax.store import RunFolder
+    from adaptsim_jax.core.store import RunFolder
 
 EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
@@ -49,8 +49,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """One step of ask/tell adaptation."""
-    from adaptsim_jax.config import pick
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core.config import pick
+    from adaptsim_jax.core.errors import BadInput
 
     step = pick("step", args.step, STEPS)
     if step != "next" and args.what is None:
@@ -63,10 +63,10 @@ def new(args: argparse.Namespace) -> None:
     """Start a session in an empty folder."""
     import jax
 
-    from adaptsim_jax import config, files
-    from adaptsim_jax.adapt.phase2 import draw_starts
-    from adaptsim_jax.adapt.training import archive_size
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.adaptation.phase2 import draw_starts
+    from adaptsim_jax.adaptation.training import archive_size
+    from adaptsim_jax.core import config, files
+    from adaptsim_jax.core.errors import BadInput
 
     folder = Path(args.dir)
     if (folder / SESSION).exists():
@@ -91,7 +91,7 @@ def new(args: argparse.Namespace) -> None:
 
 def ask(args: argparse.Namespace) -> None:
     """Say and write what to run now; when all is told, the best policy."""
-    from adaptsim_jax import config
+    from adaptsim_jax.core import config
 
     session = _open(Path(args.dir))
     state, history = _load(session)
@@ -115,7 +115,7 @@ def ask(args: argparse.Namespace) -> None:
 def record(args: argparse.Namespace) -> None:
     """Take what was measured."""
     from adaptsim_jax.commands.adapt import number
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core.errors import BadInput
 
     session = _open(Path(args.dir))
     before, history = _load(session)
@@ -153,8 +153,8 @@ def _digest(path: Path) -> str | None:
 
 
 def _open(folder: Path) -> Session:
-    from adaptsim_jax import config
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core import config
+    from adaptsim_jax.core.errors import BadInput
 
     if not (folder / SESSION).exists():
         raise BadInput(f"{folder}: no session here; start one with 'adaptsim robot new RUN --dir {folder}'")
@@ -168,21 +168,21 @@ def _open(folder: Path) -> Session:
 def _run_of(path: str) -> RunFolder:
     """The run at `path`, of a task that robots are for."""
     from adaptsim_jax.commands.task_parts import ROBOT
-    from adaptsim_jax.errors import BadInput
-    from adaptsim_jax.store import RunFolder
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.store import RunFolder
 
     run = RunFolder.open(path)
     if run.task not in ROBOT:
         raise BadInput(
             f"{path}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this version. For "
-            f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adapt.asktell with recorded trajectories"
+            f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adaptation.asktell with recorded trajectories"
         )
     return run
 
 
 def _identity(run: RunFolder) -> dict[str, Any]:
     """Which adaptation policy the run holds now: its checkpoint's step and hashes."""
-    from adaptsim_jax.store import read_manifest
+    from adaptsim_jax.core.store import read_manifest
 
     manifest = read_manifest(run.checkpoint)
     return {name: manifest[name] for name in ("step", "sha256", "config_hash")}
@@ -190,7 +190,7 @@ def _identity(run: RunFolder) -> dict[str, Any]:
 
 def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
     """BadInput where the run's checkpoint is not the one that the session began with. Older sessions do not say which it was."""
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core.errors import BadInput
 
     began, now = table.get("trained"), _identity(run)
     if began is not None and began != now:
@@ -202,8 +202,8 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
 
 
 def _session(folder: Path, table: dict[str, Any]) -> Session:
-    from adaptsim_jax.adapt.asktell import make_ask_tell
-    from adaptsim_jax.adapt.training import load_run
+    from adaptsim_jax.adaptation.asktell import make_ask_tell
+    from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.commands.task_parts import robot_part
 
     run = _run_of(table["run"])
@@ -216,7 +216,7 @@ def _session(folder: Path, table: dict[str, Any]) -> Session:
 
 
 def _save(session: Session, state: Any, history: list[dict[str, Any]]) -> None:
-    from adaptsim_jax import config, store
+    from adaptsim_jax.core import config, store
 
     store.save_checkpoint(
         session.folder / store.CHECKPOINT,
@@ -232,9 +232,9 @@ def _load(session: Session) -> tuple[Any, list[dict[str, Any]]]:
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax import config, store
-    from adaptsim_jax.adapt.phase1 import Archive
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.adaptation.phase1 import Archive
+    from adaptsim_jax.core import config, store
+    from adaptsim_jax.core.errors import BadInput
 
     task = session.trained.phase1.task
     folder = session.folder / store.CHECKPOINT

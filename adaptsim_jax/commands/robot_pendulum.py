@@ -36,8 +36,8 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
 
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
     """Print the policy, and how to run it while trials are left; a mended model's controller needs the model beside it."""
-    from adaptsim_jax import config
     from adaptsim_jax.commands.adapt import policy_table
+    from adaptsim_jax.core import config
 
     model = session.options.get("model")
     for name, value in policy_table(policy).items():
@@ -55,8 +55,8 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
 
 def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of a measured trial."""
-    from adaptsim_jax.closeloop.table import read_table
-    from adaptsim_jax.tasks import pendulum_measured as measured
+    from adaptsim_jax.sysid.io.table import read_table
+    from adaptsim_jax.tasks.pendulum import measured
 
     table = read_table(path, measured.COLUMNS)
     return measured.measured_trajectory(table.columns, str(path), session.options.get("observation", "full"))

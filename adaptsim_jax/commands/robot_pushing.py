@@ -10,7 +10,7 @@ from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
-    from adaptsim_jax.tasks.pushing_measured import Pushes
+    from adaptsim_jax.tasks.pushing.measured import Pushes
 
 TURN = "iteration"
 COLUMNS = ("goal_x", "goal_y", "speed", "angle")  # of actions.csv, after the trial
@@ -25,15 +25,15 @@ def opened(session: Session, total: int) -> str:
 
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `tasks.pushing_measured.read_policy` reads it."""
-    from adaptsim_jax.tasks.pushing_measured import policy_table
+    """What `policy.toml` holds beside the parameters; `tasks.pushing.measured.read_policy` reads it."""
+    from adaptsim_jax.tasks.pushing.measured import policy_table
 
     return policy_table(policy, _config(session))
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as it would be deployed now, corrected by the pushes told so far where the task does that."""
-    from adaptsim_jax.tasks.pushing_measured import corrected
+    from adaptsim_jax.tasks.pushing.measured import corrected
 
     pushes = [push for visit in history for push in visit["pushes"]]
     actions, places = [p["action"] for p in pushes], [p["points"][-1] for p in pushes]
@@ -64,9 +64,9 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
 
 def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the pushes that were asked for."""
-    from adaptsim_jax.closeloop.table import read_table
-    from adaptsim_jax.tasks import pushing_measured as measured
-    from adaptsim_jax.tasks.pushing import make_expectation
+    from adaptsim_jax.sysid.io.table import read_table
+    from adaptsim_jax.tasks.pushing import measured
+    from adaptsim_jax.tasks.pushing.task import make_expectation
 
     table = read_table(path, measured.COLUMNS, least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
@@ -109,14 +109,14 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
 
 
 def _best(session: Session, policy: Any) -> None:
-    from adaptsim_jax.tasks.pushing_measured import pushes_over_sector
+    from adaptsim_jax.tasks.pushing.measured import pushes_over_sector
 
     path = session.folder / "best_actions.csv"
     write_actions(path, COLUMNS, zip(*pushes_over_sector(policy, _config(session), GRID), strict=True))
     if policy.told is not None:
         print(f"its actions are corrected by the {len(policy.told.used)} pushes told")
     print(f"written: {path}: its push for {GRID} goals; for any other:")
-    print("  from adaptsim_jax.tasks.pushing_measured import read_policy")
+    print("  from adaptsim_jax.tasks.pushing.measured import read_policy")
     print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")
 
 
@@ -146,13 +146,13 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
 
 
 def _pushes(session: Session, state: Any) -> Pushes:
-    from adaptsim_jax.tasks.pushing_measured import pushes_to_make
+    from adaptsim_jax.tasks.pushing.measured import pushes_to_make
 
     return pushes_to_make(state.key, state.told, state.policy, _config(session))
 
 
 def _config(session: Session) -> Any:
-    from adaptsim_jax.tasks.pushing import PushingConfig
+    from adaptsim_jax.tasks.pushing.task import PushingConfig
 
     return config_of(session, PushingConfig)
 

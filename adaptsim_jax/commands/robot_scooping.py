@@ -10,7 +10,7 @@ from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
-    from adaptsim_jax.tasks.scooping_measured import Scoops
+    from adaptsim_jax.tasks.scooping.measured import Scoops
 
 TURN = "iteration"
 COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")  # of actions.csv, after the trial
@@ -25,15 +25,15 @@ def opened(session: Session, total: int) -> str:
 
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `tasks.scooping_measured.read_policy` reads it."""
-    from adaptsim_jax.tasks.scooping_measured import policy_table
+    """What `policy.toml` holds beside the parameters; `tasks.scooping.measured.read_policy` reads it."""
+    from adaptsim_jax.tasks.scooping.measured import policy_table
 
     return policy_table(policy, _config(session))
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as it would be deployed now, corrected by the scoops told so far where the task does that."""
-    from adaptsim_jax.tasks.scooping_measured import corrected
+    from adaptsim_jax.tasks.scooping.measured import corrected
 
     scoops = [scoop for visit in history for scoop in visit["scoops"]]
     return corrected(policy, _config(session), [s["action"] for s in scoops], [s["success"] for s in scoops])
@@ -43,7 +43,7 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as the coming iteration makes its scoops: where it is corrected, the last of them is a probe."""
     import jax
 
-    from adaptsim_jax.tasks.scooping_corrected import make_probe
+    from adaptsim_jax.tasks.scooping.deployed import make_probe
 
     config = _config(session)
     return jax.jit(make_probe(config))(deployed(session, policy, history)) if config.correct else policy
@@ -51,16 +51,16 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
 
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
     """Print the scoops to make and write them to actions.csv; when all is told, how the best policy is used."""
-    from adaptsim_jax.models.scooping import SECONDS
+    from adaptsim_jax.tasks.scooping.model import SECONDS
 
     if done:
-        from adaptsim_jax.tasks.scooping_measured import scoop_in_the_middle
+        from adaptsim_jax.tasks.scooping.measured import scoop_in_the_middle
 
         action = scoop_in_the_middle(policy, _config(session))
         if policy.told is not None:
             print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
         print(f"its scoop for a piece in the middle: {_said(action)}; for any other place (m):")
-        print("  from adaptsim_jax.tasks.scooping_measured import read_policy")
+        print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
         print(f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, 0.02])")
         return
     scoops = _scoops(session, state)
@@ -75,8 +75,8 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
 
 def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the scoops that were asked for."""
-    from adaptsim_jax.closeloop.table import read_table
-    from adaptsim_jax.tasks import scooping_measured as measured
+    from adaptsim_jax.sysid.io.table import read_table
+    from adaptsim_jax.tasks.scooping import measured
 
     table = read_table(path, measured.COLUMNS, least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
@@ -115,13 +115,13 @@ def _said(action: Any) -> str:
 
 
 def _scoops(session: Session, state: Any) -> Scoops:
-    from adaptsim_jax.tasks.scooping_measured import scoops_to_make
+    from adaptsim_jax.tasks.scooping.measured import scoops_to_make
 
     return scoops_to_make(state.key, state.told, state.policy, _config(session))
 
 
 def _config(session: Session) -> Any:
-    from adaptsim_jax.tasks.scooping import ScoopingConfig
+    from adaptsim_jax.tasks.scooping.task import ScoopingConfig
 
     return config_of(session, ScoopingConfig)
 

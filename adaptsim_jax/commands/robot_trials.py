@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def config_of(session: Session, kind: type) -> Any:
     """The task's configuration, a `kind`, with which the session's run was trained."""
-    from adaptsim_jax import config
+    from adaptsim_jax.core import config
 
     return config.from_table(kind, session.options, str(session.table["run"]))
 
@@ -33,7 +33,7 @@ def say_parameters(session: Session, before: Any, after: Any) -> None:
 
 def write_actions(path: Path, columns: tuple[str, ...], trials: Iterable[tuple]) -> None:
     """A CSV with a row for each of `trials`: its number, then arrays of numbers."""
-    from adaptsim_jax.files import write_bytes
+    from adaptsim_jax.core.files import write_bytes
 
     rows = [",".join([str(n), *(f"{x:.6f}" for part in parts for x in part)]) for n, *parts in trials]
     write_bytes(path, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())

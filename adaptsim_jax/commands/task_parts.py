@@ -13,7 +13,7 @@ ROBOT = {"pendulum": "robot_pendulum", "pushing": "robot_pushing", "scooping": "
 
 
 def _adapted(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
-    from adaptsim_jax.adapt.training import adapt_run
+    from adaptsim_jax.adaptation.training import adapt_run
 
     return adapt_run(trained, key, target, starts=starts, iterations=iterations)
 

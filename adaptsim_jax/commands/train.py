@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
-    names = "paper-pendulum; of the push: paper-pushing, native-pushing"
+    names = "paper-pendulum; paper-, native- or mjx-pushing; hydro- or mjx-scooping"
     start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
     parser.add_argument(
         "--set",
@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import check_task
 
     check_task(args.task)
-    from adaptsim_jax.adapt.training import train_run
-    from adaptsim_jax.progress import progress
+    from adaptsim_jax.adaptation.training import train_run
+    from adaptsim_jax.core.progress import progress
 
     args.resume_hint = f"continue with: adaptsim train {args.task} --run {shlex.quote(args.folder)} --resume"
     folder = _folder(args)
@@ -57,9 +57,9 @@ def run(args: argparse.Namespace) -> int:
 
 def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     """The config in `table`, with what the command line changes."""
-    from adaptsim_jax import config
-    from adaptsim_jax.adapt.presets import with_defaults
-    from adaptsim_jax.adapt.training import TrainConfig
+    from adaptsim_jax.adaptation.presets import with_defaults
+    from adaptsim_jax.adaptation.training import TrainConfig
+    from adaptsim_jax.core import config
 
     start = config.from_table(TrainConfig, with_defaults(args.task, table), args.config or f"{args.folder}/config.toml")
     if args.model:
@@ -70,9 +70,9 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
 
 def _model_table(args: argparse.Namespace) -> dict[str, Any]:
     """The table of `--model`, checked; it goes into the run's config, which is then whole without the file."""
-    from adaptsim_jax import config
-    from adaptsim_jax.errors import BadInput
-    from adaptsim_jax.models.model_file import model_of
+    from adaptsim_jax.core import config
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.mechanisms.model_file import model_of
 
     table = config.read(args.model)
     if model_of(table, args.model).task != args.task:
@@ -81,8 +81,8 @@ def _model_table(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _folder(args: argparse.Namespace) -> Any:
-    from adaptsim_jax import config
-    from adaptsim_jax.store import RunFolder
+    from adaptsim_jax.core import config
+    from adaptsim_jax.core.store import RunFolder
 
     if args.resume:
         table = _start_table(args) if args.config or args.preset else RunFolder.open(args.folder, task=args.task).config
@@ -96,7 +96,7 @@ def _folder(args: argparse.Namespace) -> Any:
 
 def _check(asked: Any, args: argparse.Namespace) -> None:
     """Refuse a config that cannot be run before a folder is made for it."""
-    from adaptsim_jax.adapt.phase1 import make_phase1
+    from adaptsim_jax.adaptation.phase1 import make_phase1
     from adaptsim_jax.tasks.registry import make_task
 
     make_phase1(make_task(args.task, asked.task, args.config or "--set"), asked.phase1)
@@ -104,8 +104,8 @@ def _check(asked: Any, args: argparse.Namespace) -> None:
 
 def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     """The config of a file (a run's, or a bare table) or of a preset, or the defaults."""
-    from adaptsim_jax import config
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.core import config
+    from adaptsim_jax.core.errors import BadInput
 
     if args.preset:
         return _preset_table(args)
@@ -120,9 +120,9 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
-    from adaptsim_jax import config
-    from adaptsim_jax.adapt.presets import PRESETS
-    from adaptsim_jax.errors import BadInput
+    from adaptsim_jax.adaptation.presets import PRESETS
+    from adaptsim_jax.core import config
+    from adaptsim_jax.core.errors import BadInput
 
     names = [name for name in PRESETS if name.endswith(f"-{args.task}")]
     if args.preset not in names:

@@ -13,16 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from adaptsim_jax.control.small_matrix import (
-    batch_last,
-    eye_like,
-    inverse,
-    mm,
-    norm,
-    solve,
-    symmetric,
-    transpose,
-)
+from adaptsim_jax.control.small_matrix import batch_last, eye_like, inverse, mm, norm, solve, symmetric, transpose
 
 Array = Any
 

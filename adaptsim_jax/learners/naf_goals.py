@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.learners.naf import NAF, NAFHyper, NAFInfo, NAFState
 from adaptsim_jax.learners.replay import Transition

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFHyper
 from adaptsim_jax.learners.naf_goals import GoalProblem
 from adaptsim_jax.learners.replay import Transition

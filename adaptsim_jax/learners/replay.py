@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 
 Items = TypeVar("Items")
 

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.actuators import NO_RANGE, Actuator
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
 from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, make_tree
@@ -234,7 +234,7 @@ def _mechanism(where: str, source: str, model: mujoco.MjModel, notes: tuple[str,
                 model.body_inertia[b],
             )
     actuators, armature, damping = _actuators(where, model)
-    keep = lambda name: 0.0 if off & OFF[name] else 1.0  # noqa: E731
+    keep = lambda name: 0.0 if off & OFF[name] else 1.0
     tree = make_tree(
         kinds, parent, np.array(place), np.array(rotation), inertial,
         gravity=model.opt.gravity * keep("gravity"),
@@ -268,14 +268,14 @@ def _actuators(where: str, model: mujoco.MjModel) -> tuple[tuple[Actuator, ...],
 
 def _actuator(where: str, model: mujoco.MjModel, k: int) -> Actuator:
     name = model.actuator(k).name
-    refuse = lambda what: BadInput(  # noqa: E731
+    refuse = lambda what: BadInput(
         f"{where}: actuator '{name}' {what}; write it as motor, position, velocity, or general with fixed gain and affine bias"
     )
     if model.actuator_trntype[k] not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
         raise refuse("does not act on a joint")
     gain, bias, dyn = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_dynprm[k]
     gaintype, biastype, dyntype = model.actuator_gaintype[k], model.actuator_biastype[k], model.actuator_dyntype[k]
-    limited = lambda on, values: tuple(map(float, values)) if on else NO_RANGE  # noqa: E731
+    limited = lambda on, values: tuple(map(float, values)) if on else NO_RANGE
     shared: dict[str, Any] = {
         "gear": float(model.actuator_gear[k, 0]),
         "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
@@ -294,7 +294,7 @@ def _actuator(where: str, model: mujoco.MjModel, k: int) -> Actuator:
     if not lagged and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
         raise refuse("has a memory other than a first-order filter")
     affine = gaintype == int(mujoco.mjtGain.mjGAIN_AFFINE)
-    if not (gaintype == int(mujoco.mjtGain.mjGAIN_FIXED) or affine and not np.any(gain[1:3])):
+    if not (gaintype == int(mujoco.mjtGain.mjGAIN_FIXED) or (affine and not np.any(gain[1:3]))):
         raise refuse("has a gain that is not one number")
     if biastype not in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)):
         raise refuse("has a bias that is not affine")

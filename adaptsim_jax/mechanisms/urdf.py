@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ElementTree
 from typing import Any
 
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.given import brief
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief
 
 MOVING = ("revolute", "continuous", "prismatic")
 

@@ -7,7 +7,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from adaptsim_jax.files import write_bytes
+from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.files import output_folder, write_bytes, write_json
+from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.adaptation_page import write_adaptation_page

@@ -9,7 +9,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from adaptsim_jax.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder, write_bytes
 from adaptsim_jax.report import comparison, demo_figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words

@@ -3,7 +3,7 @@
     write_diagnosis(out, report, evidence)
     print_summary(report, console, out)
 
-`report` keeps `closeloop.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
+`report` keeps `sysid.report.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
 
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None}],
                      NaN where windows join; the first trial is shown, the others fold out
@@ -30,13 +30,13 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from adaptsim_jax.closeloop import schema
-from adaptsim_jax.files import output_folder, write_bytes, write_json
+from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_rows as rows_of
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
+from adaptsim_jax.sysid.report import schema
 
 MOST_TRIALS = 6
 """Held-out trials that the page draws; each costs some 150 kB."""
@@ -199,7 +199,7 @@ def _next_experiment(report: Mapping, plan: Mapping | None, out: Path | None) ->
 
 
 def _links(out: Path | None) -> list[str]:
-    names = ("model.toml", "leading.toml", "report.json")
+    names = ("model.xml", "model.toml", "leading.toml", "report.json")
     return [name for name in names if name == "report.json" or (out is not None and (out / name).exists())]
 
 
@@ -213,7 +213,7 @@ def print_summary(report: dict, console: Console, out: Path | None = None) -> No
     for name, value in _summary_rows(report):
         table.add_row(Text(name, style="dim"), Text(value))
     console.print(Padding(table, (0, 0, 0, 2)))
-    for name in ("report.html", "report.json", "model.toml", "leading.toml", _csv_name(report)):
+    for name in ("report.html", "report.json", "model.xml", "model.toml", "leading.toml", _csv_name(report)):
         if out is not None and name and (Path(out) / name).exists():
             console.print(Text(f"  {Path(out) / name}", style="dim"), soft_wrap=True)
 

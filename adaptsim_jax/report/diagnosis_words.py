@@ -10,6 +10,7 @@ from adaptsim_jax.report import diagnosis_format as fmt
 TONES = {
     "explained": "good",
     "explained_class": "good",
+    "partly_explained": "open",
     "confounded_with_declared": "open",
     "structured_unattributed": "open",
     "within_noise": "calm",
@@ -20,6 +21,7 @@ LOUD = 4.0  # times the sensors' noise: from here on a reader asks what the rest
 LABELS = {
     "explained": "explained",
     "explained_class": "explained up to a class",
+    "partly_explained": "partly explained",
     "confounded_with_declared": "confounded with declared parameters",
     "structured_unattributed": "structure without a name",
     "within_noise": "within noise",
@@ -30,6 +32,8 @@ MEANINGS = {
     "explained": "The mended model is ready to use: the effect held on trials without a part in finding it.",
     "explained_class": "The mended model predicts better, whichever of the names is right: "
     "with these trials they cannot be told apart.",
+    "partly_explained": "Each effect named held out by itself on trials without a part in finding it. More is left than the sensors' "
+    "noise, and it has no name: the mended model is better, not complete.",
     "confounded_with_declared": "Another declared value does the same as an effect along these motions, "
     "so neither can be held responsible.",
     "structured_unattributed": "What is left is more than chance leaves, yet no effect in the catalogue "
@@ -42,6 +46,7 @@ MEANINGS = {
 NEXT = {
     "explained": "Use the mended model, and test it on motions that it has not seen.",
     "explained_class": "Use the mended model for motions like these; other motions can tell the names apart.",
+    "partly_explained": "Use the mended model for motions like these, and look where the rest sits.",
     "confounded_with_declared": "Measure the declared value again and put it right in meta.toml, "
     "or record motions that part the two.",
     "structured_unattributed": "Look where the structure sits, and add a candidate effect for it.",
@@ -107,6 +112,8 @@ def headline(report: Mapping) -> str:
         return f"The declared model lacks {names}."
     if verdict == "explained_class":
         return f"The declared model lacks {names}; these trials cannot tell which." if names else ""
+    if verdict == "partly_explained":
+        return f"The declared model lacks {names}, and something more that has no name."
     if verdict == "confounded_with_declared":
         # Candidates that the declared parameters absorb are no suspects: the message says what is.
         if not names:
@@ -168,7 +175,13 @@ def not_established(report: Mapping) -> list[str]:
             f"The value{'' if one else 's'} of {fmt.listing(loose)}: "
             f"these motions show only {'a combination of it with others' if one else 'combinations of them'}."
         )
-    if report["verdict"] in ("explained", "explained_class", "within_noise", "structured_unattributed"):
+    if report["verdict"] in (
+        "explained",
+        "explained_class",
+        "partly_explained",
+        "within_noise",
+        "structured_unattributed",
+    ):
         lines.append("Anything outside the speeds, angles, loads and frequencies of these trials, or on another rig.")
     if report["verdict"] == "within_noise":
         lines.append("That no effect exists: only that none shows above the noise here.")

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptsim_jax.files import write_bytes
+from adaptsim_jax.core.files import write_bytes
 
 # Okabe and Ito's palette: told apart with any common colour blindness, and in grey by the line styles below.
 COLOURS = {

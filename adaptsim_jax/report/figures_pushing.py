@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from adaptsim_jax.models.pushing import PATCH_SIDE, PATCH_X, RADIUS, START
 from adaptsim_jax.report import figures as look
+from adaptsim_jax.tasks.pushing.model import PATCH_SIDE, PATCH_X, RADIUS, START
 
 BOTTLE, GOAL, PATCH, TARGET = "#0072B2", "#D49A00", "#c3cad3", "#8b0000"
 ACROSS, NEAR, REACH = (-0.22, 0.22), 0.5, (1.12, 1.5)  # m: what of the table is shown, and how far at least and at most

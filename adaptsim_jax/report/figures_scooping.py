@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.figures_pushing import Axis, parameters_over_iterations
 from adaptsim_jax.report.scoop_video import ScoopClip, draw_scoop
+from adaptsim_jax.tasks.scooping import model
 
 
 def scoops_over_iterations(

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.models import pushing
-from adaptsim_jax.models.backends import pushing_scene
 from adaptsim_jax.report.push_video import FPS, Clip, plate, read_clips, shown
 from adaptsim_jax.report.video_file import write_video
+from adaptsim_jax.tasks.pushing import model as pushing
+from adaptsim_jax.tasks.pushing.engines import scene as pushing_scene
 
 WIDTH, HEIGHT = 640, 360
 YELLOW, WAY = (0.95, 0.75, 0.05, 1.0), (0.0, 0.35, 0.6, 1.0)

@@ -116,8 +116,8 @@ def drawn_frames(clips: Sequence[Clip]) -> Iterator[np.ndarray]:
 
 
 def plate(action: Any, row: int) -> tuple[float, float, float]:
-    """How far the plate has come forward m, up m and pitched rad at `row`: the profile of `models.pushing`."""
-    from adaptsim_jax.models import pushing
+    """How far the plate has come forward m, up m and pitched rad at `row`: the profile of `tasks.pushing.model`."""
+    from adaptsim_jax.tasks.pushing import model as pushing
 
     path = float(np.sum(pushing.ramp(np.arange(0.0005, 0.01 * (row + 1), 0.001))) * 0.001)
     return float(action[0]) * path, pushing.RISE_SPEED * path, pushing.PITCH_RATE * path
@@ -125,7 +125,7 @@ def plate(action: Any, row: int) -> tuple[float, float, float]:
 
 def _edge(clip: Clip, row: int) -> tuple[np.ndarray, float]:
     """The plate's lower edge: its middle `[2]` m from above, and its height m."""
-    from adaptsim_jax.models import pushing
+    from adaptsim_jax.tasks.pushing import model as pushing
 
     forward, up, pitch = plate(clip.action, row)
     ahead = forward - pushing.LINK_BACK + pushing.EDGE_DROP * np.sin(pitch)
@@ -152,7 +152,7 @@ def _draw_above(ax: Any, clip: Clip, row: int) -> None:
 def _draw_side(ax: Any, clip: Clip, row: int) -> None:
     from matplotlib.patches import Polygon
 
-    from adaptsim_jax.models import pushing
+    from adaptsim_jax.tasks.pushing import model as pushing
 
     _still(ax, ALONG, (-0.015, 0.165), "z (m)")
     ax.axhline(0.0, color="#a89f8f", linewidth=1.2)

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report.push_render import HEIGHT, WIDTH, with_text
 from adaptsim_jax.report.push_video import read_clips
 from adaptsim_jax.report.scoop_video import FPS, ScoopClip, shown, verdict
 from adaptsim_jax.report.video_file import write_video
+from adaptsim_jax.tasks.scooping import model
 
 CAMERA = {"azimuth": 112.0, "elevation": -16.0, "distance": 0.24, "lookat": (-0.03, 0.0, 0.022)}
 

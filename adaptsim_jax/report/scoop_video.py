@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.push_video import filmed
+from adaptsim_jax.tasks.scooping import model
 
 FPS, FRAMES, HOLD = 20.0, 50, 14  # 0.4 times real time; frames of a trial, and how many its end stays
 BACK, AHEAD, DOWN, UP = 0.125, 0.075, -0.0125, 0.1  # m of the view around the tip, 16 by 9

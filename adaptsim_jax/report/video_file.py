@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.files import output_errors
+from adaptsim_jax.core.files import output_errors
 
 
 def best_suffix() -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from adaptsim_jax.space import Gaussian, Space
 
@@ -10,6 +10,19 @@ Array = Any
 Policy = Any  # a pytree
 Trajectory = Any  # a pytree
 Reference = Any  # a pytree
+
+
+class Episode(Protocol):
+    """What a task may know of an adaptation trajectory (`adaptation/episode.py`): its visits, leading axes as the caller has them."""
+
+    @property
+    def mean(self) -> Array: ...  # [..., I + 1, D] unit coordinates
+
+    @property
+    def policy(self) -> Policy: ...
+
+    @property
+    def obs(self) -> Array: ...  # [..., I + 1, D + obs_dim], behind the mean what was observed
 
 
 @dataclass(frozen=True)
@@ -33,7 +46,7 @@ class Task:
     reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this simulated target are scaled with
     reward: Callable[[Trajectory, Reference], Array]  # -> [], at most 1; in [0, 1] where the policy is of any use
     # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once, each with a budget of its
-    # own. None where training is too cheap to be worth sharing; see `adapt.reuse`.
+    # own. None where training is too cheap to be worth sharing; see `adaptation.reuse`.
     train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None
     # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1 to learn from; None: `rollout`.
     rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None

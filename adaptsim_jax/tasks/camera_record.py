@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 
 
 def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:

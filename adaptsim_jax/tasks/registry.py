@@ -3,16 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
-from adaptsim_jax import config
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.given import brief, finite
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.one_shot import OneShot
-from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
-from adaptsim_jax.tasks.pushing import PushingConfig, make_pushing
-from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
-from adaptsim_jax.tasks.scooping import ScoopingConfig, make_scooping
-from adaptsim_jax.tasks.scooping_one_shot import make_scooping_one_shot
+from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
+from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
+from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
+from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot
+from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
 
 TASKS = {
     "pendulum": (PendulumConfig, make_pendulum),
@@ -24,8 +24,8 @@ ONE_SHOTS = {"pushing": make_pushing_one_shot, "scooping": make_scooping_one_sho
 
 def _mended(name: str, options: dict[str, Any], where: str) -> Task:
     """The task on a mended model, whose table stands under `model`."""
-    from adaptsim_jax.models.model_file import model_of
-    from adaptsim_jax.tasks.pendulum_mended import make_mended_pendulum
+    from adaptsim_jax.mechanisms.model_file import model_of
+    from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum
 
     given = options.pop("model")
     reward_gain = options.pop("reward_gain", 10.0)

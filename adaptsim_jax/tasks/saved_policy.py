@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax import config as configs
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
 
 
 def read_saved(path: str | Path, kind: type, policy: type, make_naf: Callable, make_policy: Callable, what: str):

@@ -7,15 +7,15 @@ import sys
 import numpy as np
 import pytest
 
-from adaptsim_jax.adapt.phase1 import Phase1Config
-from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.adaptation.phase1 import Phase1Config
+from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.compare import compare, stamped
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.methods import METHODS, CompareConfig
 from adaptsim_jax.baselines.summary import bootstrap_interval, normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.report.comparison import write_comparison
 
 TINY = CompareConfig(

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adapt.phase1 import Phase1Config
-from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.adaptation.phase1 import Phase1Config
+from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines.arena import Arena, lanes
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.compare import compare
@@ -18,13 +18,13 @@ from adaptsim_jax.baselines.direct import DirectConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig, default_comparison
 from adaptsim_jax.baselines.sysid import SysIdConfig
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.models import pushing as model
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.report.comparison import table, write_comparison
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.one_shot import action_grid, best_actions
-from adaptsim_jax.tasks.pushing import PushingConfig
-from adaptsim_jax.tasks.pushing_one_shot import make_pushing_one_shot
+from adaptsim_jax.tasks.pushing import model
+from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
+from adaptsim_jax.tasks.pushing.task import PushingConfig
 from tests.baselines import one_shot_probe as probes
 
 METHODS = tuple(m for m in LEARNED_METHODS if m != "sysid_bayes")  # the same loop as SysID-Point with a dearer network

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.baselines.problem import pendulum_problem
-from adaptsim_jax.tasks.pendulum import SETTINGS, pendulum_space
+from adaptsim_jax.tasks.pendulum.task import SETTINGS, pendulum_space
 
 PAGE = Path(__file__).parents[2] / "docs" / "differentiable.md"
 

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adapt.phase1 import Phase1Config
-from adaptsim_jax.adapt.training import TrainConfig
+from adaptsim_jax.adaptation.phase1 import Phase1Config
+from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines.ranges import adaptsim_run, shiftable_pendulum
 from adaptsim_jax.space import gaussian
-from adaptsim_jax.tasks.pendulum import PendulumConfig, make_pendulum
+from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
 
 PLAIN = {"scaling": "paper", "reference": "optimum", "targets": "omega"}
 OFFSET = np.array([0.0, 0.3, 0.0, 0.0], np.float32)

@@ -11,7 +11,7 @@ from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig, simulate, within_omega
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from tests.baselines.probe import SPACE, probe_task
 
 CONFIG = SysIdConfig(

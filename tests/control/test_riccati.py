@@ -19,7 +19,7 @@ from adaptsim_jax.control.riccati import (
     solve_care,
     solve_dare,
 )
-from adaptsim_jax.models.pendulum import linearized
+from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 
 SETTINGS = np.array(  # paper, table A2: wd, ood-1 .. ood-4
     [[1.8, 1.2, 1.5, 1.5], [1.8, 0.3, 1.5, 1.5], [0.5, 1.8, 1.5, 1.5], [1.2, 1.8, 10, 10], [0.4, 2.6, 1, 2]]

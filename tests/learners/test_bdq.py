@@ -6,7 +6,7 @@ import numpy as np
 import optax
 import pytest
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQConfig, BDQHyper, BDQState, double_q_target, explore, make_bdq
 from adaptsim_jax.learners.replay import Transition
 

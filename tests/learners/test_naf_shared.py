@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalProblem
 from adaptsim_jax.learners.naf_shared import SharedConfig, fold, make_shared_learner, move

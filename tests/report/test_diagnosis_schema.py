@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from adaptsim_jax.closeloop import schema
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.report import schema
 from tests.report.diagnosis_cases import REPORTS
 
 TOP = (

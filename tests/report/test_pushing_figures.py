@@ -8,12 +8,12 @@ import pytest
 from matplotlib.patches import Circle
 from PIL import Image
 
-from adaptsim_jax.models.backends.pushing import make_backend
-from adaptsim_jax.models.pushing import EDGE_RADIUS, RADIUS, START
 from adaptsim_jax.report import figures_pushing as draw
 from adaptsim_jax.report import push_video
 from adaptsim_jax.report.push_video import Clip, drawn_frames, write_push_video
 from adaptsim_jax.space import Parameter, Space
+from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.model import EDGE_RADIUS, RADIUS, START
 
 AXES = [
     draw.Axis("mu", 0.05, 0.2),

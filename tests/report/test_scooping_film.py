@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.commands import adapt_scooping
-from adaptsim_jax.models import scooping as model
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_scooping, push_video, scoop_video
 from adaptsim_jax.report.figures_pushing import Axis
 from adaptsim_jax.report.figures_scooping import scoops_over_iterations
 from adaptsim_jax.report.scoop_video import ScoopClip, drawn_frames, outlines, write_scoop_video
-from adaptsim_jax.tasks.scooping_config import scooping_space
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping.config import scooping_space
 
 PARAMS = np.array([0.3, 5e4, 1.0, 0.02])
 AXES = [Axis("mu", 0.25, 0.4), Axis("e", 1e4, 5e5, True), Axis("g", 0, 1), Axis("h", 0.015, 0.025)]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.space import MINUS, PLUS, STAY, Parameter, Space, gaussian, sample, step
 
 MIXED = Space(

@@ -3,43 +3,24 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from adaptsim_jax.config import nearest, suggest
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.sysid.io.columns import Role, role
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.angles import model_angles
+from adaptsim_jax.sysid.io.columns import is_ignored, role
 from adaptsim_jax.sysid.io.inputs import Inputs, choose_inputs
+from adaptsim_jax.sysid.io.joint_columns import Columns, columns_of
 from adaptsim_jax.sysid.io.log import Log, LogTrial, ModelNames
+from adaptsim_jax.sysid.io.log_checks import check_log_units
 from adaptsim_jax.sysid.io.log_meta import LogMeta
-from adaptsim_jax.sysid.io.log_units import column_scale
 from adaptsim_jax.sysid.io.tables import RawTrial
 
-EPOCH = 1e6
-"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
-LIMIT = 1e5
-"""Magnitude in SI units beyond which a value is damage, not data."""
 V = TypeVar("V")
-
-
-@dataclass(frozen=True)
-class Columns:
-    """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator."""
-
-    raw: RawTrial
-    time: np.ndarray
-    by_joint: dict[str, dict[int, np.ndarray]]
-    ctrl: dict[int | str, np.ndarray]
-
-    def stacked(self, stem: str, n: int) -> np.ndarray:
-        """`[T, n]` of a quantity, NaN for joints without."""
-        out = np.full((len(self.time), n), np.nan)
-        for j, values in self.by_joint.get(stem, {}).items():
-            out[:, j] = values
-        return out
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
@@ -47,9 +28,12 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     raw = [_without_ignored(trial, meta, model) for trial in _kept(path, raw, meta)]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
-    trials = [_columns(trial, names, meta) for trial in raw]
+    trials = [columns_of(trial, names, meta) for trial in raw]
     inputs = choose_inputs(path, trials, names, meta)
     log_trials = tuple(_trial(columns, names, meta, inputs) for columns in trials)
+    suspected = check_log_units(log_trials, names)
+    turns = [columns.raw.name for columns in trials if columns.turns]
+    turned = (f"jumps of whole turns taken out of the angles of {', '.join(turns)}",) if turns else ()
     return Log(
         path=path,
         meta=meta,
@@ -58,11 +42,8 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_kind=inputs.kind,
         input_names=inputs.names,
         driven=inputs.driven,
-        notes=inputs.notes + _notes(raw, log_trials),
+        notes=inputs.notes + _notes(raw, log_trials) + turned + suspected,
     )
-
-
-# ---------------------------------------------------------------- which trials, which columns
 
 
 def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
@@ -82,16 +63,9 @@ def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
 def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
     """The trial without columns that are not ours, and those that `ignore` names: themselves, or by their joint."""
     joints = model.joints if model else ()
-    out = {}
-    for name, values in trial.columns.items():
-        found = role(name, joints)
-        joint = found.joint if found and isinstance(found.joint, str) else None
-        if found and name not in meta.ignore and joint not in meta.ignore:
-            out[name] = values
-    gone = tuple(name for name in trial.columns if name not in out)
-    return RawTrial(
-        trial.name, trial.path, out, trial.lines, trial.row_word, (*trial.ignored, *gone), trial.notes, trial.group
-    )
+    ours = {n: v for n, v in trial.columns.items() if role(n, joints) and not is_ignored(n, meta.ignore, joints)}
+    gone = tuple(name for name in trial.columns if name not in ours)
+    return replace(trial, columns=ours, ignored=(*trial.ignored, *gone))
 
 
 def _names_in(trial: RawTrial) -> ModelNames:
@@ -136,76 +110,6 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
     return found.words(name, joint)
 
 
-def _columns(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
-    roles = {name: found for name in trial.columns if (found := role(name, names.joints)) is not None}
-    zero_based = _zero_based(roles.values())
-    time = next(name for name, r in roles.items() if r.stem == "time")
-    where = f"{trial.path}: column {time}"
-    seconds = trial.columns[time] * column_scale(where, meta.units, "time", (time,), slides=False)
-    by_joint: dict[str, dict[int, np.ndarray]] = {}
-    ctrl: dict[int | str, np.ndarray] = {}
-    taken: dict[tuple[str, int], str] = {}
-    for name, found in roles.items():
-        if found.stem in ("time", "trial"):
-            continue
-        if found.stem == "ctrl":
-            ctrl[found.joint if isinstance(found.joint, str) else (found.joint or 1) - (not zero_based)] = (
-                trial.columns[name]
-            )
-            continue
-        j = _joint(trial, name, found, names, zero_based)
-        if (found.stem, j) in taken:
-            raise BadInput(
-                f"{trial.path}: columns {taken[found.stem, j]!r} and {name!r} are both {found.stem} of joint "
-                f"{names.joints[j]!r}; keep one, or write ignore = [{name!r}] in meta.toml"
-            )
-        taken[found.stem, j] = name
-        slides = names.joints[j] in names.slides
-        words = found.words(name, names.joints[j])
-        scale = column_scale(f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides)
-        by_joint.setdefault(found.stem, {})[j] = _sized(trial, name, trial.columns[name] * scale)
-    return Columns(trial, seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds, by_joint, ctrl)
-
-
-def _zero_based(roles: Iterable[Role]) -> bool:
-    return any(r.joint == 0 for r in roles)
-
-
-def _joint(trial: RawTrial, name: str, found: Role, names: ModelNames, zero_based: bool) -> int:
-    """The index of the model's joint that a column belongs to."""
-    n, joint = len(names.joints), found.joint
-    if isinstance(joint, str):
-        if joint in names.joints:
-            return names.joints.index(joint)
-        mend = f'rename it by [columns] in meta.toml, or write ignore = ["{joint}"]'
-        near = nearest(joint, names.joints)
-        hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names.joints)};"
-        raise BadInput(f"{trial.path}: column {name!r}: the model has no joint '{joint}'; {hint} {mend}")
-    if joint is None:
-        if n > 1:
-            raise BadInput(
-                f"{trial.path}: column {name!r} names no joint, but the model has {n}; name it {name}1 or {name}_{names.joints[0]}"
-            )
-        return 0
-    index = joint if zero_based else joint - 1
-    if not 0 <= index < n:
-        mend = f'name joints of the model only ({", ".join(names.joints)}), or write ignore = ["{name}"] in meta.toml'
-        raise BadInput(f"{trial.path}: column {name!r}: the model has {n} joint(s); {mend}")
-    return index
-
-
-def _sized(trial: RawTrial, name: str, values: np.ndarray) -> np.ndarray:
-    bad = np.flatnonzero(np.abs(values) > LIMIT)
-    if bad.size:
-        where = f"{trial.row_word} {trial.lines[bad[0]]}"
-        why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {LIMIT:g}"
-        raise BadInput(f"{trial.path}: {where}: {why}; mend that row, or declare [units] in meta.toml")
-    return values
-
-
-# ---------------------------------------------------------------- joints' angles
-
-
 def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs) -> LogTrial:
     raw, n = columns.raw, len(names.joints)
     here = columns.by_joint.get("q", {})
@@ -240,28 +144,6 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs) -
         payload=_of(meta.payload, raw.name, 0.0),
         extra=extra,
     )
-
-
-def model_angles(logged: np.ndarray, names: ModelNames, meta: LogMeta, *, rates: bool = False) -> np.ndarray:
-    """The model's joint positions `[T, n]` (or their rates) from logged ones in SI units.
-
-    A zero is taken off first, then an absolute angle less that of the joint before it, then a reversed joint turned.
-    """
-    zero = np.array([_declared(meta.zero, i, j, 0.0) for i, j in enumerate(names.joints)])
-    shown = logged if rates else logged - zero
-    out = shown.copy()
-    for i, (joint, parent) in enumerate(zip(names.joints, names.parent_of, strict=True)):
-        if _declared(meta.convention, i, joint, meta.convention.get("", "relative")) == "absolute" and parent >= 0:
-            out[:, i] = shown[:, i] - shown[:, parent]
-    flipped = [_declared(dict.fromkeys(meta.reversed, True), i, joint, False) for i, joint in enumerate(names.joints)]
-    out[:, flipped] *= -1.0
-    return out
-
-
-def _declared(table: Mapping[str, V], index: int, joint: str, default: V) -> V:
-    """What `[angles]` gives a joint, by its name or by that of its column."""
-    words = (joint, f"q_{joint}", f"q{index + 1}", *(("q",) if index == 0 else ()))
-    return next((table[word] for word in words if word in table), default)
 
 
 def _of(table: Mapping[str, V], trial: str, default: V) -> V:

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.closeloop.table import read_table
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.files import write_bytes
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.sysid.io import lerobot, ros
 from adaptsim_jax.sysid.io.columns import role
 from adaptsim_jax.sysid.io.guess import Guess, guess, meta_text
 from adaptsim_jax.sysid.io.inputs import PREFERRED, STEM
 from adaptsim_jax.sysid.io.log import Log, ModelNames
 from adaptsim_jax.sysid.io.read import META, read_log
+from adaptsim_jax.sysid.io.table import read_table
 from adaptsim_jax.sysid.io.tables import ENDINGS, column_names, read_archive, table_files
 
 MODELS = (".xml", ".mjcf", ".urdf")

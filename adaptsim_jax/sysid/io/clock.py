@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.tables import MIN_ROWS
 
 HELD = ("tau", "target", "ctrl", "u", "i")

@@ -63,3 +63,9 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
     if commanded:
         return Role("tau_commanded", who) if stem == "tau" else None
     return Role(stem, who)
+
+
+def is_ignored(name: str, ignore: Iterable[str], joints: Iterable[str] = ()) -> bool:
+    """Whether `ignore` leaves this column out, by its own name or by that of its joint."""
+    found = role(name, joints)
+    return name in ignore or (found is not None and isinstance(found.joint, str) and found.joint in ignore)

@@ -6,7 +6,7 @@ import importlib
 from pathlib import Path
 from types import ModuleType
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 
 
 def need(path: Path, module: str, extra: str) -> ModuleType:

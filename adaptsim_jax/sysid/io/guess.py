@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.closeloop.consistency import velocity_agreement
-from adaptsim_jax.closeloop.units import SLOWEST
-from adaptsim_jax.config import dumps, nearest
+from adaptsim_jax.core.config import dumps, nearest
 from adaptsim_jax.sysid.io.columns import STEMS, TIME, role
 from adaptsim_jax.sysid.io.log import ModelNames
+from adaptsim_jax.sysid.io.log_checks import LARGE
+from adaptsim_jax.sysid.io.units import SLOWEST
+from adaptsim_jax.sysid.quality.consistency import velocity_agreement
 
 TIME_STEPS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
-LARGE = 4 * np.pi
-"""Angle beyond which degrees are likelier than radians, where no speeds tell."""
 WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "angle": "q", "angles": "q", "positions": "q", "qpos": "q", "theta": "q", "state": "q",
     "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
@@ -46,24 +45,22 @@ def guess(columns: dict[str, np.ndarray], model: ModelNames | None) -> Guess:
     joints = model.joints if model else ()
     names: dict[str, str] = {}
     ignored: list[str] = []
+    unknown: list[str] = []
     for name in columns:
         told = role(name, joints)
-        ours = name if told and (not isinstance(told.joint, str) or not joints or told.joint in joints) else None
-        ours = ours or _ours(name, joints)
-        if ours is None or ours in names.values():
-            ignored.append(name)
-        else:
+        known = told and (not isinstance(told.joint, str) or not joints or told.joint in joints)
+        ours = name if known else _ours(name, joints)
+        if ours is not None and ours not in names.values():
             names[name] = ours
+        elif told and isinstance(told.joint, str):
+            unknown.append(told.joint)
+        else:
+            ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
         clock = next((n for n in columns if set(_tokens(n)) & set(CLOCKS) and _increases(columns[n])), None)
         if clock is not None:
             names[clock] = "time"
             ignored = [name for name in ignored if name != clock]
-    unknown = []
-    for name in list(names):
-        told = role(names[name], joints)
-        if told and isinstance(told.joint, str) and joints and told.joint not in joints:
-            unknown.append(told.joint)
     by_ours = {ours: columns[name] for name, ours in names.items()}
     return Guess(
         columns={ours: name for name, ours in names.items() if ours != name},

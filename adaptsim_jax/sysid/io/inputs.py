@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adaptsim_jax.config import nearest, suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.angles import flipped_joints, model_angles
+from adaptsim_jax.sysid.io.joint_columns import Columns
 from adaptsim_jax.sysid.io.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.sysid.io.log_meta import LogMeta
-
-if TYPE_CHECKING:
-    from adaptsim_jax.sysid.io.assemble import Columns
 
 STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
 PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")
@@ -39,10 +37,7 @@ class Inputs:
             u = columns.stacked(self.stem, len(names.joints))
             u[:, [joint not in self.driven for joint in names.joints]] = 0.0
             _complete(columns, self.kind, self.names, u)
-            flipped = [j in meta.reversed or f"q{i + 1}" in meta.reversed for i, j in enumerate(names.joints)]
-            return np.where(flipped, -u, u)
-        from adaptsim_jax.sysid.io.assemble import model_angles
-
+            return np.where(flipped_joints(names, meta), -u, u)
         targets = columns.stacked("target", len(names.joints))
         angles = model_angles(targets, names, meta)
         out = []

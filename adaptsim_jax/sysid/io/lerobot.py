@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.extras import need
 from adaptsim_jax.sysid.io.tables import MIN_ROWS, RawTrial
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.log_meta import LogMeta
 
 InputKind = Literal["torque", "command", "voltage", "current", "none"]
@@ -106,7 +106,7 @@ class Log:
 
     def pick(self, names: Sequence[str]) -> Log:
         """The log with these trials only, in this order; BadInput names one that is not there."""
-        from adaptsim_jax.config import pick
+        from adaptsim_jax.core.config import pick
 
         by_name = {trial.name: trial for trial in self.trials}
         return replace(self, trials=tuple(by_name[pick(f"trial of {self.path}:", n, by_name)] for n in names))

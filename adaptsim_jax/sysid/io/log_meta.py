@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.config import read, suggest
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.given import brief, finite
+from adaptsim_jax.core.config import read, suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.sysid.io.log_units import check_unit
 
 INPUTS = ("torque", "command", "voltage", "current", "none")

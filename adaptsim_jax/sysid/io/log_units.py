@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.closeloop.meta import ANGLE_UNITS, SPELLED, TIME_UNITS, TORQUE_UNITS, VELOCITY_UNITS
-from adaptsim_jax.config import suggest
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.given import brief
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief
+from adaptsim_jax.sysid.io.meta import ANGLE_UNITS, SPELLED, TIME_UNITS, TORQUE_UNITS, VELOCITY_UNITS
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SPEED_UNITS = {f"{name}/s": scale for name, scale in LENGTH_UNITS.items()}

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from adaptsim_jax.config import suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io import lerobot, ros
 from adaptsim_jax.sysid.io.assemble import assemble
 from adaptsim_jax.sysid.io.log import Log, ModelNames
@@ -103,7 +103,7 @@ def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
         )
     # in a folder of both, [columns] speaks of the tables
     recorded = [ros.read_bag(path, meta.ros) for path in bags]
-    trials = read_files(files, meta.columns) + (recorded if files else _renamed(recorded, meta))
+    trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
     return [
         replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.config import suggest
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.clock import Series, merge
 from adaptsim_jax.sysid.io.extras import need
 from adaptsim_jax.sysid.io.tables import RawTrial
@@ -111,7 +111,10 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     except Exception as error:  # the library raises many kinds for damaged bytes: struct, sqlite, yaml, assertions
         why = " ".join(str(error).split())[:120] or type(error).__name__
-        raise BadInput(f"{path}: is no readable bag ({why}); record it again, or convert it to CSV") from None
+        mend = {".mcap": "mend it by 'mcap recover'", ".bag": "mend it by 'rosbag reindex'"}.get(
+            path.suffix, "record it again"
+        )
+        raise BadInput(f"{path}: is no readable bag ({why}); {mend}, or convert it to CSV") from None
 
 
 def _topics(reader: Any) -> tuple[Topic, ...]:
@@ -205,8 +208,10 @@ def _command(reader: Any, topic: Topic, clock: Clock) -> list[Series]:
             given = {"target": m.position} if len(m.position) else {"tau_commanded": m.effort}
             rows.append((float(time), tuple(m.name), given))
         elif topic.kind == CONTROLLER:
-            point = m.reference if hasattr(m, "reference") else m.desired
-            rows.append((float(time), tuple(m.joint_names), {"target": point.positions}))
+            # older messages say `desired`; those between have both, and fill one of them
+            points = [getattr(m, name) for name in ("reference", "desired") if hasattr(m, name)]
+            told = next((point.positions for point in points if len(point.positions)), ())
+            rows.append((float(time), tuple(m.joint_names), {"target": told}))
         elif topic.kind == TRAJECTORY:
             for point in m.points:
                 after = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9

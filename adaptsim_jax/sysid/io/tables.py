@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.closeloop.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
-from adaptsim_jax.errors import BadInput
-from adaptsim_jax.sysid.io.columns import TIME, TRIAL, role
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.columns import TIME, TRIAL, is_ignored, role
+from adaptsim_jax.sysid.io.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
 
 ENDINGS = (".csv", ".npz")
 __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
@@ -42,28 +42,32 @@ def table_files(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def read_files(files: list[Path], rename: Mapping[str, str]) -> list[RawTrial]:
-    """Every trial of these files; `rename`: our name -> the file's. Raises `BadInput` naming file and line."""
+def read_files(files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
+    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out.
+
+    Raises `BadInput` naming file and line.
+    """
     stems = [path.stem for path in files]
     trials = []
     for path in files:
-        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, rename)
+        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, rename, ignore)
     return trials
 
 
-def read_file(path: Path, name: str, rename: Mapping[str, str]) -> list[RawTrial]:
+def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
     """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
     header = column_names(path)
     for ours, theirs in rename.items():
         if theirs not in header:
-            from adaptsim_jax.config import suggest
+            from adaptsim_jax.core.config import suggest
 
             raise BadInput(
                 f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; {suggest(theirs, header)}"
             )
     ours = {theirs: new for new, theirs in rename.items()}
     named = {column: ours.get(column, column) for column in header if column in ours or column not in rename}
-    wanted = tuple(column for column in header if column in named and role(named[column]) is not None)
+    told = {column for column in named if role(named[column]) is not None and not is_ignored(named[column], ignore)}
+    wanted = tuple(dict.fromkeys(column for column in header if column in told))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     table = _read(path, {column: named[column] for column in wanted if column != labels})
     table = Table(table.columns, table.lines, tuple(c for c in table.ignored if c != labels), table.row_word)

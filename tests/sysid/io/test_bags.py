@@ -4,12 +4,12 @@ import sys
 
 import numpy as np
 import pytest
-from log_files import motion
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io import ros
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames
 from adaptsim_jax.sysid.io.read import read_log
+from tests.sysid.io.log_files import motion
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="extra 'ros' is not installed")
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
@@ -59,6 +59,28 @@ class Bag:
             "trajectory_msgs/msg/JointTrajectory", header=self.header(ns), joint_names=list(names), points=[point]
         )
         self.rows.append((ns + LATE, topic, "trajectory_msgs/msg/JointTrajectory", m))
+
+    def controller(self, topic, ns, names, q, *, old):
+        kind, point = "control_msgs/msg/JointTrajectoryControllerState", "trajectory_msgs/msg/JointTrajectoryPoint"
+        text = "std_msgs/Header header\nstring[] joint_names\n"
+        text += "".join(
+            f"trajectory_msgs/JointTrajectoryPoint {f}\n" for f in (() if old else ("reference",)) + ("desired",)
+        )
+        if kind not in self.types.types:
+            self.types.register(typesys.get_types_from_msg(text, kind))
+        after = self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
+        e = np.zeros(0)
+        filled = lambda a: self.make(
+            point,
+            positions=np.asarray(a, dtype=np.float64),
+            velocities=e,
+            accelerations=e,
+            effort=e,
+            time_from_start=after,
+        )
+        points = {"desired": filled(q)} if old else {"reference": filled(q), "desired": filled(())}
+        m = self.make(kind, header=self.header(ns), joint_names=list(names), **points)
+        self.rows.append((ns + LATE, topic, kind, m))
 
     def write(self, folder):
         if self.kind == "bag":
@@ -162,7 +184,7 @@ def test_repeated_and_late_messages(tmp_path):
     assert any("out of order" in note for note in log.notes) and any("repeat a stamp" in note for note in log.notes)
 
 
-@pytest.mark.parametrize("how", ["states", "trajectory", "array"])
+@pytest.mark.parametrize("how", ["states", "trajectory", "array", "controller", "old controller"])
 def test_commands_of_another_topic_hold_from_their_time(tmp_path, how):
     bag = Bag("mcap")
     for i, t in enumerate(M["time"]):
@@ -173,8 +195,10 @@ def test_commands_of_another_topic_hold_from_their_time(tmp_path, how):
                 bag.joints("/joint_commands", ns(t), ARM, told)
             elif how == "trajectory":
                 bag.trajectory("/arm/command", ns(t), ARM, told)
-            else:
+            elif how == "array":
                 bag.array("/arm/commands", ns(t), told)
+            else:
+                bag.controller("/arm/controller_state", ns(t), ARM, told, old=how.startswith("old"))
     names = ModelNames(ARM, actuators=tuple(ActuatorName(j, j, "position") for j in ARM))
     log = read_log(bag.write(tmp_path), names)
     held = np.arange(60) // 2 * 2

@@ -4,12 +4,12 @@ import tomllib
 
 import numpy as np
 import pytest
-from log_files import motion, named, numbered, write_csv
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.sysid.io.guess import guess, guess_units
 from adaptsim_jax.sysid.io.log import ModelNames
 from adaptsim_jax.sysid.io.read import read_log, read_with_model
+from tests.sysid.io.log_files import motion, named, numbered, write_csv
 
 ARM = ("shoulder", "elbow")
 M = motion(2, rows=200)
@@ -106,9 +106,19 @@ def test_what_does_not_read_yet_is_said(tmp_path, capsys):
     assert "to mend before it reads" in capsys.readouterr().out
 
 
+def test_joints_of_other_names_and_joints_that_the_model_lacks(tmp_path, capsys):
+    m = motion(3, rows=60)
+    write_csv(tmp_path / "logs" / "run.csv", named(m, ("shoulder_joint", "elbow_joint", "gripper"), "q", "tau"))
+    assert init(tmp_path / "logs", "--model", model(tmp_path / "arm.urdf")) == 0
+    table = tomllib.loads((tmp_path / "logs" / "meta.toml").read_text())
+    assert table["ignore"] == ["gripper"]
+    assert table["columns"]["q_elbow"] == "q_elbow_joint"
+    np.testing.assert_array_equal(read_log(tmp_path / "logs").trials[0].u, m["tau"][:, :2])
+
+
 def test_a_bag_with_its_topics(tmp_path, capsys):
     pytest.importorskip("rosbags.rosbag2", reason="extra 'ros' is not installed")
-    from test_bags import Bag, states
+    from tests.sysid.io.test_bags import Bag, states
 
     bag = Bag("mcap")
     states(bag)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from log_files import folder, motion, named, numbered, write_csv
 
-from adaptsim_jax.errors import BadInput
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames, blocks
 from adaptsim_jax.sysid.io.read import read_log
+from tests.sysid.io.log_files import folder, motion, named, numbered, write_csv
 
 ARM = ("shoulder", "elbow")
 M = motion(2)
@@ -201,6 +201,28 @@ def test_rates_and_lengths_may_differ_and_blocks_keep_every_row(tmp_path):
     assert first.time[-1] == pytest.approx(39 * 0.05) and second.time[0] == pytest.approx(60 * 0.05)
 
 
+def test_an_encoder_that_counts_from_minus_pi_to_pi(tmp_path):
+    q = np.outer(np.linspace(0, 3, 60), [7.0, -2.0])
+    wrapped = (q + np.pi) % (2 * np.pi) - np.pi
+    log = read_log(write_csv(tmp_path / "run.csv", numbered(M | {"q": wrapped}, "q")), ARM)
+    np.testing.assert_allclose(log.trials[0].q, q, atol=1e-9)
+    assert any("jumps of whole turns taken out" in note for note in log.notes)
+    names = ModelNames(ARM, slides=("shoulder",))
+    sliding = read_log(tmp_path / "run.csv", names)
+    np.testing.assert_array_equal(sliding.trials[0].q[:, 0], wrapped[:, 0])
+
+
+def test_ignored_columns_may_hold_anything(tmp_path):
+    columns = numbered(M, "q") | {"q9": np.array(["open"] * 60), "q_gripper": np.array([""] * 60)}
+    log = read_log(folder(tmp_path, 'ignore = ["q9", "gripper"]\n', t=columns), ARM)
+    np.testing.assert_array_equal(log.trials[0].q, M["q"])
+
+
+def test_angles_that_may_be_degrees_are_told(tmp_path):
+    log = read_log(write_csv(tmp_path / "run.csv", numbered(M | {"q": np.degrees(M["q"])}, "q")), ARM)
+    assert any('if they are degrees, write angle = "deg"' in note for note in log.notes)
+
+
 def test_data_may_lie_elsewhere(tmp_path):
     write_csv(tmp_path / "data" / "run.csv", numbered(M, "q"))
     log = read_log(folder(tmp_path / "mine", 'data = "../data"\n'), ARM)
@@ -255,6 +277,12 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
         (lambda c: c | {"q1": np.where(np.arange(60) == 7, 1e9, c["q1"])}, "line 9: column q1 is 1e+09 in SI units"),
         (lambda c: c | {"q1": np.where(np.arange(60) == 7, np.nan, c["q1"])}, "line 9: column q1 is nan"),
         (lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])}, "line 9: time runs backwards"),
+        (lambda c: c | {"time": 1e3 * c["time"]}, 'time is suspected in milliseconds; write time = "ms"'),
+        (lambda c: c | {"v1": 57.3 * M["v"][:, 0], "v2": 57.3 * M["v"][:, 1]}, 'write velocity = "deg/s"'),
+        (
+            lambda c: {"time": c["time"], **numbered(M | {"target": M["q"]}, "q", "target")},
+            "has a target, but its actuator 'm1'",
+        ),
         (lambda c: c | {"q": c["q1"]}, "column 'q' names no joint, but the model has 2"),
     ],
 )

@@ -1,0 +1,229 @@
+"""Phase 1: meta-learn the adaptation policy in simulation (paper, Algorithm 1), as one pure function.
+
+A *round* runs `parallel` adaptation trajectories of `horizon` steps side by side, writes them to the replay and to the
+set S_E, and then trains. Everything that a sweep varies is a traced leaf of `Phase1Hyper`; sizes are `Phase1Config`.
+The round number is an argument and not part of the state, so that it stays unbatched under `vmap` (see `replay`), and
+each round draws its randomness from `(state.key, round)` alone: however a run is cut into calls, it gives the same
+bits.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.adaptation import reuse
+from adaptsim_jax.adaptation.episode import Episode, run_episode
+from adaptsim_jax.adaptation.guided import Guide
+from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper, check
+from adaptsim_jax.adaptation.reuse import Pool
+from adaptsim_jax.adaptation.reuse_episode import run_reusing
+from adaptsim_jax.learners import replay as ring
+from adaptsim_jax.learners.bdq import BDQ, BDQConfig, BDQState, make_bdq
+from adaptsim_jax.learners.replay import Transition
+from adaptsim_jax.space import gaussian
+from adaptsim_jax.tasks.base import Task
+
+_LOST_ALL = 1e4  # gain (1 - r) at which the logarithm reaches 0: with a gain of 10 and 10, a hundredfold cost
+
+
+class Archive(NamedTuple):
+    """S_E: simulation parameter distributions used, and their task policies; rings of `[archive, ...]`."""
+
+    mean: jax.Array
+    policy: Any
+
+
+class Phase1State(NamedTuple):
+    """All that the next round needs, apart from its number. `pool` is None where no task policies are reused."""
+
+    key: jax.Array
+    learner: BDQState
+    replay: Transition
+    archive: Archive
+    pool: Pool | None = None
+
+
+class Phase1Info(NamedTuple):
+    """Of one round, each `[]`: means of the task reward over all steps and at the last step, of the shaped reward, and
+    the learner's loss, Q and gradient norm averaged over the updates (0 during warm-up). Where task policies are reused
+    (else None): simulated trials a visit that they were trained with, and the share of visits that reused one."""
+
+    reward: jax.Array
+    final_reward: jax.Array
+    shaped: jax.Array
+    epsilon: jax.Array
+    loss: jax.Array
+    q: jax.Array
+    grad_norm: jax.Array
+    trials: jax.Array | None = None
+    reused: jax.Array | None = None
+
+
+class Phase1(NamedTuple):
+    """Phase 1 of one task as pure functions; see `make_phase1`."""
+
+    task: Task
+    config: Phase1Config
+    bdq: BDQ
+    init: Callable[[jax.Array], Phase1State]
+    round: Callable[..., tuple[Phase1State, Phase1Info]]
+    run: Callable[..., tuple[Phase1State, Phase1Info]]
+
+
+def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> Phase1:
+    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: maps the function of one of the parallel
+    trajectories over all of them, where no policies are reused (`sweep_devices.spread` shares them out among devices).
+
+    * `init(key) -> Phase1State`
+    * `round(state, hyper, number []) -> (state, info)`
+    * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when vmapping
+    """
+    check(config, task)
+    stage = task if task.rehearse is None else replace(task, rollout=task.rehearse)
+    bdq = make_bdq(
+        BDQConfig(
+            obs_dim=task.space.dim + task.obs_dim,
+            branches=task.space.dim,
+            hidden=config.hidden,
+            activation=config.activation,
+            layer_norm=config.layer_norm,
+        )
+    )
+
+    def init(key):
+        key, net = jax.random.split(key)
+        return Phase1State(
+            key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config), _first_pool(net, task, config)
+        )
+
+    def one_round(state, hyper, number):
+        act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
+        epsilon = _epsilon(config, hyper, number)
+        episodes, pool, reused = _collect(act_key, stage, bdq, config, hyper, state, epsilon, over)
+        batch, shaped = _transitions(episodes, hyper)
+        state = state._replace(
+            replay=ring.write(state.replay, batch, number),
+            archive=_remember(state.archive, episodes, number),
+            pool=pool,
+        )
+        learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
+        info = Phase1Info(
+            episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats, *reused
+        )
+        return state._replace(learner=learner), info
+
+    def run(state, hyper, numbers):
+        return jax.lax.scan(lambda s, n: one_round(s, hyper, n), state, numbers)
+
+    return Phase1(task, config, bdq, init, one_round, run)
+
+
+def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
+    """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0 below the threshold."""
+    line = jnp.maximum(1.0 - hyper.gain * (1.0 - reward), 0.0)
+    lost = hyper.gain * jnp.maximum(1.0 - reward, 0.0)
+    slow = jnp.maximum(1.0 - jnp.log1p(lost) / np.log1p(_LOST_ALL), 0.0)
+    curve = (1.0 - hyper.far) / (1.0 + lost) + hyper.far * slow
+    shaped = jnp.where(hyper.soft > 0, curve, line)
+    return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
+
+
+def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
+    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis `parallel`. Also the pool after
+    them, and what Info says of reuse."""
+    act = lambda k, obs: bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
+    keys = jax.random.split(key, config.parallel)
+
+    def begin(key):
+        target_key, start_key, run_key = jax.random.split(key, 3)
+        target = _draw_target(target_key, task, hyper.inside)
+        return run_key, gaussian(task.space, task.space.sample(start_key)), task.init_policy(run_key), target
+
+    sizes = {"steps": config.horizon, "delta": hyper.delta, "shrink": hyper.shrink, "obs_noise": hyper.obs_noise}
+    sizes["guide"] = Guide(config.guided, task.space) if config.guided else None
+    if state.pool is None:
+
+        def one(key):
+            run_key, start, policy, target = begin(key)
+            return run_episode(run_key, task, act, start, policy, target, **sizes)
+
+        return over(one)(keys), None, ()
+    found = run_reusing(*jax.vmap(begin)(keys), task, act, state.pool, config.reuse, **sizes)
+    return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
+
+
+def _draw_target(key, task: Task, inside) -> jax.Array:
+    """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of targets."""
+    near_key, far_key, coin_key = jax.random.split(key, 3)
+    near = task.space.physical(task.space.sample(near_key))
+    far = task.targets.physical(task.targets.sample(far_key))
+    return jnp.where(jax.random.uniform(coin_key, far.shape) < inside, near, far)
+
+
+def _transitions(episodes: Episode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
+    """Flatten visits `[parallel, horizon + 1]` to transitions `[parallel * horizon]`, rewarded by the visit after."""
+    shaped = shape_reward(episodes.reward, hyper)
+    flat = lambda x: x.reshape(-1, *x.shape[2:])
+    last = jnp.zeros_like(shaped[:, 1:]).at[:, -1].set(1.0)
+    return Transition(
+        flat(episodes.obs[:, :-1]),
+        flat(episodes.action),
+        flat(shaped[:, 1:]),
+        flat(episodes.obs[:, 1:]),
+        flat(1.0 - hyper.terminal * last),
+    ), shaped
+
+
+def _learn(key, bdq: BDQ, config, hyper, state: Phase1State, number):
+    """`updates` gradient steps on batches drawn beforehand; skipped in effect during warm-up."""
+    block = config.parallel * config.horizon
+    filled = jnp.minimum((number + 1) * block, config.capacity)
+    batches = ring.sample(key, state.replay, filled, (config.updates, config.batch))
+    on = number >= config.warmup
+    rates = replace(
+        hyper.learner,
+        learning_rate=hyper.learner.learning_rate * _rate_share(config, hyper, number) * on,
+        tau=hyper.learner.tau * on,
+    )
+    learner, info = jax.lax.scan(lambda s, b: bdq.update(s, b, rates), state.learner, batches)
+    return learner, (info.loss.mean() * on, info.q.mean() * on, info.grad_norm.mean() * on)
+
+
+def _epsilon(config, hyper, number):
+    share = jnp.clip(number / (hyper.epsilon_share * max(config.rounds - 1, 1)), 0.0, 1.0)
+    return hyper.epsilon_start + (hyper.epsilon_end - hyper.epsilon_start) * share
+
+
+def _rate_share(config, hyper, number):
+    late = jnp.clip(2.0 * number / max(config.rounds, 1) - 1.0, 0.0, 1.0)
+    return 1.0 + (hyper.rate_end - 1.0) * late
+
+
+def _empty_replay(bdq: BDQ, config: Phase1Config) -> Transition:
+    obs = jnp.zeros(bdq.config.obs_dim)
+    action = jnp.zeros(bdq.config.branches, jnp.int32)
+    return ring.empty(Transition(obs, action, jnp.zeros(()), obs, jnp.zeros(())), config.capacity)
+
+
+def _empty_archive(task: Task, config: Phase1Config) -> Archive:
+    policy = jax.eval_shape(task.init_policy, jax.random.key(0))
+    return ring.empty(Archive(jnp.zeros(task.space.dim), policy), config.archive)
+
+
+def _first_pool(key, task: Task, config: Phase1Config) -> Pool | None:
+    if config.reuse.threshold == 0:
+        return None
+    if task.pretrain is not None:
+        policy = task.pretrain(jax.random.fold_in(key, 1))
+        return reuse.shared_pool(config.reuse, jnp.full(task.space.dim, 0.5), policy)
+    return reuse.empty_pool(config.reuse, task.space.dim, jax.eval_shape(task.init_policy, jax.random.key(0)))
+
+
+def _remember(archive: Archive, episodes: Episode, number) -> Archive:
+    """Add every distribution that an action was taken from, with its policy (Algorithm 1, line 10)."""
+    used = Archive(episodes.mean, episodes.policy)
+    return ring.write(archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number)

@@ -1,0 +1,99 @@
+"""Many runs of Phase 1 and Phase 2 as one compiled program: seeds, hyper-parameters, targets."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.adaptation.episode import Episode
+from adaptsim_jax.adaptation.phase1 import Archive, Phase1, Phase1Hyper, Phase1Info
+from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
+from adaptsim_jax.adaptation.training import archive_size
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.progress import silent
+
+
+class TrainedMany(NamedTuple):
+    """`S` finished runs: hyper `[S]`, target-network weights `[S, n]`, S_E `[S, archive, ...]`, info `[S, rounds]`."""
+
+    hyper: Phase1Hyper
+    weights: jax.Array
+    archive: Archive
+    info: Phase1Info
+
+
+def stack(hypers: list[Phase1Hyper]) -> Phase1Hyper:
+    """Hyper-parameters side by side: leaves `[S]` float32."""
+    return jax.tree.map(lambda *x: jnp.asarray(x, jnp.float32), *hypers)
+
+
+def train_many(
+    phase1: Phase1,
+    hypers: Phase1Hyper,
+    seeds: np.ndarray,
+    *,
+    at_once: int = 1,
+    progress: Callable = silent,
+    keep: Callable[[np.ndarray, TrainedMany], None] = lambda seeds, part: None,
+) -> TrainedMany:
+    """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`, `at_once` of them under one vmap.
+
+    One trace and one compiled program, called `S / at_once` times. On a CPU 1 is as fast a run as any other number
+    (`benchmarks/phase1.py --seeds`), and shows progress; on a GPU take all of them. `keep(seeds, part)` is called with
+    each group as it is done, to store it.
+    """
+    count = len(seeds)
+    if at_once < 1 or count % at_once:
+        raise BadInput(f"{count} runs do not divide into groups of {at_once}; use a divisor of {count}")
+    rounds = jnp.arange(phase1.config.rounds)
+
+    @jax.jit
+    @jax.vmap
+    def train(seed, hyper):
+        state, info = phase1.run(phase1.init(jax.random.key(seed)), hyper, rounds)
+        return state.learner.target, state.archive, info
+
+    parts = []
+    for i in range(0, count, at_once):
+        pick = slice(i, i + at_once)
+        some = jax.tree.map(lambda x, pick=pick: x[pick], hypers)
+        part = TrainedMany(some, *train(jnp.asarray(seeds[pick]), some))
+        keep(seeds[pick], part)
+        progress(i + at_once, count, f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
+        parts.append(part)
+    return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
+
+
+def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: int) -> Archive:
+    """`[S, count, ...]`: for each run `count` members of its own S_E, drawn with its own seed."""
+    used = archive_size(phase1, phase1.config.rounds)
+
+    def one(seed, archive):
+        return draw_starts(jax.random.fold_in(jax.random.key(seed), 1), archive, used, count)
+
+    return jax.vmap(one)(jnp.asarray(seeds), trained.archive)
+
+
+def adapt_many(
+    phase1: Phase1, trained: TrainedMany, starts: Archive, targets: jax.Array | np.ndarray, *, iterations: int = 10
+) -> Episode:
+    """Phase 2 of every run in each of `targets [T, D]` (physical) from its `starts [S, N, ...]`: `[S, T, N, I + 1, ...]`."""
+
+    @jax.jit
+    def run(targets, trained, starts):
+        def one_run(weights, hyper, start):
+            sizes = {"delta": hyper.delta, "shrink": hyper.shrink}
+
+            def one_target(target):
+                key = jax.random.key(0)
+                return adapt(
+                    key, phase1.task, phase1.bdq, weights, start, target, iterations=iterations, **sizes
+                ).history
+
+            return jax.vmap(one_target)(targets)
+
+        return jax.lax.map(lambda a: one_run(*a), (trained.weights, trained.hyper, starts))
+
+    return run(jnp.asarray(targets, jnp.float32), trained, starts)

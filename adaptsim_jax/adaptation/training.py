@@ -1,0 +1,118 @@
+"""Phase 1 into a run folder, in chunks that can be killed and resumed to the same bits, and Phase 2 out of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State, make_phase1
+from adaptsim_jax.adaptation.phase1_config import check_hyper
+from adaptsim_jax.adaptation.phase2 import Phase2Result, adapt, draw_starts
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import MAX_SEED
+from adaptsim_jax.core.store import RunFolder
+from adaptsim_jax.tasks.registry import make_task
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that a run needs to be run again.
+
+    seed: of the run; every: rounds between checkpoints; task: options of the task, see its config class;
+    phase1: sizes; hyper: rates.
+    """
+
+    seed: int = 0
+    every: int = 20
+    task: dict[str, Any] = field(default_factory=dict)
+    phase1: Phase1Config = field(default_factory=Phase1Config)
+    hyper: Phase1Hyper = field(default_factory=Phase1Hyper)
+
+    def __post_init__(self):
+        if not 0 <= self.seed <= MAX_SEED:
+            raise BadInput(f"seed = {self.seed}: give a whole number from 0 to {MAX_SEED}")
+        check_hyper(self.hyper)
+
+
+class Trained(NamedTuple):
+    """A run as Phase 2 needs it: `state` after `rounds` rounds of training."""
+
+    phase1: Phase1
+    hyper: Phase1Hyper
+    state: Phase1State
+    rounds: int
+
+
+def traced(hyper: Phase1Hyper) -> Phase1Hyper:
+    """The same with float32 arrays as leaves, so that a changed value is not a changed program."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), hyper)
+
+
+def train_run(config: TrainConfig, run: RunFolder, progress: Callable[..., None]) -> Trained:
+    """Phase 1 of `run.task`, from the run's checkpoint if it has one; writes metrics and checkpoints as it goes.
+
+    `progress(done, total, note)` is called between chunks. A chunk is `every` rounds, or the largest number below that
+    divides the run, so that one compiled program serves all of it.
+    """
+    phase1 = _phase1_of(config, run)
+    hyper = traced(config.hyper)
+    state, done = run.restore(jax.jit(phase1.init)(jax.random.key(config.seed)))
+    total = phase1.config.rounds
+    if not 0 <= done <= total:
+        raise BadInput(f"{run.path}: the checkpoint is of round {done}, but the run has {total}; train anew")
+    size = max(n for n in range(1, max(1, min(config.every, total)) + 1) if total % n == 0 and done % n == 0)
+    advance = jax.jit(phase1.run, donate_argnums=0)
+    while done < total:
+        state, info = advance(state, hyper, jnp.arange(done, done + size))
+        rows = _rows(phase1, info, done)
+        run.append_metrics(rows)
+        done += size
+        run.save(state, done)
+        progress(done, total, f"reward {rows[-1]['final_reward']:.2f}")
+    return Trained(phase1, hyper, state, done)
+
+
+def load_run(run: RunFolder) -> Trained:
+    """A finished or half-finished run, to adapt with; BadInput where it has no checkpoint."""
+    config = configs.from_table(TrainConfig, run.config, str(run.path / "config.toml"))
+    phase1 = _phase1_of(config, run)
+    state, rounds = run.load(jax.eval_shape(phase1.init, jax.random.key(config.seed)))
+    if rounds == 0:
+        raise BadInput(f"{run.path}: nothing was trained yet; run `adaptsim train` with --resume first")
+    return Trained(phase1, traced(config.hyper), state, rounds)
+
+
+def adapt_run(trained: Trained, key: jax.Array, target: Any, *, starts: int = 2, iterations: int = 10) -> Phase2Result:
+    """Phase 2 in `target: [D]` (physical values) from `starts` members of the run's S_E."""
+    phase1 = trained.phase1
+    start_key, run_key = jax.random.split(key)
+    chosen = draw_starts(start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts)
+    found = lambda k, w, s, t, h: adapt(
+        k, phase1.task, phase1.bdq, w, s, t, iterations=iterations, delta=h.delta, shrink=h.shrink
+    )
+    weights = trained.state.learner.target
+    return jax.jit(found)(run_key, weights, chosen, jnp.asarray(target, jnp.float32), trained.hyper)
+
+
+def archive_size(phase1: Phase1, rounds: int) -> int:
+    """How many members S_E has after `rounds` rounds."""
+    return min(phase1.config.archive, rounds * phase1.config.parallel * phase1.config.horizon)
+
+
+def _phase1_of(config: TrainConfig, run: RunFolder) -> Phase1:
+    return make_phase1(make_task(run.task, config.task, str(run.path / "config.toml")), config.phase1)
+
+
+def _rows(phase1: Phase1, info: Any, done: int) -> list[dict[str, Any]]:
+    """One row a round for `metrics.jsonl`; adaptation steps are counted as transitions stored."""
+    columns = {name: jax.device_get(values) for name, values in info._asdict().items() if values is not None}
+    per_round = phase1.config.parallel * phase1.config.horizon
+    count = len(columns["reward"])
+    return [
+        {"round": done + i + 1, "adaptation_steps": (done + i + 1) * per_round}
+        | {name: float(values[i]) for name, values in columns.items()}
+        for i in range(count)
+    ]

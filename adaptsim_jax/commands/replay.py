@@ -1,0 +1,81 @@
+"""`adaptsim replay`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+EXAMPLES = """
+  adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared
+  adaptsim replay out/model.xml logs/validation --json    the mended model on other data
+  adaptsim replay out/model.xml logs/robot --horizon 0    every trial in one go
+  adaptsim replay robot.urdf run.mcap --out replay        with a figure of measured against simulated
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="an MJCF or URDF file")
+    parser.add_argument("data", metavar="DATA", help="a folder with meta.toml, or one log (CSV, NPZ, bag, MCAP)")
+    parser.add_argument(
+        "--horizon",
+        type=_horizon,
+        default=0.5,
+        metavar="S",
+        help="length of the stretches; 0: whole trials (default 0.5)",
+    )
+    parser.add_argument("--json", action="store_true", help="print all of it as JSON")
+    parser.add_argument("--out", metavar="DIR", help="folder for replay.json and replay.png")
+
+
+def _horizon(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < 1e4:
+        raise argparse.ArgumentTypeError(f"'{text}' is no length of time; give seconds, or 0 for whole trials")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate a model over recordings, from starts fitted to each stretch by plain least squares."""
+    from adaptsim_jax.attribution.replay import replay_files
+    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core.files import output_folder, write_json
+
+    if "jax" not in sys.modules:
+        compile_flags.small_steps()
+    found = replay_files(args.model, args.data, args.horizon)
+    told = {"model": args.model, "data": args.data, **found.told()}
+    if args.out is not None:
+        from adaptsim_jax.report.replay_figure import save
+
+        folder = output_folder(args.out)
+        write_json(folder / "replay.json", told)
+        save(found, folder / "replay.png")
+    if args.json:
+        print(json.dumps(told, indent=2))
+    else:
+        _print(told)
+    return 0
+
+
+def _print(told: dict) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        "", "median", "rms", "ran away", title=f"error over {told['horizon']:g} s, {told['stretches']} stretches"
+    )
+    size = lambda row, unit: (
+        f"{row['median']:.4g} {unit}",
+        f"{row['rms']:.4g} {unit}",
+        f"{100 * row['ran_away']:.0f} %",
+    )
+    table.add_row("all", *size(told, told["unit"]))
+    for name, row in told["joints"].items():
+        table.add_row(name, *size(row, row["unit"]))
+    for name, row in told["trials"].items():
+        table.add_row(f"trial {name}", *size(row, told["unit"]))
+    Console().print(table)

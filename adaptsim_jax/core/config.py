@@ -1,0 +1,294 @@
+"""Config files: frozen dataclasses to and from TOML, with every key checked and the nearest name offered."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import math
+import re
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
+
+T = TypeVar("T")
+
+
+def nearest(name: str, known: typing.Iterable[str]) -> str | None:
+    """The known name that `name` is most like, upper and lower case alike; None where none is."""
+    by_case = {other.lower(): other for other in known}
+    near = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
+    return by_case[near[0]] if near else None
+
+
+def suggest(name: str, known: typing.Iterable[str]) -> str:
+    """'did you mean ...?' or 'known: ...': the mend for a name that is not known."""
+    known = list(known)
+    near = nearest(name, known)
+    return f"did you mean '{near}'?" if near else f"known: {', '.join(known) or 'none'}"
+
+
+def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
+    """`name` if it is known, else BadInput with the nearest name."""
+    known = list(known)
+    if name not in known:
+        raise BadInput(f"unknown {kind} '{name}'; {suggest(name, known)}")
+    return name
+
+
+# ---------------------------------------------------------------- TOML
+
+
+def read(path: str | Path, missing: str = "no such file; check the name") -> dict[str, Any]:
+    """The table in a TOML file; BadInput with the line where it is not TOML. missing: what is said where there is no file."""
+    try:
+        return tomllib.loads(
+            Path(path).read_bytes().decode("utf-8-sig")
+        )  # editors on Windows put a mark before the text
+    except FileNotFoundError:
+        raise BadInput(f"{path}: {missing}") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a readable TOML file") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not text in UTF-8 (byte {error.start}); save it as UTF-8") from None
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # not only TOMLDecodeError: dates and digits fail in Python's own words
+        raise BadInput(f"{path}: not TOML ({' '.join(str(error).split())[:160]}); mend that line") from None
+
+
+def write(path: str | Path, table: dict[str, Any]) -> None:
+    """`table` as a TOML file, whole or not at all."""
+    from adaptsim_jax.core import files
+
+    files.write_bytes(path, dumps(table).encode())
+
+
+def dumps(table: dict[str, Any]) -> str:
+    """TOML text of nested tables of numbers, strings, booleans and lists; None is left out."""
+    return "\n".join(_lines(table, ())).strip() + "\n"
+
+
+def _lines(table: dict[str, Any], path: tuple[str, ...]) -> list[str]:
+    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and v is not None}
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
+    if path and (plain or not table):
+        lines = ["", f"[{'.'.join(map(_key, path))}]", *lines]
+    for name, child in table.items():
+        if isinstance(child, dict):
+            lines += _lines(child, (*path, name))
+    return lines
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _string(name)
+
+
+def _string(text: str) -> str:
+    # JSON escapes are TOML escapes, but for DEL and for pairs of surrogates (so: no ASCII-only output)
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value).replace("-nan", "nan")
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, Path):
+        return _string(str(value))
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
+    raise TypeError(f"no TOML for {type(value).__name__}")
+
+
+# ---------------------------------------------------------------- dataclasses
+
+
+def to_table(config: Any) -> Any:
+    """A (nested) dataclass or named tuple as the table that `from_table` reads back."""
+    if _is_record(type(config)):
+        return {name: to_table(getattr(config, name)) for name in _fields(type(config))}
+    if isinstance(config, tuple | list):
+        return [to_table(item) for item in config]
+    if isinstance(config, dict):
+        return {name: to_table(value) for name, value in config.items()}
+    return config
+
+
+def _is_record(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind) or (isinstance(kind, type) and hasattr(kind, "_field_defaults"))
+
+
+def _fields(kind: Any) -> dict[str, bool]:
+    """The fields of a dataclass or named tuple, and whether each must be given."""
+    if not dataclasses.is_dataclass(kind):
+        return {name: name not in kind._field_defaults for name in kind._fields}
+    missing = dataclasses.MISSING
+    return {
+        field.name: field.default is missing and field.default_factory is missing
+        for field in dataclasses.fields(kind)
+        if field.init
+    }
+
+
+def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "") -> T:
+    """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key. What a nested table leaves out is
+    as it is in that field's default."""
+    hints = typing.get_type_hints(kind)
+    fields = _fields(kind)
+    for name in table:
+        if name not in fields:
+            raise BadInput(f"{where}: unknown key '{prefix}{name}'; {suggest(name, fields)}")
+    values = {}
+    for name, needed in fields.items():
+        if name in table:
+            given = table[name]
+            if _is_record(hints[name]) and isinstance(given, dict) and not needed:
+                given = over(_default(kind, name), given)
+            values[name] = _typed(hints[name], given, where, f"{prefix}{name}")
+        elif needed:
+            raise BadInput(f"{where}: key '{prefix}{name}' is missing; add it")
+    return kind(**values)
+
+
+def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """`table` over `base`, key by key in nested tables."""
+    nested = lambda name: isinstance(base.get(name), dict) and isinstance(table[name], dict)
+    return base | {name: over(base[name], table[name]) if nested(name) else table[name] for name in table}
+
+
+def _default(kind: Any, name: str) -> dict[str, Any]:
+    """The default of a field that is a record, as a table."""
+    if not dataclasses.is_dataclass(kind):
+        return to_table(kind._field_defaults[name])
+    field = next(f for f in dataclasses.fields(kind) if f.name == name)
+    made = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    return to_table(made)
+
+
+def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
+    origin = typing.get_origin(hint)
+    if _is_record(hint) and isinstance(value, dict):
+        return from_table(hint, value, where, f"{key}.")
+    if origin is typing.Literal:
+        if value in typing.get_args(hint):
+            return value
+        raise BadInput(f"{where}: key '{key}' is {brief(value)}; one of {list(typing.get_args(hint))} is wanted")
+    if origin in (types.UnionType, typing.Union):
+        return _first_fit(typing.get_args(hint), value, where, key)
+    if origin in (tuple, list) and isinstance(value, list | tuple):
+        return _sequence(hint, value, where, key)
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        if (number := finite(value)) is None:
+            raise BadInput(f"{where}: key '{key}' is {brief(value)}; a finite number is wanted")
+        return number
+    if hint is Any or (isinstance(hint, type) and type(value) is hint):
+        return value
+    if origin is dict and isinstance(value, dict):
+        return value
+    name = getattr(hint, "__name__", str(hint))
+    raise BadInput(f"{where}: key '{key}' is {brief(value)}; a value of type {name} is wanted")
+
+
+def _first_fit(hints: tuple[Any, ...], value: Any, where: str, key: str) -> Any:
+    error: BadInput | None = None
+    for hint in hints:
+        if hint is type(None):
+            if value is None:
+                return None
+            continue
+        try:
+            return _typed(hint, value, where, key)
+        except BadInput as this:
+            error = this
+    raise error or BadInput(f"{where}: key '{key}' is {brief(value)}; leave it out")
+
+
+def _sequence(hint: Any, value: Any, where: str, key: str) -> Any:
+    arguments = typing.get_args(hint)
+    if typing.get_origin(hint) is list or (len(arguments) == 2 and arguments[1] is Ellipsis):
+        kinds = [arguments[0]] * len(value)
+    else:
+        kinds = list(arguments)
+    if len(kinds) != len(value):
+        raise BadInput(f"{where}: key '{key}' has {len(value)} entries; {len(kinds)} are wanted")
+    items = [_typed(kind, item, where, f"{key}[{i}]") for i, (kind, item) in enumerate(zip(kinds, value, strict=True))]
+    return tuple(items) if typing.get_origin(hint) is tuple else items
+
+
+def with_settings(config: T, settings: typing.Sequence[str]) -> T:
+    """`config` with `key=value` strings applied (dotted keys reach into nested tables; values are TOML)."""
+    table = to_table(config)
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals:
+            raise BadInput(f"--set {setting}: no '='; write --set key=value")
+        *parents, last = key.strip().split(".")
+        _level(table, type(config), parents, f"--set {setting}")[last] = _parsed(text)
+    return from_table(type(config), table, "--set")
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return tomllib.loads(f"v = {text}")["v"]
+    except (ValueError, RecursionError):
+        return text  # a bare word is a string
+
+
+def _level(table: dict[str, Any], hint: Any, parents: typing.Sequence[str], where: str) -> dict[str, Any]:
+    """The nested table that `parents` lead to. In a field of any keys (`dict`) it is made where it is missing; whoever reads that
+    field checks the keys."""
+    path = ""
+    for name in parents:
+        path += name
+        if _is_record(hint):
+            if name not in table:
+                raise BadInput(f"{where}: unknown key '{path}'; {suggest(name, table)}")
+            hint = typing.get_type_hints(hint)[name]
+        elif typing.get_origin(hint) is dict:
+            table.setdefault(name, {})
+        table, path = table[name], f"{path}."
+        if not isinstance(table, dict):
+            raise BadInput(f"{where}: '{path[:-1]}' is no table; write --set {path[:-1]}=VALUE")
+    return table
+
+
+# ---------------------------------------------------------------- comparing
+
+
+def flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables as one with dotted keys; None is the same as absent, a tuple as a list."""
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict):
+            flat |= flatten(value, f"{prefix}{name}.")
+        elif value is not None:
+            flat[f"{prefix}{name}"] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def differences(have: dict[str, Any], want: dict[str, Any]) -> list[str]:
+    """'key: 3 there, 4 asked' for every key in which two config tables differ."""
+    a, b = flatten(have), flatten(want)
+    keys = sorted(a.keys() | b.keys())
+    return [
+        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked" for key in keys if a.get(key) != b.get(key)
+    ]
+
+
+def digest(table: dict[str, Any]) -> str:
+    """A hash of a config table that does not depend on the order of its keys."""
+    return hashlib.sha256(json.dumps(flatten(table), sort_keys=True).encode()).hexdigest()

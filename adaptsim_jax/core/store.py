@@ -1,0 +1,268 @@
+"""Run folders and checkpoints: written under a temporary name, renamed, checked in full, never executed.
+
+A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<hash>.npz`) that it names. The
+payload is written and renamed first, the manifest after it, the old payload removed last: whenever the
+process dies, the manifest on disk names a whole payload. It also records how long `metrics.jsonl` was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from adaptsim_jax import __version__
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import output_errors, output_folder, without_nan, write_bytes, write_json
+
+SCHEMA = 1
+MANIFEST = "manifest.json"
+CONFIG = "config.toml"
+METRICS = "metrics.jsonl"
+CHECKPOINT = "checkpoint"
+
+
+def save_checkpoint(
+    folder: str | os.PathLike,
+    tree: Any,
+    *,
+    task: str,
+    step: int,
+    config_hash: str,
+    extra: dict[str, Any] | None = None,
+) -> None:
+    """Replace the checkpoint in `folder` by `tree`, a pytree of arrays, numbers and JAX PRNG keys, at `step`.
+
+    At every moment one whole checkpoint is there, the old or the new. `extra` (JSON) travels in the manifest.
+    Raises BadInput where the folder cannot be written, TypeError for a leaf that is not an array.
+    """
+    from adaptsim_jax.core import tree_store
+
+    folder = output_folder(folder)
+    leaves, payload = tree_store.pack(tree)
+    digest = hashlib.sha256(payload).hexdigest()
+    name = f"state-{step}-{digest[:12]}.npz"
+    write_bytes(folder / name, payload)
+    manifest = {
+        "schema": SCHEMA,
+        "package": "adaptsim_jax",
+        "version": __version__,
+        "task": task,
+        "step": int(step),
+        "config_hash": config_hash,
+        "payload": name,
+        "bytes": len(payload),
+        "sha256": digest,
+        "leaves": leaves,
+        "extra": extra or {},
+    }
+    manifest["seal"] = _seal(manifest)
+    write_json(folder / MANIFEST, manifest)
+    _sweep(folder, keep=name)
+
+
+def _sweep(folder: Path, keep: str) -> None:
+    """Remove older payloads and what a killed process left half-written."""
+    for pattern in ("state-*.npz", ".state-*.tmp", f".{MANIFEST}.*.tmp"):
+        for old in folder.glob(pattern):
+            if old.name != keep:
+                with contextlib.suppress(OSError):
+                    old.unlink()
+
+
+def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple[Any, int]:
+    """`(tree, step)` from `folder`; `like` (arrays or ShapeDtypeStructs) has the structure and shapes wanted.
+
+    Raises BadInput for a missing, torn or foreign checkpoint, another version, task, structure or shape.
+    """
+    from adaptsim_jax.core import tree_store
+
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    if manifest["task"] != task:
+        raise BadInput(
+            f"{folder}: this checkpoint is of task '{manifest['task']}', not '{task}'; "
+            f"name the task it was made for, or another run folder"
+        )
+    path = folder / manifest["payload"]
+    try:
+        payload = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"{path}: the checkpoint is torn ({error.strerror}); {_RENEW}") from None
+    if len(payload) != manifest["bytes"] or hashlib.sha256(payload).hexdigest() != manifest["sha256"]:
+        raise BadInput(f"{path}: the checkpoint is torn (it does not match its manifest); {_RENEW}")
+    return tree_store.unpack(payload, manifest["leaves"], like, where=str(path)), manifest["step"]
+
+
+_RENEW = "restore it from a copy, or start the run anew in another folder"
+_FIELDS = {
+    "version": str,
+    "task": str,
+    "step": int,
+    "config_hash": str,
+    "payload": str,
+    "bytes": int,
+    "sha256": str,
+    "leaves": list,
+    "extra": dict,
+}
+
+
+def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
+    """The manifest of the checkpoint in `folder`, checked: ours, whole, and of a version read here."""
+    path = Path(folder) / MANIFEST
+    try:
+        manifest = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise BadInput(f"{folder}: no checkpoint here; name a run that was trained") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a run that was trained") from None
+    except (ValueError, RecursionError):
+        raise BadInput(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
+    if not isinstance(manifest, dict) or manifest.get("package") != "adaptsim_jax":
+        raise BadInput(f"{path}: not a checkpoint of adaptsim_jax; name a run of `adaptsim train`")
+    _check_version(path, manifest)
+    whole = all(type(manifest.get(name)) is kind for name, kind in _FIELDS.items())
+    if not whole or manifest.get("seal") != _seal(manifest):
+        raise BadInput(f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}")
+    return manifest
+
+
+def _check_version(path: Path, manifest: dict[str, Any]) -> None:
+    # within one minor version a checkpoint keeps its meaning
+    version = manifest.get("version")
+    same = isinstance(version, str) and version.split(".")[:2] == __version__.split(".")[:2]
+    if manifest.get("schema") != SCHEMA or not same:
+        raise BadInput(
+            f"{path}: written by adaptsim_jax {version} (schema {manifest.get('schema')}), "
+            f"this is {__version__} (schema {SCHEMA}); install that version to use it, or train anew"
+        )
+
+
+def _seal(manifest: dict[str, Any]) -> str:
+    body = {name: value for name, value in manifest.items() if name != "seal"}
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+# ---------------------------------------------------------------- run folders
+
+
+class RunFolder:
+    """A run on disk: `config.toml`, `metrics.jsonl`, `checkpoint/`. Made by `create`, `open`, `resume`."""
+
+    def __init__(self, path: Path, task: str, table: dict[str, Any]):
+        self.path = path
+        self.task = task
+        self.config = table
+
+    @classmethod
+    def create(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
+        """A new run in an empty or new folder; `table` is the config, everything needed to run again."""
+        path = Path(path)
+        with contextlib.suppress(OSError):
+            if (path / CONFIG).exists() or (path / CHECKPOINT).exists():
+                raise BadInput(f"{path}: holds a run already; add --resume, or name another folder")
+        output_folder(path)
+        head = {"schema": SCHEMA, "version": __version__, "task": task}
+        config.write(path / CONFIG, {**head, "config": table})
+        return cls(path, task, table)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike, *, task: str | None = None) -> RunFolder:
+        """An existing run, to read; BadInput where it is torn, foreign, of another version or task."""
+        path = Path(path)
+        if not path.is_dir():
+            raise BadInput(f"{path}: no such run folder; make one with `adaptsim train TASK --run {path}`")
+        where = path / CONFIG
+        if not where.exists():
+            raise BadInput(f"{path}: not a run folder (no {CONFIG}); name one that `adaptsim train` made")
+        table = config.read(where)
+        _check_version(where, table)
+        if not isinstance(table.get("config"), dict) or not isinstance(table.get("task"), str):
+            raise BadInput(f"{where}: 'task' or [config] is missing; {_RENEW}")
+        if task is not None and table["task"] != task:
+            raise BadInput(f"{path}: this run is of task '{table['task']}', not '{task}'; name another")
+        return cls(path, table["task"], table["config"])
+
+    @classmethod
+    def resume(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
+        """An existing run, to continue with the same config; BadInput names every key that differs."""
+        run = cls.open(path, task=task)
+        changed = config.differences(run.config, table)
+        if changed:
+            raise BadInput(
+                f"{run.path / CONFIG}: this run was started otherwise ({'; '.join(changed)}); "
+                f"ask for the same, or name another folder"
+            )
+        output_folder(path)
+        return run
+
+    @property
+    def config_hash(self) -> str:
+        return config.digest(self.config)
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / CHECKPOINT
+
+    @property
+    def metrics(self) -> Path:
+        return self.path / METRICS
+
+    def has_checkpoint(self) -> bool:
+        return (self.checkpoint / MANIFEST).exists()
+
+    def append_metrics(self, rows: list[dict[str, Any]]) -> None:
+        """Append one JSON line a row, null for what is not finite, and sync them; call it before `save`, which records the length."""
+        text = "".join(json.dumps(without_nan(row), allow_nan=False) + "\n" for row in rows)
+        with output_errors(self.metrics), open(self.metrics, "ab") as file:
+            file.write(text.encode())
+            file.flush()
+            os.fsync(file.fileno())
+
+    def save(self, tree: Any, step: int) -> None:
+        """Checkpoint `tree` at `step` together with the length of the metrics written so far."""
+        length = self.metrics.stat().st_size if self.metrics.exists() else 0
+        extra = {"metrics_bytes": length}
+        save_checkpoint(self.checkpoint, tree, task=self.task, step=step, config_hash=self.config_hash, extra=extra)
+
+    def load(self, like: Any) -> tuple[Any, int]:
+        """`(tree, step)` of the checkpoint; BadInput also where it was made under another config."""
+        manifest = read_manifest(self.checkpoint)
+        if manifest["config_hash"] != self.config_hash:
+            raise BadInput(f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it")
+        return load_checkpoint(self.checkpoint, like, task=self.task)
+
+    def restore(self, like: Any) -> tuple[Any, int]:
+        """As `load`, to continue: metrics written after the checkpoint are cut off, for they will come again.
+
+        Without a checkpoint (killed before the first one) the metrics are emptied and `(like, 0)` comes back.
+        """
+        if not self.has_checkpoint():
+            self._cut_metrics(0)
+            return like, 0
+        tree, step = self.load(like)
+        self._cut_metrics(int(read_manifest(self.checkpoint)["extra"].get("metrics_bytes", 0)))
+        return tree, step
+
+    def read_metrics(self) -> list[dict[str, Any]]:
+        """The rows of `metrics.jsonl`; a last line that was cut by a kill is left out."""
+        if not self.metrics.exists():
+            return []
+        lines = self.metrics.read_text().split("\n")[:-1]
+        try:
+            return [json.loads(line) for line in lines]
+        except ValueError as error:
+            raise BadInput(f"{self.metrics}: a row is not JSON ({error}); {_RENEW}") from None
+
+    def _cut_metrics(self, length: int) -> None:
+        have = self.metrics.stat().st_size if self.metrics.exists() else 0
+        if have < length:
+            raise BadInput(f"{self.metrics}: {have} bytes, {length} at the checkpoint; {_RENEW}")
+        if have > length:
+            with output_errors(self.metrics):
+                os.truncate(self.metrics, length)

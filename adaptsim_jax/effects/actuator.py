@@ -1,0 +1,145 @@
+"""Effects between the command that was recorded and the torque that reached the joint.
+
+Commands are held from their row to the next; what an effect returns is each row's mean, so impulses are exact.
+`t: [T, ...]` s and `u: [T, ...]` N m have time first, parameters are `[1, ...]`; the last row lasts no time.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.effects.base import NINETY, Effect, Parameter
+
+LEAST_TORQUE = 0.15  # of the command, that a wrong torque constant leaves
+
+
+def _durations(t):
+    return jnp.concatenate([jnp.diff(t, axis=0), jnp.zeros_like(t[:1])])
+
+
+def torque_gain(p, t, u):
+    return (1.0 + p["gain"]) * u
+
+
+def saturation(p, t, u):
+    """The limit is written as a share cut off the largest command, so that no cut changes nothing. With softness the knee is
+    round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness."""
+    level = (1.0 - p["cut"]) * p["peak"]
+    sharp = jnp.clip(u, -level, level)
+    n = 1.0 / jnp.maximum(p["softness"], 0.02)
+    over = jnp.abs(u) / level
+    most = jnp.maximum(over, 1.0)  # what is raised to n stays within 1
+    round_ = u / (most * (most**-n + (over / most) ** n) ** (1.0 / n))
+    share = jnp.where(p["softness"] > 0.0, jnp.clip(p["cut"] / 1e-3, 0.0, 1.0), 0.0)
+    return sharp + share * (round_ - sharp)
+
+
+def dead_zone(p, t, u):
+    return u - jnp.clip(u, -p["width"], p["width"])
+
+
+def delay(p, t, u):
+    """Exact mean of the shifted command over each row, through its running integral (differentiable in the delay)."""
+    duration = _durations(t)
+    integral = jnp.concatenate([jnp.zeros_like(u[:1]), jnp.cumsum(u * duration, 0)[:-1]])
+    t, late = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
+    arrived = _integral_at(t, u, integral, late, p["before"] * u[:1])
+    mean = jnp.diff(arrived, axis=0) / jnp.where(duration > 0, duration, 1.0)[:-1]
+    return jnp.concatenate([jnp.where(duration[:-1] > 0, mean, u[:-1]), u[-1:]])
+
+
+def _integral_at(t, u, integral, at, before):
+    """Running integral of the held command at times `at`, with a command `before: [1, ...]` ahead of the first row."""
+
+    def one(t, u, integral, at, before):
+        row = jnp.clip(
+            jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 1
+        )  # left: a knot belongs to the row before
+        return integral[row] + jnp.where(at < t[0], before[0], u[row]) * (at - t[row])
+
+    flat = [z.reshape(z.shape[0], -1) for z in (t, u, integral, at, before)]
+    return jax.vmap(one, 1, 1)(*flat).reshape(u.shape)
+
+
+def actuator_lag(p, t, u):
+    """First-order lag, from a share of the first command on: exact state at each row, exact mean over it."""
+    duration = _durations(t) * jnp.ones_like(u)
+    lag = jnp.maximum(p["lag"], 1e-9)
+    keep = jnp.exp(-duration / lag)
+
+    def row(state, now):
+        u, keep = now
+        return u + (state - u) * keep, state
+
+    _, state = jax.lax.scan(row, (p["before"] * u[:1])[0], (u, keep))
+    share = p["lag"] * (1.0 - keep) / jnp.where(duration > 0, duration, 1.0)
+    return u + (state - u) * share
+
+
+def _delays(reach, joint):
+    return [{"delay": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
+
+
+def _lags(reach, joint):
+    return [{"lag": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
+
+
+def _cuts(reach, joint):
+    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
+
+
+def _widths(reach, joint):
+    return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
+
+
+def _no_gain(value, error, q, duration) -> str:
+    """With next to no torque the model has another scale, and its forces may be anything."""
+    least = 1.0 + value["gain"] - NINETY * error.get("gain", 0.0)
+    return (
+        f"it may leave {100 * max(least, 0.0):.0f} % of the torque, as no motor's constant does"
+        if least < LEAST_TORQUE
+        else ""
+    )
+
+
+BEFORE = Parameter(
+    "before", "1", 0.0, 1.0, 0.0, None, optional=True, meaning="torque as a trial begins, over its first command"
+)
+"""No log says what was commanded before it began."""
+
+COMMAND = (
+    Effect(
+        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
+        "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
+        jump=True, grid=_delays,
+        formula="command(t - delay)",
+    ),
+    Effect(
+        "saturation", "command", (
+            Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
+            Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest command recorded; not fitted"),
+            Parameter("softness", "1", 0.0, 0.7, 0.0, None, optional=True, meaning="of the knee; 0 is sharp", late=True),
+        ), saturation,
+        "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
+        ("torque_gain",), smooth=False, jump=True, grid=_cuts,
+        formula="command within +-(1 - cut) peak, the knee round where there is softness",
+    ),
+    Effect(
+        "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
+        "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
+        ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
+        formula="command less width, zero within +-width",
+    ),
+    Effect(
+        "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
+        "the torque constant is off by a share", "driven motion beside free swings",
+        ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
+        amiss=_no_gain,
+        formula="(1 + gain) command",
+    ),
+    Effect(
+        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
+        "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
+        jump=True, grid=_lags,
+        formula="lag torque' = command - torque",
+    ),
+)  # fmt: skip

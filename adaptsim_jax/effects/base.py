@@ -1,0 +1,182 @@
+"""What can be added to a model: `Effect`, one entry in one place; `layout.py` has the catalogue of them.
+
+An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its
+one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+
+PLACES = ("command", "force", "measurement")
+NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
+UNITS = {
+    "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
+    "N m": (1, 0), "N m/rad": (1, 0), "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
+}  # fmt: skip
+"""Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
+SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motion could do
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
+
+    low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
+    serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1 where only positive values are that
+    effect. A `held` shape is chosen on the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is
+    `default` there. `meaning`: what it is, where its name does not say. A `late` one stays at its default until its effect has
+    been found (`sysid/select/nested.py`).
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    default: float
+    off: float | None = 0.0
+    sign: int = 0
+    plausible: float | None = None
+    held: bool = False
+    optional: bool = False
+    meaning: str = ""
+    late: bool = False
+
+    def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
+        """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s, `speed` rad/s, those of what makes
+        a torque of its motion (a drag) are as much wider as it takes for the same torque."""
+        torques, times = UNITS[self.unit]
+        slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0) if torques else 1.0
+        return self.low * torque**torques * slow, self.high * torque**torques * slow
+
+
+class Motion(NamedTuple):
+    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [1, ...]` s since the trial began, its own
+    `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and `clock: [1, ...]` s, the time of what goes on whether a
+    trial runs or not (None: the same as `t`)."""
+
+    q: jax.Array
+    v: jax.Array
+    u: jax.Array
+    t: jax.Array
+    memory: jax.Array
+    gravity: Callable
+    clock: jax.Array | None = None
+
+
+class Dry(NamedTuple):
+    """Dry friction: a `level` [N m] that opposes the motion or holds the joint still, and a smooth `force` beside it.
+
+    The level is a number, not a force, because only the integrator knows which force at rest stops the motion. With a `width`
+    [rad/s] the direction turns as tanh(v / width), and a joint that is held creeps.
+    """
+
+    level: jax.Array
+    force: jax.Array | float = 0.0
+    width: jax.Array | float = 0.0
+
+
+@dataclass(frozen=True)
+class Sharp:
+    """An effect's `apply` with dry friction of no width, whatever its parameters: known when compiled, it is a tenth of the work
+    where environments are batched."""
+
+    apply: Callable
+
+    def __call__(self, p, motion: Motion):
+        answer = self.apply(p, motion)
+        return answer._replace(width=0.0) if isinstance(answer, Dry) else answer
+
+
+class Relaxation(NamedTuple):
+    """A force with memory: `force`, and `d memory / dt = rate (target - memory)`, integrated exactly over a step."""
+
+    force: jax.Array
+    target: jax.Array
+    rate: jax.Array
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What the data cover, per joint `[n]`: from it shape grids and bounds are made."""
+
+    torque: np.ndarray  # N m, exceeded by 0.2 % of the samples
+    peak: np.ndarray  # N m, the largest
+    speed: np.ndarray  # rad/s, 90 % quantile of |v|
+    q_low: np.ndarray
+    q_high: np.ndarray
+    duration: float  # s, of a trial
+    dt: float  # s, median row
+    inertia: np.ndarray  # kg m^2
+    tone: float = 0.0  # Hz, a frequency that the data of long trials suggest; 0: none
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect. `apply` is its one function, by place:
+
+    - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to the next row;
+    - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where `memory` is true; where
+      `inertia` is true, `apply(p) -> kg m^2` added to the joint;
+    - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
+      says; `first` is the angle that it did say at the first time, for sensors that remember.
+
+    `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
+    value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
+    as it does not act linearly. `starts(reach, joint) -> [{parameter: value}, ...]`: where plain fits of it start as well, if a
+    linear score is a poor guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
+    effects that this one includes as a special case. `clocked`: it follows `motion.clock`, a sine of which (amplitudes sine,
+    cosine; shape frequency) may have another phase in each trial.
+    `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
+    this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
+    `formula`: the physics in a line, for people.
+    """
+
+    name: str
+    place: str
+    parameters: tuple[Parameter, ...]
+    apply: Callable
+    physics: str
+    excitation: str
+    look_alikes: tuple[str, ...] = ()
+    scope: str = "joint"
+    smooth: bool = True
+    memory: bool = False
+    inertia: bool = False
+    jump: bool = False
+    clocked: bool = False
+    contains: tuple[str, ...] = ()
+    grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
+    starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
+    amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
+    formula: str = ""
+
+    def __post_init__(self):
+        if self.place not in PLACES:
+            raise BadInput(f"effect {self.name}: place {self.place!r} is unknown; use one of {', '.join(PLACES)}")
+        if self.scope not in ("joint", "base"):
+            raise BadInput(f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'")
+        for p in self.parameters:
+            if p.unit not in UNITS:
+                raise BadInput(f"effect {self.name}: unit {p.unit!r} is unknown; use one of {', '.join(UNITS)}")
+        if not any(p.off is not None for p in self.parameters):
+            raise BadInput(f"effect {self.name}: no parameter turns it off; give one an off value")
+
+    @property
+    def amplitudes(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.off is not None)
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        return tuple(p for p in self.parameters if p.off is None)
+
+    def grid_points(self, reach: Reach, joint: int) -> list[dict[str, float]]:
+        """Fixed shapes to score at; one point of defaults where the effect has no shape."""
+        if self.grid is not None:
+            return self.grid(reach, joint)
+        return [{p.name: p.default for p in self.shapes}]

@@ -1,0 +1,93 @@
+"""The catalogue of effects, and a model's choice of them as one flat vector (`Layout`). What an effect is: `base.py`."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.base import Effect, Parameter, Reach
+
+
+class Instance(NamedTuple):
+    """An effect at a place of the mechanism: `where` is `joint1`, ... or `base`; `at`: its part of the flat vector."""
+
+    effect: Effect
+    where: str
+    joint: int
+    at: slice
+
+
+@dataclass(frozen=True)
+class Layout:
+    """All instances of some effects on `joints`, and their parameters as one flat vector `[E]`."""
+
+    effects: tuple[Effect, ...]
+    joints: tuple[str, ...]
+    instances: tuple[Instance, ...] = field(init=False, compare=False)
+    _starts: dict[str, int] = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self):
+        found, starts, at = [], {}, 0
+        for effect in self.effects:
+            starts[effect.name] = at
+            for i, where in enumerate(self.joints if effect.scope == "joint" else ("base",)):
+                size = len(effect.parameters)
+                found.append(Instance(effect, where, i, slice(at, at + size)))
+                at += size
+        object.__setattr__(self, "instances", tuple(found))
+        object.__setattr__(self, "_starts", starts)
+
+    @property
+    def size(self) -> int:
+        return self.instances[-1].at.stop if self.instances else 0
+
+    def index(self, name: str, where: str) -> int:
+        """Number of an instance; raises BadInput if there is none."""
+        for i, instance in enumerate(self.instances):
+            if (instance.effect.name, instance.where) == (name, where):
+                return i
+        raise BadInput(f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what is")
+
+    def mask(self, active: list[tuple[str, str]]) -> np.ndarray:
+        """`[I]` bool, True for the named instances."""
+        mask = np.zeros(len(self.instances), bool)
+        mask[[self.index(*pair) for pair in active]] = True
+        return mask
+
+    def vector(self, pick: Callable[[Parameter, Instance], float]) -> np.ndarray:
+        """`[E]` of one number a parameter."""
+        return np.array([pick(p, i) for i in self.instances for p in i.effect.parameters], float)
+
+    def off(self) -> np.ndarray:
+        """`[E]`: every amplitude at its off value, every shape at its default."""
+        return self.vector(lambda p, i: p.default if p.off is None else p.off)
+
+    def bounds(self, reach: Reach) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds `[E]` for a rig of that reach."""
+        of = lambda p, i: p.bounds(float(reach.torque[i.joint]), float(reach.speed[i.joint]))
+        return self.vector(lambda p, i: of(p, i)[0]), self.vector(lambda p, i: of(p, i)[1])
+
+    def names(self) -> list[tuple[str, str, str]]:
+        """(effect, where, parameter) of each entry of the vector."""
+        return [(i.effect.name, i.where, p.name) for i in self.instances for p in i.effect.parameters]
+
+    def masked(self, eff: jax.Array, mask: jax.Array) -> jax.Array:
+        """`eff: [E]` with the amplitudes of instances that `mask: [I]` leaves out at their off values."""
+        owner = np.array([k for k, i in enumerate(self.instances) for _ in i.effect.parameters], int)
+        amplitude = np.array([p.off is not None for i in self.instances for p in i.effect.parameters], bool)
+        on = jnp.asarray(mask, bool)[owner] | ~amplitude
+        return jnp.where(on, eff, jnp.asarray(self.off(), eff.dtype))
+
+    def params(self, effect: Effect, eff: jax.Array, trailing: int) -> dict[str, jax.Array]:
+        """`{name: [n, 1, ...]}` of one effect for all joints, with `trailing` axes to broadcast over."""
+        rows = len(self.joints) if effect.scope == "joint" else 1
+        at, width = self._starts[effect.name], len(effect.parameters)
+        block = eff[at : at + rows * width].reshape((rows, width) + (1,) * trailing)
+        return {p.name: block[:, k] for k, p in enumerate(effect.parameters)}
+
+    def placed(self, place: str) -> Iterator[Effect]:
+        return (e for e in self.effects if e.place == place)

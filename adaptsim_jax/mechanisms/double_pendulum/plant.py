@@ -1,0 +1,155 @@
+"""The declared double pendulum as the closed loop knows it: the paper's linear one, and the rigid body in base parameters."""
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.core.constants import GRAVITY
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.trig import sin_cos
+from adaptsim_jax.mechanisms.plant import Physical, Plant
+
+
+def _rigid_mass(c, theta, q):
+    p1, p3, h2 = theta[0], theta[1], theta[3]
+    couple = c["l1"] * h2 * sin_cos(q[1])[1]
+    m12 = p3 + couple
+    m11 = p1 + 2.0 * couple
+    return (m11, m12), (m12, p3)
+
+
+def _rigid_sound(c, theta):
+    """`theta` with the inertias raised until the mass matrix is positive definite at every angle: what a regression says of
+    slow motions need not be. For any two bodies (p1 - p3) p3 >= (l1 h2)^2."""
+    p1, p3 = float(theta[0]), float(theta[1])
+    couple = (1.05 * float(c["l1"]) * float(theta[3])) ** 2
+    if (p1 - p3) * p3 > couple:
+        return theta
+    first = max(p1 - p3, 0.1 * p1)
+    scale = max(1.0, float(np.sqrt(couple / (first * p3))))
+    return np.concatenate([[scale * (first + p3), scale * p3], theta[2:]])
+
+
+def _rigid_gravity(c, theta, q):
+    first, second = sin_cos(jnp.stack([q[0], q[0] + q[1]]))[0]
+    return jnp.stack(_rigid_weight(c, theta, first, second))
+
+
+def _rigid_weight(c, theta, first, second):
+    """Gravity on each joint from the sines of the links' angles."""
+    weight = -c["gravity_sign"] * c["g"]
+    outer = weight * theta[3] * second
+    return weight * theta[2] * first + outer, outer
+
+
+def _rigid_push(c, theta, q, v):
+    """Coriolis, gravity and viscous forces of the rigid double pendulum (q2 relative to link 1)."""
+    first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
+    bend = c["l1"] * theta[3] * elbow
+    g1, g2 = _rigid_weight(c, theta, first, second)
+    f1 = bend * v[1] * (2.0 * v[0] + v[1]) + g1 - theta[4] * v[0]
+    return jnp.stack([f1, g2 - bend * v[0] * v[0] - theta[5] * v[1]])
+
+
+def _rigid_momentum_push(c, theta, q, v):
+    """dL/dq and the viscous force: what changes the momentum M v when no torque acts."""
+    first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
+    bend = c["l1"] * theta[3] * elbow
+    g1, g2 = _rigid_weight(c, theta, first, second)
+    return jnp.stack([g1 - theta[4] * v[0], g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]])
+
+
+def _rigid_declared(c, theta, known):
+    """Masses, centres and inertias stand behind p1, p3, h1, h2; only with some of them known can the rest be told."""
+    p1, p3, h1, h2, b1, b2 = (float(t) for t in theta)
+    l1 = float(c["l1"])
+    m1, m2 = known.get("m1"), known.get("m2")
+    first = None if m2 is None else h1 - m2 * l1  # m1 lc1
+    lc2 = None if m2 is None else h2 / m2
+    lc1 = None if m1 is None or first is None else first / m1
+    inertia2 = None if m2 is None or lc2 is None else p3 - m2 * lc2**2
+    inertia1 = None if m1 is None or m2 is None or lc1 is None else p1 - p3 - m2 * l1**2 - m1 * lc1**2
+    values = {"m1": (m1, "kg"), "m2": (m2, "kg"), "lc1": (lc1, "m"), "lc2": (lc2, "m")}
+    values |= {"I1": (inertia1, "kg m^2"), "I2": (inertia2, "kg m^2"), "b1": (b1, "N m s/rad"), "b2": (b2, "N m s/rad")}
+    return {k: Physical(v, unit, v is not None) for k, (v, unit) in values.items()}
+
+
+def _linear_mass(c, theta, q):
+    m1, m2 = theta[0], theta[1]
+    return (m1 + 4.0 * m2, 2.0 * m2), (2.0 * m2, m2)
+
+
+def _linear_gravity(c, theta, q):
+    """Linearized about upright: g [[m1 + 2 m2, m2], [m2, m2]] q (the paper's A times M)."""
+    return jnp.stack(_linear_weight(c, theta, q))
+
+
+def _linear_weight(c, theta, q):
+    m1, m2 = theta[0], theta[1]
+    second = m2 * (q[0] + q[1])
+    return c["g"] * ((m1 + m2) * q[0] + second), c["g"] * second
+
+
+def _linear_push(c, theta, q, v):
+    g1, g2 = _linear_weight(c, theta, q)
+    return jnp.stack([g1 - theta[2] * v[0], g2 - theta[3] * v[1]])
+
+
+def _linear_declared(c, theta, known):
+    units = ("kg", "kg", "N m s/rad", "N m s/rad")
+    names = ("m1", "m2", "b1", "b2")
+    return {k: Physical(float(t), unit, True) for k, t, unit in zip(names, theta, units, strict=True)}
+
+
+def make_pendulum_plant(
+    model: str, angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float] | None = None
+) -> Plant:
+    """The declared pendulum: `linearized` (unit lengths, about upright; theta = m1, m2, b1, b2) or `rigid_body`
+    (theta = p1 = I1 + m1 lc1^2 + m2 l1^2 + p3, p3 = I2 + m2 lc2^2, h1 = m1 lc1 + m2 l1, h2 = m2 lc2, b1, b2).
+
+    geometry: l1 [m] (needed by `rigid_body`), g [m/s^2]. A `known` name that is in theta is held at its value.
+    Raises BadInput on an unknown model or angle zero, or a missing length.
+    """
+    known = dict(known or {})
+    if model == "linearized":
+        names, units = ("m1", "m2", "b1", "b2"), ("kg", "kg", "N m s/rad", "N m s/rad")
+        low, high = np.array([1e-3, 1e-3, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3])
+        functions = (_linear_mass, _linear_push, _linear_gravity, _linear_push, _linear_declared)
+        sound = None  # positive masses are enough
+        constants = {"g": np.asarray(float(geometry.get("g", GRAVITY)))}
+    elif model == "rigid_body":
+        if angle_zero not in ("upright", "hanging"):
+            raise BadInput(f"meta.toml: angle_zero {angle_zero!r} is unknown; use 'upright' or 'hanging'")
+        if "l1" not in geometry:
+            raise BadInput("meta.toml: [geometry] lacks l1, the length of link 1; add it in metres")
+        names = ("p1", "p3", "h1", "h2", "b1", "b2")
+        units = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
+        low, high = np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3])
+        functions = (_rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push, _rigid_declared)
+        sound = _rigid_sound
+        sign = 1.0 if angle_zero == "hanging" else -1.0
+        constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
+        constants = {k: np.asarray(float(v)) for k, v in constants.items()}
+    else:
+        raise BadInput(f"meta.toml: model {model!r} is unknown; use 'linearized' or 'rigid_body'")
+    for i, name in enumerate(names):
+        if name in known:
+            low[i] = high[i] = known[name]
+    mass, push, gravity, momentum_push, declared = functions
+    return Plant(
+        f"pendulum/{model}",
+        2,
+        2,
+        names,
+        units,
+        mass,
+        push,
+        gravity,
+        momentum_push,
+        declared,
+        constants,
+        low,
+        high,
+        sound,
+    )

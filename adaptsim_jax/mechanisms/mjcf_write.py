@@ -1,0 +1,117 @@
+"""A user's model file with other numbers in it: fitted inertias, friction, gains. URDF in gives MJCF out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inverse
+from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_spec
+
+LEAST_MOMENT = 1e-9  # kg m^2
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What to put in; None, or a joint that a table does not name, stays as it is.
+
+    inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss (N m), stiffness (N m/rad),
+    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, delay and
+    lag in s, limit (N m); comments: what the file cannot hold, a line each.
+    """
+
+    inertial: np.ndarray | None = None
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    gravity: np.ndarray | None = None
+    actuators: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    comments: Sequence[str] = ()
+
+
+def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
+    """The model file as MJCF text with `changes` in it. Raises BadInput where MuJoCo refuses the result."""
+    spec, _ = read_spec(mechanism.path)
+    if changes.inertial is not None:
+        _put_inertias(spec, mechanism, np.asarray(changes.inertial))
+    for joint in spec.joints:
+        for key, table in changes.joints.items():
+            if joint.name in table:
+                _put(joint, key, float(table[joint.name]))
+    if changes.gravity is not None:
+        spec.option.gravity = np.asarray(changes.gravity, float)
+    step = float(spec.option.timestep)
+    for actuator in spec.actuators:
+        for key, table in changes.actuators.items():
+            if actuator.name in table:
+                _put_actuator(actuator, key, float(table[actuator.name]), step)
+    compiled(mechanism.path, spec)
+    return _commented(spec.to_xml(), changes.comments)
+
+
+def write_mjcf(mechanism: Mechanism, path: str | Path, changes: Changes) -> None:
+    """`mended_mjcf` into a file, whole or not at all."""
+    write_bytes(Path(path), mended_mjcf(mechanism, changes).encode())
+
+
+def _put(element, key: str, value: float) -> None:
+    """A number, or the first of a polynomial's coefficients."""
+    now = getattr(element, key)
+    if np.ndim(now):
+        setattr(element, key, [value, *np.asarray(now).ravel()[1:]])
+    else:
+        setattr(element, key, value)
+
+
+def _put_actuator(actuator, key: str, value: float, step: float) -> None:
+    gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
+    if key in ("gain", "kp"):
+        gain[0] *= value
+        bias[:2] *= value
+        bias[2] *= value if key == "gain" else 1.0
+        actuator.gainprm, actuator.biasprm = gain, bias
+    elif key == "limit":
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.forcerange = [-value, value]
+    elif key == "delay":
+        actuator.delay = value
+        actuator.nsample = int(np.ceil(value / step)) + 2
+    elif key == "lag":
+        actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        dyn = np.array(actuator.dynprm)
+        dyn[0] = value
+        actuator.dynprm = dyn
+    else:
+        raise ValueError(f"an actuator has no {key}")
+
+
+def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
+    """Each joint's body gets what is left of its inertia once the bodies that are welded to it have theirs."""
+    tree, frames = mechanism.tree, mechanism.frames
+    for j, name in enumerate(tree.body_names):
+        if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
+            continue
+        others = [b for b in spec.bodies if frames.carrier.get(b.name, -1) == j and b.name != name]
+        for other in others:  # welded bodies become part of the one that moves them
+            other.explicitinertial = True
+            other.mass, other.inertia, other.fullinertia = 0.0, [0.0] * 3, [np.nan, 0, 0, 0, 0, 0]
+            for geom in other.geoms:
+                geom.mass, geom.density = 0.0, 0.0
+        body = next(b for b in spec.bodies if b.name == name)
+        mass, com, about = central(in_frame(inertial[j], inverse((frames.place[name], frames.rotation[name]))))
+        value, vector = np.linalg.eigh(0.5 * (about + about.T))
+        value = np.maximum(value, LEAST_MOMENT)
+        value[-1] = min(value[-1], value[0] + value[1])  # rounding must not break the triangle inequality
+        if np.linalg.det(vector) < 0:
+            vector[:, 0] *= -1.0
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, vector.ravel())
+        body.explicitinertial = True
+        body.mass, body.ipos, body.iquat, body.inertia = mass, com, quaternion, value
+        body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+
+
+def _commented(xml: str, comments: Sequence[str]) -> str:
+    lines = [f"<!-- {line.replace('--', '- -')} -->" for line in comments]
+    return "\n".join([*lines, xml]) if lines else xml

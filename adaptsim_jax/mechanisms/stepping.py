@@ -1,0 +1,276 @@
+"""Time stepping of a plant with effects: forces, dry friction by its mean over a step, memories relaxed exactly.
+
+Any axes of a batch lie last. Effects are evaluated once for all joints and the four Runge-Kutta stages are a loop, so
+the graph stays small and vectorises.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.effects.base import Dry, Motion, Relaxation
+from adaptsim_jax.effects.layout import Layout
+from adaptsim_jax.mechanisms.dry_friction import mean_friction, sharp_friction, typical_speed, within
+from adaptsim_jax.mechanisms.plant import Plant, solve_mass
+
+Sum = Any  # an array `[n, ...]`, or None
+TOGETHER = 5  # effects that are asked about at once
+
+
+@dataclass(frozen=True)
+class Model:
+    """A plant and the effects that may act on it."""
+
+    plant: Plant
+    layout: Layout
+
+
+jax.tree_util.register_dataclass(Model, data_fields=["plant"], meta_fields=["layout"])
+
+
+class Push(NamedTuple):
+    """Constant additions over a row, for sensitivities: `force [n, ...]` N m, `inertia [n, ...]` kg m^2."""
+
+    force: jax.Array
+    inertia: jax.Array
+
+
+def make_model(plant: Plant, effects: tuple) -> Model:
+    """A model with all instances of `effects` on the plant's joints."""
+    return Model(plant, Layout(tuple(effects), plant.joints))
+
+
+def motion_of(model: Model, theta, q, v, u, t, memory) -> Motion:
+    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar; or `[2, ...]`, time and `Motion.clock`."""
+    t = _lift(t, q)
+    time, clock = (t[:1], t[1:]) if t.ndim == q.ndim > 1 and t.shape[0] == 2 else (t, t)
+    return Motion(q, v, u, time, memory, lambda q: model.plant.gravity_force(theta, q), clock)
+
+
+def relax(answer: Relaxation, w, h):
+    """A memory `[n, ...]` after `h: [...]` s at constant target and rate."""
+    return answer.target + (w - answer.target) * jnp.exp(-answer.rate * _lift(h, w))
+
+
+def _lift(z, like):
+    """A number per lane with a first axis to broadcast over joints or states; a scalar stays one."""
+    z = jnp.asarray(z)
+    return z[None] if 0 < z.ndim < like.ndim else z
+
+
+def _later(t, h):
+    """Time `t: [...]`, or time and clock `[2, ...]`, after `h: [...]` s."""
+    t, h = jnp.asarray(t), jnp.asarray(h)
+    return t + (h[None] if t.ndim > h.ndim > 0 else h)
+
+
+class Acting(NamedTuple):
+    """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia (kg m^2), and the friction
+    times the width within which it turns (W); None for what was not asked for."""
+
+    force: Sum
+    level: Sum
+    inertia: Sum
+    blur: Sum
+
+
+PUSHING = ("force", "inertia")
+RUBBING = ("level", "blur")
+
+
+def acting(
+    model: Model,
+    theta,
+    eff,
+    memory,
+    x,
+    u,
+    t,
+    on=None,
+    effects: list | None = None,
+    only: tuple[str, ...] = Acting._fields,
+) -> Acting:
+    """What the force effects do at `x`, `[S, ...]` or as many `[...]`. on `[effects]`: those that are False are skipped, at no
+    cost but the question, which is put to several of them at once first; all count where None. effects: others are left out.
+    only: fields that are wanted, as each is carried through every question."""
+    n = model.plant.joint_dim
+    every = list(model.layout.placed("force"))
+    memories = dict(zip((e.name for e in every if e.memory), memory, strict=True))
+    effects = every if effects is None else effects
+
+    def one(total: Acting, effect, p, w) -> Acting:
+        answer = effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
+        said = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
+        if isinstance(answer, Dry):
+            said |= {"level": answer.level, "blur": answer.level * answer.width}
+        return total._replace(**{field: getattr(total, field) + said[field] for field in said if field in only})
+
+    def add(total: Acting, group) -> Acting:
+        for effect in group:
+            p = model.layout.params(effect, eff, jnp.ndim(x[0]))
+            w = memories.get(effect.name, zero)
+            total = _where_on(model, effect, on, one, total, effect, p, w)
+        return total
+
+    x = [jnp.asarray(z) for z in x]
+    zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
+    total = Acting(*(zero if field in only else None for field in Acting._fields))
+    if "inertia" in only:  # numbers that no state changes: zero where the effect is off
+        inert = [effect.apply(model.layout.params(effect, eff, jnp.ndim(x[0]))) for effect in effects if effect.inertia]
+        total = total._replace(inertia=sum(inert, total.inertia))
+    effects = [effect for effect in effects if not effect.inertia]
+    if on is None:
+        return add(total, effects)
+    for at in range(0, len(effects), TOGETHER):
+        group = effects[at : at + TOGETHER]
+        total = jax.lax.cond(_any_on(model, group, on), partial(add, group=group), lambda total: total, total)
+    return total
+
+
+def remember(model: Model, theta, eff, memory, x, u, t, h, on=None) -> tuple[jax.Array, ...]:
+    """The effects' memories after `h` s at a constant state (S times `[W]`); those that are off stay as they are."""
+    n = model.plant.joint_dim
+    effects = [e for e in model.layout.placed("force") if e.memory]
+    out = []
+    for effect, w in zip(effects, memory, strict=True):
+        p = model.layout.params(effect, eff, 1)
+
+        def later(w, p, theta, x, u, t, h, effect=effect):
+            return relax(effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)), w, h)
+
+        out.append(_where_on(model, effect, on, later, w, p, theta, x, u, t, h))
+    return tuple(out)
+
+
+def _where_on(model: Model, effect, on, change: Callable, value, *args):
+    """`change(value, *args)` if `effect` is on, else `value`."""
+    if on is None:
+        return change(value, *args)
+    return jax.lax.cond(_any_on(model, [effect], on), lambda value: change(value, *args), lambda value: value, value)
+
+
+def _any_on(model: Model, effects: list, on) -> jax.Array:
+    return jnp.stack([on[model.layout.effects.index(e)] for e in effects]).any()
+
+
+def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps, on=None, ramp=None):
+    """States and memories after a row of `dt: [W]` s from `x`, S times `[W]`: Runge-Kutta 4, memories relaxed exactly by half a
+    substep on each side of it (Strang splitting). A state at a time, since stacking them costs more than the dynamics do.
+
+    substeps: how many; as an array, one program does for any number. on `[effects]`: as of `acting`; ramp `[U, W]` N m: how much
+    the command rises over the row, `u` being its mean.
+    """
+    h = dt / substeps
+    kind = jnp.result_type(x[0])
+    stages = (jnp.array([0.0, 0.5, 0.5, 1.0], kind), jnp.array([1.0, 2.0, 2.0, 1.0], kind) / 6.0)
+
+    def substep(carry, i):
+        x, memory = carry
+        now = _later(t, i * h)
+        memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h, on)
+
+        rub = rise = jnp.zeros_like(push.force)
+        if dry:
+            rubbing = lambda: _dry_force(
+                model, theta, eff, memory, jnp.stack(x), u, now, h, push, on, smooth, dry, sharp
+            )
+            still = lambda: (rub, rise)
+            rub, rise = rubbing() if on is None else jax.lax.cond(_any_on(model, dry, on), rubbing, still)
+
+        def stage(inner, ab):
+            slope, total = inner
+            a, b = ab
+            at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
+            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on, smooth, PUSHING)
+            here = u if ramp is None else u + ((i + a) / substeps - 0.5) * ramp
+            rubs = rub + (a - 0.5) * rise
+            force = [f + r + p for f, r, p in zip(act.force, rubs, push.force, strict=True)]
+            inertia = [m + p for m, p in zip(act.inertia, push.inertia, strict=True)]
+            slope = model.plant.rates(theta, at, here, force, inertia)
+            return (slope, [t + b * d for t, d in zip(total, slope, strict=True)]), None
+
+        zero = [jnp.zeros_like(z) for z in x]
+        (_, total), _ = jax.lax.scan(stage, (zero, zero), stages)
+        x = [z + h * t for z, t in zip(x, total, strict=True)]
+        memory = remember(model, theta, eff, memory, x, u, _later(now, h), 0.5 * h, on)
+        return (x, memory), None
+
+    x = list(x)
+    smooth, dry, sharp = _sorted(model, theta, eff, x, u, t)
+    if isinstance(substeps, int) and substeps == 1:
+        return substep((x, memory), 0.0)[0]
+    return jax.lax.fori_loop(0, substeps, lambda i, carry: substep(carry, jnp.asarray(i, kind))[0], (x, memory))
+
+
+def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
+    """The force effects that push smoothly or add inertia, and those that rub dry (some do both), whether all without a width."""
+    smooth, dry, wide = [], [], []
+
+    def answer(effect):
+        q, v = jnp.split(jnp.stack(x), 2)
+        said = effect.apply(model.layout.params(effect, eff, 1), motion_of(model, theta, q, v, u, t, jnp.zeros_like(q)))
+        rubs = isinstance(said, Dry)
+        dry.extend([effect] if rubs else [])
+        wide.extend([effect] if rubs and not isinstance(said.width, float) else [])
+        smooth.extend([] if rubs and isinstance(said.force, float) and said.force == 0.0 else [effect])
+
+    for effect in model.layout.placed("force"):
+        if effect.inertia:
+            smooth.append(effect)
+        else:
+            jax.eval_shape(lambda effect=effect: answer(effect))
+    return smooth, dry, not wide
+
+
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smooth: list, dry: list, sharp: bool):
+    """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]` both.
+
+    Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
+    then held by just the force that holds it. So joints stick without creeping whatever the step, and nothing is stiff,
+    unlike with a smoothed sign. Joints act on each other through the inverse mass: a sweep of Gauss-Seidel at the start of the step,
+    from the forces that would stop all of them at once, and one from there in its middle.
+    """
+    n, plant = model.plant.joint_dim, model.plant
+    v, wide = x[n:], _lift(h, x[:n])
+    unit = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1)) + jnp.zeros_like(x[:n])[None]
+
+    mean_of = (lambda v, torque, level, _, *inert: sharp_friction(v, torque, level, *inert)) if sharp else mean_friction
+
+    def rub(at, late):
+        """Friction as at a state of the step and its level as at a speed; the state in the middle of the step under it, and the
+        speed that is typical of the step."""
+        z, speed, force = at
+        now = _later(t, late * h)
+        act = acting(model, theta, eff, memory, z, u, now, on, smooth, PUSHING)
+        rough = acting(model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, on, dry, RUBBING)
+        inertia, level = act.inertia + push.inertia, rough.level
+        width = jnp.where(late > 0, rough.blur / jnp.maximum(level, 1e-9), 0.0)  # only once: it is most of the work
+        free = plant.deriv(theta, z, u, act.force + push.force, inertia)[n:]
+        mass = plant.mass_matrix(theta, z[:n])
+        answer = jnp.stack([jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)])  # [force, acceleration]
+        stop = free + v / jnp.where(wide > 0, wide, 1.0)
+        hold = within(-(sum(mass[:, k] * stop[None, k] for k in range(n)) + inertia * stop), level)
+        force = jnp.where(late > 0, force, hold)
+
+        def turn(rubs, j):
+            """One joint's, the others' given."""
+            force, rise = rubs
+            own = answer[j, j]
+            torque = (free[j] + sum(answer[k, j] * force[k] for k in range(n))) / own - force[j]
+            mean, slope = mean_of(v[j], torque, level[j], width[j], 1.0 / own, h)
+            return (force.at[j].set(mean), rise.at[j].set(slope)), None
+
+        (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.arange(n))
+        end = v + wide * (free + sum(answer[k] * force[None, k] for k in range(n)))
+        half = 0.5 * (v + end)
+        middle = jnp.concatenate([x[:n] + 0.25 * wide * (v + half), half])
+        return (middle, typical_speed(v, end), force), rise
+
+    # loops, as a program with each joint and time written out would take several times as long to compile; sums over the joints
+    # are written out, as a reduction of two numbers goes through a library that takes longer than all the rest
+    (_, _, force), rise = jax.lax.scan(rub, (x, v, jnp.zeros_like(v)), jnp.array([0.0, 0.5], x.dtype))
+    return force, rise[-1]

@@ -1,0 +1,228 @@
+"""The schema of `meta.toml`: what a person declares about a recording, checked key by key."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from adaptsim_jax.core.config import read, suggest
+from adaptsim_jax.core.constants import GRAVITY
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
+
+MODELS = ("linearized", "rigid_body")
+ANGLE_ZEROS = ("upright", "hanging")
+TORQUE_SOURCES = ("measured", "commanded", "applied")
+CHANNELS = ("q1", "q2", "v1", "v2", "tau1", "tau2")
+GROUPS = {"q": "angle", "v": "velocity", "tau": "torque"}
+"""Column stem -> the unit group that it belongs to."""
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+ANGLE_UNITS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
+VELOCITY_UNITS = {
+    "rad/s": 1.0,
+    "mrad/s": 1e-3,
+    "deg/s": math.pi / 180,
+    "rev/s": 2 * math.pi,
+    "rpm": 2 * math.pi / 60,
+    "rad/ms": 1e3,
+    "deg/ms": 1e3 * math.pi / 180,
+}
+TORQUE_UNITS = {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kgfcm": 0.0980665, "kgcm": 0.0980665}
+UNITS = {"time": TIME_UNITS, "angle": ANGLE_UNITS, "velocity": VELOCITY_UNITS, "torque": TORQUE_UNITS}
+SPELLED = {
+    "seconds": "s",
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "radians": "rad",
+    "degrees": "deg",
+    "revolutions": "rev",
+}
+"""Units written out, as people do; `degrees/s` is read too."""
+
+TEXT_KEYS = ("name", "description", "note", "source", "license")
+REQUIRED = ("task", "model", "angle_zero")
+TABLES = ("geometry", "known", "noise", "units")
+KEYS = (*REQUIRED, *TABLES, "model_file", "torque", "unactuated", *TEXT_KEYS)
+
+
+@dataclass(frozen=True)
+class Meta:
+    """What `meta.toml` declares; `scale` turns each column into SI: `si = scale[column] * read`."""
+
+    task: str
+    model: str
+    angle_zero: str
+    model_file: str | None = None
+    torque: str | None = None
+    unactuated: tuple[int, ...] = ()
+    geometry: dict[str, float] = field(default_factory=dict)
+    known: dict[str, float] = field(default_factory=dict)
+    noise: dict[str, float] = field(default_factory=dict)
+    scale: dict[str, float] = field(default_factory=dict)
+    angle_stated: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def read_meta(path: str | Path) -> Meta:
+    """Read and check a `meta.toml`. Raises `BadInput` naming the file and the key."""
+    path = Path(path)
+    raw = read(path, "missing; write one with task, model and angle_zero")
+    for key in raw:
+        if key not in KEYS:
+            raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")
+    for key in REQUIRED:
+        if key not in raw:
+            raise BadInput(f"{path}: key {key!r} is missing; add {key} = {_example(key)}")
+    for key in TABLES:
+        if not isinstance(raw.get(key, {}), dict):
+            raise BadInput(f"{path}: {key} must be a table; write [{key}] with a key = value line each")
+    for key in TEXT_KEYS:
+        _choice(path, raw, key, None)
+    model, model_file = _model(path, raw)
+    given = read(model_file).get("geometry", {}) if model_file else {}
+    geometry, notes = _geometry(path, given | raw.get("geometry", {}) if isinstance(given, dict) else {}, model)
+    return Meta(
+        task=_choice(path, raw, "task", ("pendulum",)) or "",
+        model=model,
+        angle_zero=_choice(path, raw, "angle_zero", ANGLE_ZEROS) or "",
+        model_file=model_file,
+        torque=_choice(path, raw, "torque", TORQUE_SOURCES),
+        unactuated=_joints(path, raw.get("unactuated", [])),
+        geometry=geometry,
+        known={k: _number(path, f"known.{k}", v) for k, v in raw.get("known", {}).items()},
+        noise=_noise(path, raw.get("noise", {})),
+        scale=_scales(path, raw.get("units", {})),
+        angle_stated=not {"angle", "q", "q1", "q2"}.isdisjoint(raw.get("units", {})),
+        notes=notes,
+    )
+
+
+def check_known(path: str, known: dict[str, float], names: tuple[str, ...]) -> None:
+    """Raise `BadInput` where `[known]` names a parameter that the model has not ."""
+    for key in known:
+        if key not in names:
+            raise BadInput(f"{path}/meta.toml: [known] {key!r} is no parameter of the model; {suggest(key, names)}")
+
+
+def _example(key: str) -> str:
+    examples = {
+        "task": '"pendulum"',
+        "model": '"rigid_body" or "linearized"',
+        "angle_zero": '"hanging" or "upright"',
+    }
+    return examples[key]
+
+
+def _choice(path: Path, raw: dict, key: str, valid: tuple[str, ...] | None) -> str | None:
+    if key not in raw:
+        return None
+    value = raw[key]
+    if not isinstance(value, str):
+        raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
+    if valid is not None and value not in valid:
+        raise BadInput(f"{path}: {key} = {brief(value)} is unknown; {suggest(value, valid)}")
+    return value
+
+
+def _number(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise BadInput(f"{path}: {key} must be a number, not {brief(value)}")
+    number = finite(value)
+    if number is None:
+        raise BadInput(f"{path}: {key} = {brief(value)} is not finite; give the value in SI units")
+    return number
+
+
+def _model(path: Path, raw: dict) -> tuple[str, str | None]:
+    """The base model, and the path of a mended model where one is named (parsed by its own reader)."""
+    value = _choice(path, raw, "model", None) or ""
+    file = _choice(path, raw, "model_file", None)
+    if value.endswith(".toml"):
+        file, value = value, ""
+    if file is None:
+        return _choice(path, raw, "model", MODELS) or "", None
+    where = (path.parent / file).resolve()
+    if not where.is_file():
+        raise BadInput(f"{path}: model file {file!r} does not exist beside it; give its path relative to the folder")
+    base = value or read(where).get("model")
+    if not isinstance(base, str) or base not in MODELS:
+        raise BadInput(f"{where}: model = {brief(base)} is unknown; it must be one of {', '.join(MODELS)}")
+    return base, str(where)
+
+
+def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tuple[str, ...]]:
+    valid = ("l1", "l2", "g")
+    for key in raw:
+        if key not in valid:
+            raise BadInput(f"{path}: unknown key {key!r} in [geometry]; {suggest(key, valid)}")
+    given = {k: _number(path, f"geometry.{k}", v) for k, v in raw.items()}
+    for key, value in given.items():
+        if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
+            unit = "m/s^2" if key == "g" else "m"
+            raise BadInput(f"{path}: geometry.{key} = {value:g} is not physical; give it in {unit}, above 0")
+    defaults = {"g": GRAVITY} if model == "rigid_body" else {"l1": 1.0, "l2": 1.0, "g": GRAVITY}
+    assumed = {k: v for k, v in defaults.items() if k not in given}
+    notes = (f"geometry not declared, assumed: {', '.join(f'{k} = {v:g}' for k, v in assumed.items())}",)
+    return {**defaults, **given}, notes if assumed else ()
+
+
+def _noise(path: Path, raw: dict) -> dict[str, float]:
+    """Standard deviations by channel; `q` or `angle`, `v` or `velocity`, `tau` or `torque` stand for both joints."""
+    out: dict[str, float] = {}
+    raw = {stem: raw[group] for stem, group in GROUPS.items() if group in raw} | {
+        k: v for k, v in raw.items() if k not in GROUPS.values()
+    }
+    for key, value in raw.items():
+        if key not in (*CHANNELS, *GROUPS):
+            valid = (*CHANNELS, *GROUPS, *GROUPS.values())
+            raise BadInput(f"{path}: unknown key {key!r} in [noise]; {suggest(key, valid)}")
+        std = _number(path, f"noise.{key}", value)
+        if std < 0:
+            raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
+        names = (key,) if key in CHANNELS else (f"{key}1", f"{key}2")
+        out |= {name: std for name in names if name == key or name not in raw}
+    return out
+
+
+def _joints(path: Path, raw: Any) -> tuple[int, ...]:
+    if not isinstance(raw, list) or any(isinstance(j, bool) or j not in (1, 2) for j in raw):
+        raise BadInput(f"{path}: unactuated must be a list of joint numbers such as [1], not {brief(raw)}")
+    return tuple(sorted(set(raw)))
+
+
+def _scales(path: Path, raw: dict) -> dict[str, float]:
+    """SI scale of every column from `[units]`: by quantity (`angle`), by stem (`q`) or by column (`q1`), the closest word counts.
+
+    The velocity follows the angle of its joint unless it is declared.
+    """
+    valid = (*UNITS, *GROUPS, *CHANNELS)
+    for key in raw:
+        if key not in valid:
+            raise BadInput(f"{path}: unknown key {key!r} in [units]; {suggest(key, valid)}")
+    chosen = {key: _unit(path, key, value) for key, value in raw.items()}
+
+    def unit(column: str) -> str | None:
+        stem = column.rstrip("12")
+        words = (column, stem, GROUPS[stem])
+        return next((chosen[w] for w in words if w in chosen), None)
+
+    columns = {c: unit(c) for c in CHANNELS}
+    for joint in "12":
+        if columns[f"v{joint}"] is None and columns[f"q{joint}"] is not None:
+            columns[f"v{joint}"] = f"{columns[f'q{joint}']}/s"
+    scale = {c: UNITS[GROUPS[c.rstrip("12")]].get(name or "", 1.0) for c, name in columns.items()}
+    commanded = {f"{c}_commanded": scale[c] for c in ("tau1", "tau2")}
+    return {"time": TIME_UNITS.get(chosen.get("time", ""), 1.0), **scale, **commanded}
+
+
+def _unit(path: Path, key: str, value: Any) -> str:
+    """The unit that a line of `[units]` names, by its short name."""
+    if not isinstance(value, str):
+        raise BadInput(f"{path}: units.{key} must be text in quotes, not {brief(value)}")
+    table = UNITS[key if key in UNITS else GROUPS[key.rstrip("12")]]
+    words = "".join(c for c in value if c not in " *.·").split("/")
+    name = "/".join(SPELLED.get(w, w) for w in words)
+    if name not in table:
+        raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(table))}")
+    return name

@@ -1,0 +1,184 @@
+"""One trial's file (`.csv` or `.npz`) read into named columns, every fault named by file and line."""
+
+import csv
+import io
+from codecs import BOM_UTF8
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+
+DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+MIN_ROWS = 20
+EMPTY = "is empty; remove it or record the trial again"
+
+
+@dataclass(frozen=True)
+class Table:
+    """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row) numbers."""
+
+    columns: dict[str, np.ndarray]
+    lines: np.ndarray
+    ignored: tuple[str, ...]
+    row_word: str = "line"
+
+
+def read_table(path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS) -> Table:
+    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others. Raises `BadInput`."""
+    path = Path(path)
+    table = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    n = len(table.lines)
+    if n < least:
+        raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
+    for name, values in table.columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            where = f"{table.row_word} {table.lines[bad[0]]}"
+            more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
+            raise BadInput(f"{path}: {where}: column {name} is {values[bad[0]]}{more}; remove such rows")
+    return table
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror}); check the path and its permissions") from None
+
+
+def _decode(path: Path) -> str:
+    raw = _read_bytes(path)
+    if not raw.removeprefix(BOM_UTF8).strip():
+        raise BadInput(f"{path}: {EMPTY}")
+    if b"\x00" in raw:
+        raise BadInput(f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        line = raw[: e.start].count(b"\n") + 1
+        raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
+
+
+def _rows(path: Path, text: str, delimiter: str) -> tuple[list[list[str]], list[int]]:
+    reader = csv.reader(io.StringIO(text.replace("\r\n", "\n").replace("\r", "\n")), delimiter=delimiter)
+    rows, lines = [], []
+    try:
+        for row in reader:
+            if row and any(cell.strip() for cell in row):
+                rows.append(row)
+                lines.append(reader.line_num)
+    except csv.Error as e:
+        raise BadInput(f"{path}: line {reader.line_num}: not CSV ({e}); mend or remove that line") from None
+    return rows, lines
+
+
+def _read_csv(path: Path, wanted: tuple[str, ...]) -> Table:
+    text = _decode(path)
+    header_line = text.lstrip().splitlines()[0]
+    delimiter = max(DELIMITERS, key=header_line.count)
+    rows, lines = _rows(path, text, delimiter)
+    if not rows:
+        raise BadInput(f"{path}: {EMPTY}")
+    header = [cell.strip().strip('"') for cell in rows[0]]
+    header[0] = header[0].lstrip("# ").strip()
+    _check_header(path, header, wanted, rows[0])
+    rows, lines = rows[1:], lines[1:]
+    for row, line in zip(rows, lines, strict=True):
+        if len(row) != len(header):
+            _ragged(path, line, row, len(header))
+    cells = list(zip(*rows, strict=True)) or [()] * len(header)
+    columns = {
+        name: _numbers(path, name, cells[header.index(name)], lines, delimiter) for name in wanted if name in header
+    }
+    return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted))
+
+
+def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name in names if name not in wanted)
+
+
+def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str]) -> None:
+    if all(_is_number(cell) for cell in cells):
+        raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(wanted)}")
+    for name in header:
+        if name in wanted and header.count(name) > 1:
+            raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
+    if len(header) == 1 and len(wanted) > 1:
+        raise BadInput(f"{path}: line 1 is one column {header[0][:60]!r}; separate columns by commas")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _ragged(path: Path, line: int, row: list[str], n: int) -> None:
+    if len(row) in (2 * n, 2 * n - 1) and all(_is_number(c) for c in row if c.strip()):
+        why = "decimal commas suspected: write decimals with a point"
+    else:
+        why = "complete or remove that line"
+    raise BadInput(f"{path}: line {line}: has {len(row)} values, the header has {n} columns; {why}")
+
+
+def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int], delimiter: str) -> np.ndarray:
+    try:
+        return np.array([float(cell) for cell in cells], dtype=np.float64)
+    except ValueError:
+        pass
+    row = next(i for i, cell in enumerate(cells) if not _is_number(cell))
+    cell = cells[row].strip()
+    if not cell:
+        why = f"column {name} is empty; fill or remove that row"
+    elif delimiter != "," and _is_number(cell.replace(",", ".")):
+        why = f"column {name} is {cell!r}, a decimal comma; write decimals with a point"
+    else:
+        why = f"column {name} is {cell[:40]!r}, not a number; mend or remove that row"
+    raise BadInput(f"{path}: line {lines[row]}: {why}")
+
+
+def _read_npz(path: Path, wanted: tuple[str, ...]) -> Table:
+    """Arrays by column name, each `[T]`; nothing in the archive is ever executed (no pickles)."""
+    try:
+        with np.load(io.BytesIO(_read_bytes(path)), allow_pickle=False) as data:
+            names = list(data.files)
+            arrays = {name: data[name] for name in wanted if name in names}
+    except BadInput:
+        raise
+    except Exception as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
+        raise _broken_archive(path, e) from None
+    columns = {name: _npz_column(path, name, array) for name, array in arrays.items()}
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
+        raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
+    n = max(lengths.values(), default=0)
+    return Table(columns, np.arange(1, n + 1), _others(names, wanted), row_word="row")
+
+
+def _broken_archive(path: Path, error: Exception) -> BadInput:
+    why = " ".join(str(error).split())[:80] or type(error).__name__
+    return BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez")
+
+
+def _npz_column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    if array.ndim != 1 or array.dtype.kind not in "fiu":
+        what = f"has shape {array.shape} and type {array.dtype}"
+        raise BadInput(f"{path}: array {name!r} {what}; save it as a list of numbers")
+    return np.asarray(array, dtype=np.float64)
+
+
+def check_time(path: str | Path, table: Table) -> None:
+    """Raise `BadInput` naming the first row at which time does not increase."""
+    time = table.columns["time"]
+    bad = np.flatnonzero(np.diff(time) <= 0)
+    if bad.size:
+        i = int(bad[0]) + 1
+        word = "repeats" if time[i] == time[i - 1] else "runs backwards"
+        where = f"{table.row_word} {table.lines[i]}"
+        pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
+        raise BadInput(f"{path}: {where}: time {word} ({pair}); sort or remove such rows")

@@ -1,0 +1,70 @@
+"""Integration steps as short as a model needs.
+
+Plain dynamics are exact to a millionth of a radian at a step per row. Where a joint sticks and breaks away, a step is of second
+order only, and rows of 5 ms left 20 standard deviations of the sensors in some windows: enough for a second effect that is not
+there to pay. What is switched on decides, so steps are halved once an effect has been found, where that moves its simulation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.estimate.fit import Fit, Response, fitted
+from adaptsim_jax.sysid.estimate.problem import DIVERGED, Diverged, Problem, at_point
+
+SHARE = 1 / 3  # of the sensors' noise (RMS) that halving the steps may move a simulation by
+SHORTEST = 0.95e-3  # s: shorter steps would cost more than they tell
+
+
+def stepped(problem: Problem, model: Fit, response: Response) -> tuple[Problem, Fit]:
+    """The problem with steps short enough for `model`, and the model refitted with them; both as they were where they were."""
+    finer = in_short_steps(problem, model)
+    if finer is problem:
+        return problem, model
+    try:
+        return finer, again(finer, model, response)
+    except Diverged:
+        return problem, model
+
+
+def again(problem: Problem, model: Fit, response: Response) -> Fit:
+    """The model refitted from where it is, in the problem's steps. Raises `Diverged` where it runs away."""
+    c = model.candidate
+    return fitted(problem, c.active, c.theta, c.eff, c.refit.point.x0, model.parts, response)
+
+
+def all_again(problem: Problem, models: Sequence[Fit], response: Response) -> list[Fit]:
+    """Those of the models, refitted, that do not run away."""
+
+    def one(model: Fit) -> Fit | None:
+        try:
+            return again(problem, model, response)
+        except Diverged:
+            return None
+
+    return [m for m in parallel_map(one, models) if m is not None]
+
+
+def in_short_steps(problem: Problem, model: Fit) -> Problem:
+    """The problem with its steps halved until that moves the model's simulation by no more than `SHARE` of the noise."""
+    windows = problem.windows
+    step = float(np.median(windows.dt[windows.dt > 0])) / int(windows.substeps)
+    here = _simulated(problem, model)
+    while here is not None and step / 2 >= SHORTEST:
+        finer = replace(problem, windows=replace(problem.windows, substeps=2 * problem.windows.substeps))
+        there = _simulated(finer, model)
+        if there is None or np.sqrt(np.mean(np.square(there - here))) <= SHARE:
+            break
+        problem, here, step = finer, there, step / 2
+    return problem
+
+
+def _simulated(problem: Problem, model: Fit) -> np.ndarray | None:
+    """What the model leaves at its samples, in standard deviations of the sensors; None where it runs away."""
+    c = model.candidate
+    result = at_point(problem, c.active, c.theta, c.eff, c.refit.point.x0)
+    if result.code == DIVERGED:
+        return None
+    return np.asarray(result.residual)[np.asarray(problem.windows.weight) > 0]

@@ -1,0 +1,96 @@
+"""The last word on effects that came after the first: trials that were not fitted must show them.
+
+Likelihoods and falls of unexplained force are of the data that were fitted. A second effect that only soaks up some of a
+wandering torque gains there and nowhere else, so each has to make the model simulate left-out trials better.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.criteria import Criteria
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted
+from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, initial_states
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
+from adaptsim_jax.sysid.score.table import ScoreTable, view
+from adaptsim_jax.sysid.select.equivalence import class_of
+from adaptsim_jax.sysid.select.refine import lowest
+from adaptsim_jax.sysid.select.result import SearchResult
+
+LEAST_GAIN = 0.97  # held-out error with an effect over without it: above this it is not shown by other trials
+FAR = 4.0  # times the squared error: beyond this it is shown without leaving trials out
+VERY_FAR = 25.0  # the same by a fit of the search, which may not have had the finer shapes that the final model has
+
+
+def backward_eliminated(
+    problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria
+) -> tuple[SearchResult, CrossValidation | None]:
+    """`found` without the effects, if there are several, that left-out trials do not confirm, the least likely first; and
+    the held-out simulation of what stays (None where there was nothing to compare)."""
+    whole = None
+    while len(found.added) > 1:
+        whole = cross_validate(problem, found.final, found.view or first) if whole is None else whole
+        doubted = parallel_map(
+            lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect), found.added
+        )
+        without = [(e, w) for e, w in zip(found.added, doubted, strict=True) if w is not None]
+        for effect, less in sorted(without, key=lambda ew: -ew[1].total):
+            seen = view(problem, less)
+            other = cross_validate(problem, less, seen)
+            if not confirms(whole, other):
+                found, whole = _dropped(problem, found, effect, less, seen, settings), other
+                break
+        else:
+            break
+    return found, whole
+
+
+def confirms(with_effect: CrossValidation, without: CrossValidation) -> bool:
+    """Whether left-out trials are simulated better with an effect: on the whole, and at least half of them."""
+    squared = [h.squared.sum(1) for h in (with_effect, without)]
+    trials = np.unique(without.trial[without.fold >= 0])
+    better = [squared[0][without.trial == t].sum() < squared[1][without.trial == t].sum() for t in trials]
+    return bool(with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better))
+
+
+def _nearly(problem: Problem, found: SearchResult, whole: CrossValidation, effect: Instance) -> Fit | None:
+    """The final model refitted without one of its effects; None where that runs away, or is far off. One that is near is polished
+    as the final model was: else what its refit left undone would speak for the effect."""
+    c, seen = found.final.candidate, found.view
+    if seen is None:
+        return None
+    rest = tuple(a for a in found.final.active if a != effect)
+    known = [t for t in found.tried if set(t.active) == set(rest)]
+    if known and _far(problem, whole, max(known, key=lambda t: t.total), VERY_FAR):
+        return None
+    try:
+        less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
+        return None if _far(problem, whole, less) else lowest(problem, less, found.base, seen)
+    except Diverged:
+        return None
+
+
+def _far(problem: Problem, whole: CrossValidation, less: Fit, times: float = FAR) -> bool:
+    """Whether a model without an effect simulates the trials that it is fitted to far worse than the one with it does trials that
+    it is not fitted to, on the whole and in most trials: left out they would not come closer."""
+    c = less.candidate
+    found = initial_states(problem, c.active, c.theta, c.eff, c.refit.point.x0)
+    weight = np.asarray(problem.windows.weight)
+    gap = np.where(weight > 0, found.residual / np.where(weight > 0, weight, 1.0), 0.0)
+    own, other, used = (gap**2).sum((1, 2)), whole.squared.sum(1), whole.fold >= 0
+    worse = [own[whole.trial == t].sum() > times * other[whole.trial == t].sum() for t in np.unique(whole.trial[used])]
+    return bool(own[used].sum() > times * other[used].sum() and 2 * sum(worse) > len(worse))
+
+
+def _dropped(
+    problem: Problem, found: SearchResult, effect: Instance, less: Fit, seen: ScoreTable, settings: Criteria
+) -> SearchResult:
+    rivals = {e: r for e, r in found.rivals.items() if e != effect}
+    last, tried = seen.ranked(exclude=less.active), [*found.tried, less]
+    out = replace(found, final=less, view=seen, last=last, rivals=rivals, tried=tried, classes={})
+    layout = problem.model.layout
+    for e in out.added:  # rivals beside both effects, and in the place of the one that stays
+        here = class_of(e, out, settings, layout)
+        out.classes[e] = here + [r for r in found.classes.get(e, []) if r not in here and r != effect]
+    return out

@@ -1,0 +1,219 @@
+"""The search for what the model lacks: one effect at a time, each rival refitted whole and judged by its likelihood.
+
+A linear score ranks all candidates; the leaders are refitted jointly with the declared parameters, each under its own
+residual covariance, and compared by restricted likelihood. What linear scores get wrong (friction at reversals, delays,
+stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.criteria import Criteria
+from adaptsim_jax.sysid.estimate.fit import Fit, doubtful, force_ratio, plausible, seen_anew
+from adaptsim_jax.sysid.estimate.problem import Problem
+from adaptsim_jax.sysid.nuisance.stepsize import all_again, stepped
+from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value, view
+from adaptsim_jax.sysid.select.earning import choose, completes, earns, pays
+from adaptsim_jax.sysid.select.equivalence import class_of, close_rivals
+from adaptsim_jax.sysid.select.extend import Progress, extend, finished, newest, settled_few, without
+from adaptsim_jax.sysid.select.nested import elaborated
+from adaptsim_jax.sysid.select.pairs import refit_beside_first, settled_plainly, with_look_alikes
+from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.shortlist import anything, first_leaders, further_leaders, look_alikes
+from adaptsim_jax.sysid.select.swap import beside, swap_back
+
+FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
+IDLE = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit will
+SLIGHT = 300.0  # of log-likelihood: an idle effect that gains less is no place to go on from
+SLACK = 1.2  # times the force left before: what leaves more is no step forward
+STILL_FAR = 0.05  # of the torque: with more force left than torques wander by, what was found one by one is not all
+BLATANT = 0.01  # of the torque: with less force left over the short list will do
+
+
+def search(
+    problem: Problem, base: Fit, first: ScoreTable, settings: Criteria, say: Progress = lambda _: None
+) -> tuple[Problem, SearchResult]:
+    """Add effects greedily while they earn their price, with one look back after each; the problem comes back with the effects
+    whose finer shape was fitted.
+
+    An effect that pays for its parameters but explains too little by itself is kept for a while: of two that act together,
+    as friction at both joints does, the first leaves most of the residual. The set is judged, not its first member.
+    """
+    ranked = first.ranked(exclude=base.active)
+    found = SearchResult(base, base, ranked, last=ranked, view=first)
+    seen, current, here, ranked = first, base, base, found.last
+    while len(current.active) - len(base.active) < settings.most_effects:
+        best, trials = _next(problem, found, here, seen, ranked, settings, say)
+        if best is None or not pays(best, here, settings):
+            break
+        new = newest(best, current)
+        found.rivals[new] = [t for t in trials if t is not best]
+        final = here if found.final is current else found.final
+        current = best
+        enough = earns(problem, current, final, base, settings)
+        if enough or completes(problem, current, final, base, settings):
+            current = swap_back(problem, found, current, new, seen, settings, say)
+            if _worse(problem, current, found.final, base):
+                current = found.final
+                break
+            problem, current = _finer(problem, found, current, seen, settings)
+            found.final = current
+        elif force_ratio(found.final, base) < settings.explained or _astray(current, base, settings):
+            break
+        seen = view(problem, current)
+        here = seen_anew(problem, current, seen.response)
+        ranked = seen.ranked(exclude=current.active)
+        if found.final is current:
+            found.view, found.last = seen, ranked
+    if force_ratio(found.final, base) > settings.explained or _still_far(problem, found.final):
+        problem, current = _paired(problem, found, current, first, settings, say)
+    found.leading = None if current is found.final else current
+    found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
+    found.classes = {e: class_of(e, found, settings, problem.model.layout) for e in found.added}
+    return problem, found
+
+
+def _astray(model: Fit, base: Fit, settings: Criteria) -> bool:
+    """Whether what earns no name leaves so much that one more is not worth looking for: one effect all of it, and hardly likelier
+    than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
+    if len(model.active) - len(base.active) > 1:
+        return force_ratio(model, base) > settings.promising
+    return _idle(model, base)
+
+
+def _idle(model: Fit, base: Fit) -> bool:
+    """Whether a model leaves all of the force and is hardly likelier than none."""
+    return force_ratio(model, base) > IDLE and model.total - base.total < SLIGHT
+
+
+def _worse(problem: Problem, model: Fit, before: Fit, base: Fit) -> bool:
+    """Whether a look back ended at forces too large for chance, and larger than those left before the last effect came in.
+    Likelihoods would not show it, being under the response of a model that may be far off: a search that goes on from there
+    wanders, and may come round."""
+    left = lambda m: np.linalg.norm(m.parts.force_std() / problem.torque_scale)
+    return bool(before is not base and _still_far(problem, model) and left(model) > SLACK * left(before))
+
+
+def _still_far(problem: Problem, model: Fit) -> bool:
+    """Whether a model that explains enough beside a declared one that went astray leaves forces that are too large for chance."""
+    return bool(np.any(model.parts.force_std() > STILL_FAR * problem.torque_scale))
+
+
+def _next(
+    problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, ranked: list[Ranked], settings: Criteria, say
+):
+    """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
+    done = force_ratio(current, found.base) < settings.explained  # little is left: a shorter list will do
+    count = settings.shortlist // 2 if done else settings.shortlist
+    worth = anything(problem, current, ranked, seen, settings)
+    leaders = first_leaders(ranked, seen, current.active, count) if worth else []
+    trials = _refitted(problem, found, current, leaders, seen, settings, say)
+    trials = trials + _pruned(problem, found, current, trials, seen)
+    best = _best(problem, found, trials, settings)
+    nothing = best is None or not pays(best, current, settings)
+    if done and nothing and _blatant(problem, current, seen):
+        more = further_leaders(problem, leaders, ranked, seen, current.active, count)
+        leaders = leaders + more
+        trials = trials + _refitted(problem, found, current, more, seen, settings, say)
+        best = _best(problem, found, trials, settings)
+    if best is not None and pays(best, current, settings):
+        alike = look_alikes(problem, newest(best, current), ranked, leaders)
+        more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t is not None]
+        more = settled_few(problem, found, trials, more, seen, settings)
+        trials, found.tried = trials + more, found.tried + more
+        best = _best(problem, found, trials, settings)
+    return best, trials
+
+
+def _best(problem: Problem, found: SearchResult, trials: list[Fit], settings: Criteria) -> Fit | None:
+    return choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+
+
+def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
+    """Whether what is left moves a joint and follows the motion in all trials."""
+    moves = np.any(model.parts.force_std() > BLATANT * problem.torque_scale)
+    return bool(moves) and generic_p_value(seen) < FOLLOWS
+
+
+def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, settings: Criteria, say):
+    """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
+    more than they do; else, where none of them may be named, the likeliest set of all for trying."""
+    base = found.base
+    if not anything(problem, base, found.ranked, seen, settings):
+        return problem, current
+    say("refitting with two effects at once")
+    trials = refit_beside_first(problem, base, seen)
+    for _ in range(2):
+        likeliest = max(trials, key=lambda t: t.merit(settings.price), default=base)
+        left = force_ratio(likeliest, base)
+        if left > settings.promising or (left < settings.clear and plausible(likeliest, base)):
+            break
+        more = with_look_alikes(problem, base, likeliest, trials, seen)
+        trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
+    order = sorted(trials, key=lambda t: -t.merit(settings.price))
+    front = [t for t in order if plausible(t, base) and not _idle(t, base)][: settings.pairs]
+    trials = parallel_map(lambda t: settled_plainly(problem, t, seen), front)
+    trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
+    found.tried += trials
+    merit = lambda model: seen_anew(problem, model, seen.response).merit(settings.price)
+    fair = [t for t in trials if plausible(t, base)]
+    best = choose(problem, fair, base, settings)
+    if best is None or not earns(problem, best, base, base, settings) or force_ratio(best, base) > settings.explained:
+        return problem, current if found.added else max([current, *fair], key=merit)
+    if found.added and merit(best) < merit(found.final):
+        return problem, current
+    found.final = base
+    for new in [a for a in best.active if a not in base.active]:
+        best = beside(problem, found, best, new, seen, settings, say)
+    problem, best = _finer(problem, found, best, seen, settings)
+    found.final, found.view = best, view(problem, best)
+    found.last = found.view.ranked(exclude=best.active)
+    return problem, best
+
+
+def _finer(
+    problem: Problem, found: SearchResult, model: Fit, seen: ScoreTable, settings: Criteria
+) -> tuple[Problem, Fit]:
+    """The model in steps as short as it needs, its close rivals with it; and with the late parameters of its effects, where they
+    pay and leave less unexplained."""
+    finer, fine = stepped(problem, model, seen.response)
+    if finer is not problem:
+        near = close_rivals(replace(found, final=model), settings, problem.model.layout)
+        far = [t for t in found.tried if not any(t is n for n in near)]
+        found.tried = far + all_again(finer, near, seen.response)
+    better = lambda new, old: pays(new, old, settings) and force_ratio(new, old) < 1.0 - settings.least_fall
+    return elaborated(finer, fine, found.base, seen.response, better)
+
+
+def _pruned(problem: Problem, found: SearchResult, current: Fit, trials: list[Fit], seen: ScoreTable) -> list[Fit]:
+    """Trials in which the new effect makes an earlier one idle or absurd, which had stood in for it: the same without that one,
+    where they are likelier than any trial that may be."""
+    bar = max((t.total for t in trials if plausible(t, found.base)), default=current.total)
+    out = []
+    for trial in trials:
+        new = newest(trial, current)
+        idle = doubtful(trial, found.base) - {new}
+        if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
+            continue
+        out.append(without(problem, trial, idle, seen))
+    out = [t for t in out if t is not None]
+    found.tried += out
+    return out
+
+
+def _refitted(
+    problem: Problem,
+    found: SearchResult,
+    current: Fit,
+    leaders: list[Ranked],
+    seen: ScoreTable,
+    settings: Criteria,
+    say,
+):
+    """The current model with each of the leaders in turn, refitted whole."""
+    trials = parallel_map(lambda r: extend(problem, current, r, seen, say), leaders)
+    trials = finished(problem, found, [t for t in trials if t is not None], seen, settings)
+    found.tried += trials
+    return trials

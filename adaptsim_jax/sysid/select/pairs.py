@@ -1,0 +1,151 @@
+"""Two effects at once, where no single one explains anything: each hides the other from a search that adds one at a time.
+
+Declared parameters that bent to the one effect leave residuals which the other alone makes no better (a drag and a ripple at one
+joint), and where the declared fit went far astray, scores about it say little. So the effects that alone leave least error, by least
+squares, are taken first, and the second by the plain scores about that: with the sensors as the only noise, for under a covariance
+that both effects have inflated a refit stays where it is.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.estimate.fit import Fit, Instance, doubtful, ended, fitted_plainly, settled, settled_from
+from adaptsim_jax.sysid.estimate.fit_result import FitResult
+from adaptsim_jax.sysid.estimate.problem import DIVERGED, UNFINISHED, Active, Diverged, Problem, fit_plain
+from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, view
+from adaptsim_jax.sysid.select.shortlist import NEW, look_alikes
+from adaptsim_jax.sysid.select.start import merged, own_starts, started
+
+MOST = 4  # plain refits, one from where the other ended
+FIRSTS = 2  # effects that fit best alone
+SECONDS = 3  # beside each of them: the right one was among the first two, in tuning and spent sets
+NEAR = 0.2  # of a declared parameter: a start that far away is another one
+SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
+
+Alone = tuple[Active, FitResult]
+
+
+class Start(NamedTuple):
+    """Where a fit begins: theta `[P]`, effect parameters `[E]`, initial states `[W, S]`."""
+
+    theta: np.ndarray
+    eff: np.ndarray
+    x0: np.ndarray
+
+
+def refit_beside_first(problem: Problem, base: Fit, seen: ScoreTable) -> list[Fit]:
+    """Each of the effects that fit best alone, by itself and with the plain score's leaders about the model that has it, refitted
+    whole.
+
+    All candidates are fitted alone, for the score about a declared model that went astray puts the right one anywhere: of a play
+    and a stop at one joint the stop came twelfth, and left least error."""
+    candidates = [r for r in seen.ranked(base.candidate.active, plain=True) if r.score.retained > NEW]
+    plain = _without(problem, base)
+    alone = [f for f in parallel_map(lambda r: _alone(problem, base, plain, r), candidates) if f[1].code != DIVERGED]
+    firsts = parallel_map(lambda first: _closer(problem, base, first), _least(problem, alone)[:FIRSTS])
+    return [m for pairs in parallel_map(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
+
+
+def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
+    """In the order of their errors; of those that leave hardly more than the least, fewer parameters first."""
+    error = {active: float(fit.cost.sum()) for active, fit in alone}
+    alike = SAME * min(error.values(), default=0.0)
+    size = lambda active, fit: len(fit.names) + problem.phases(active) if error[active] <= alike else 0
+    return sorted(alone, key=lambda one: (error[one[0]] > alike, size(*one), error[one[0]]))
+
+
+def _error(fit: FitResult) -> tuple[bool, float]:
+    """What orders least-squares fits: those that ran away come last."""
+    return fit.code == DIVERGED, float(fit.cost.sum())
+
+
+def _beside(problem: Problem, base: Fit, active: Active, fit: FitResult, seen: ScoreTable) -> list[Fit]:
+    """A fit of one effect, and with each of the plain score's leaders about it."""
+    try:
+        first = ended(problem, active, fit, base.parts, seen.response)
+        about = view(problem, first)
+        single = settled(problem, first, seen.response, rounds=1)
+    except (Diverged, np.linalg.LinAlgError):  # its response to forces is not finite
+        return []
+    seconds = [r for r in about.ranked(active, plain=True) if r.score.retained > NEW][:SECONDS]
+    made = [
+        _likelier(problem, base, (*active, r.instance), fit.theta, started(problem, first, r), seen) for r in seconds
+    ]
+    return [single, *(m for m in made if m is not None)]
+
+
+def _likelier(problem: Problem, base: Fit, active: Active, theta, eff: np.ndarray, seen: ScoreTable) -> Fit | None:
+    """A pair fitted from each of the declared parameters to start from, and refitted from where the fit ended that leaves less."""
+    fits = [fit_plain(problem, active, start, eff, problem.windows.start) for start in _starts(problem, theta)]
+    return settled_from(problem, active, min(fits, key=_error), base.parts, seen.response)
+
+
+def _starts(problem: Problem, theta) -> list[np.ndarray]:
+    """Declared parameters to start from: the given ones, and those that the measured motion suggests where they are elsewhere.
+    Whatever a missing effect has bent the declared parameters to, no step leads back from where they make windows run away."""
+    elsewhere = not np.allclose(theta, problem.theta0, rtol=NEAR, atol=0.1 * NEAR * np.abs(problem.theta0).max())
+    return [theta, problem.theta0] if elsewhere else [theta]
+
+
+def with_look_alikes(problem: Problem, base: Fit, pair: Fit, tried: Sequence[Fit], seen: ScoreTable) -> list[Fit]:
+    """Each look-alike of a member in its place, the other as it is, refitted whole: friction that seems to fade may be friction
+    and nothing more. Where members are doubtful, only theirs."""
+    ranked, done = seen.ranked(pair.active, plain=True), {frozenset(t.active) for t in tried}
+    members = sorted(doubtful(pair, base) or set(pair.active) - set(base.active))
+    swaps = [(old, r) for old in members for r in look_alikes(problem, old, ranked, [])]
+    swaps = [(old, r) for old, r in swaps if frozenset({*pair.active, r.instance} - {old}) not in done]
+    made = parallel_map(lambda swap: swapped_plainly(problem, base, pair, *swap, seen), swaps)
+    return [m for m in made if m is not None]
+
+
+def swapped_plainly(
+    problem: Problem, base: Fit, model: Fit, old: Instance, new: Ranked, seen: ScoreTable
+) -> Fit | None:
+    """`new` in the place of `old`, refitted whole from where the model is; None where that runs away."""
+    active = tuple(new.instance if a == old else a for a in model.active)
+    eff = merged(problem, model.candidate.eff, started(problem, base, new), new.instance)
+    return fitted_plainly(problem, active, model.candidate.theta, eff, base.parts, seen.response)
+
+
+def _without(problem: Problem, base: Fit) -> Start:
+    """The base's own least-squares fit: the way there, half of all steps, is the same for every effect."""
+    c = base.candidate
+    start = Start(c.theta, c.eff, problem.windows.start)
+    fit = fit_plain(problem, base.active, *start)
+    return start if fit.code == DIVERGED else Start(fit.theta, fit.eff, fit.x0)
+
+
+def _alone(problem: Problem, base: Fit, plain: Start, ranked: Ranked) -> Alone:
+    """The least-squares fit with one effect."""
+    active = (*base.active, ranked.instance)
+    eff = merged(problem, plain.eff, started(problem, base, ranked), ranked.instance)
+    return active, fit_plain(problem, active, plain.theta, eff, plain.x0)
+
+
+def _closer(problem: Problem, base: Fit, alone: Alone) -> Alone:
+    """The fit of one effect, or that from the other declared parameters, or from the effect's own starts beside them, where one
+    leaves less; carried on where it ran out of steps."""
+    active, fit = alone
+    starts = [(theta, fit.eff) for theta in _starts(problem, base.candidate.theta)[1:]]
+    starts += [(problem.theta0, eff) for eff in own_starts(problem, active[-1], fit.eff)]
+    fits = [fit, *(fit_plain(problem, active, *start, problem.windows.start) for start in starts)]
+    best = min(fits, key=_error)
+    if best.code == UNFINISHED:
+        best = fit_plain(problem, active, best.theta, best.eff, best.x0)
+    return active, best
+
+
+def settled_plainly(problem: Problem, model: Fit, seen: ScoreTable) -> Fit:
+    """Refitted with the sensors as the only noise until that gains no more, then under its own covariance."""
+    for _ in range(MOST):
+        c = model.candidate
+        new = fitted_plainly(problem, c.active, c.theta, c.eff, model.parts, seen.response)
+        if new is None or new.total <= model.total:
+            break
+        gain, model = new.total - model.total, new
+        if gain <= 1.0:
+            break
+    return settled(problem, model, seen.response)

@@ -1,0 +1,178 @@
+"""The bank: trials of the hydroelastic engine over pieces and actions, simulated once and shared by all policies.
+
+What an action leads to depends on the piece and the action alone, so that trials may be stored. The bank holds trials at even
+points (scrambled Sobol sequences) of Omega and of the wider box that Phase 1 draws targets from, more of them near actions that
+looked good, and two small networks fitted to all: how likely an action as executed is to succeed, and where the piece is seen
+meanwhile. Task policies are trained on it, and Phase 1 rehearses on it; targets of Phase 2 are always simulated. A bank belongs
+to the options and numerics that it was made with and to no others: a file that says otherwise is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import atomic_file
+from adaptsim_jax.core.progress import Report, silent
+from adaptsim_jax.tasks.scooping import hydro, model
+from adaptsim_jax.tasks.scooping.hydro import Numerics
+from adaptsim_jax.tasks.scooping.model import ScoopOptions
+
+PATH = Path(__file__).with_name("bank.npz")
+BATCH = 64
+BOXES = {
+    "omega": (model.LOW, model.HIGH),
+    "wide": ((0.15, 8e3, 0.0, 0.013), (0.5, 1.5e6, 2.0, 0.03)),
+}
+"""Lowest and highest parameters of each part of the bank: the paper's Omega, and the box of Phase 1's targets."""
+REACH = np.array([0.2, 0.25, 0.05])
+"""How far beyond their range actions are tried, as a share of it: execution errors leave it."""
+LEAST = np.array([1e-3, -np.inf, 1e-3])  # a pitch of 0 has no edge, a distance of 0 no run-up
+PLACES = len(model.SEEN_AT)
+PLACE_UNIT = 0.1  # m: places come out of the network in units of it
+
+Layers = Sequence[tuple[Any, Any]]
+
+
+class Trials(NamedTuple):
+    """`params [N, 4]`, `actions [N, 3]` as executed, `wins [N]` bool, `places [N, 8]` m along the table from where it lay."""
+
+    params: np.ndarray
+    actions: np.ndarray
+    wins: np.ndarray
+    places: np.ndarray
+
+
+class Bank(NamedTuple):
+    """chance, track: weights and biases of the networks behind `logit` and `places`."""
+
+    chance: Layers
+    track: Layers
+
+    def logit(self, params: jax.Array, action: jax.Array) -> jax.Array:
+        """Log odds of success `[]` at `params [4]` of `action [3]` as executed."""
+        return forward(self.chance, features(params, action))[0]
+
+    def places(self, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
+        """Where the piece is seen `[8]` m, ahead of where it lay, in a trial that ended as `won []` says (1 or 0)."""
+        x = jnp.concatenate([features(params, action), won[None].astype(action.dtype)])
+        later = PLACE_UNIT * forward(self.track, x)
+        return jnp.concatenate([jnp.zeros(1, later.dtype), later])  # it lies still when it is first seen
+
+
+def forward(layers: Layers, x: jax.Array) -> jax.Array:
+    """A tanh network `[n] -> [k]`."""
+    for weights, bias in layers[:-1]:
+        x = jnp.tanh(x @ weights + bias)
+    weights, bias = layers[-1]
+    return x @ weights + bias
+
+
+def features(params: jax.Array, action: jax.Array) -> jax.Array:
+    """`[9]`: friction, log modulus, height and the action, each about [-1, 1] over Omega and the actions; a 1 for the shape."""
+    low, high = np.array(model.LOW), np.array(model.HIGH)
+    low[1], high[1] = np.log(low[1]), np.log(high[1])
+    values = jnp.stack([params[0], jnp.log(params[1]), params[3], *action])
+    ends = np.r_[low[[0, 1, 3]], model.ACTION_LOW], np.r_[high[[0, 1, 3]], model.ACTION_HIGH]
+    middle, half = ((jnp.asarray(v, values.dtype)) for v in ((ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2))
+    shape = (params[2] == jnp.arange(len(model.SHAPES))).astype(values.dtype)
+    return jnp.concatenate([(values - middle) / half, shape])
+
+
+def points(count: int, seed: int, box: str = "omega") -> tuple[np.ndarray, np.ndarray]:
+    """Params `[count, 4]` over a box and actions `[count, 3]` a little beyond theirs, spread evenly; count: a power of 2."""
+    u = qmc.Sobol(7, rng=seed).random(count)
+    low, high = (np.array(b, float) for b in BOXES[box])
+    low[1], high[1] = np.log(low[1]), np.log(high[1])
+    shapes = high[2] + 1
+    high[2] = shapes
+    params = low + u[:, :4] * (high - low)
+    params[:, 1], params[:, 2] = np.exp(params[:, 1]), np.minimum(np.floor(params[:, 2]), shapes - 1)
+    low, high = np.array(model.ACTION_LOW), np.array(model.ACTION_HIGH)
+    wide = REACH * (high - low)
+    return params, np.maximum(low - wide + u[:, 4:] * (high - low + 2 * wide), LEAST)
+
+
+def simulate(
+    params: np.ndarray, actions: np.ndarray, options: ScoopOptions, numerics: Numerics, report: Report = silent
+) -> tuple[Trials, np.ndarray]:
+    """The trials in the engine, in batches, and their codes `[N]`."""
+    rows = hydro.seen_rows(numerics)
+
+    @jax.jit
+    @jax.vmap
+    def run(params, action):
+        out = hydro.rollout(params, action, options, numerics)
+        return out.success > 0.5, out.piece[rows, 0], out.code
+
+    N = len(params)
+    wins, places, codes = np.zeros(N, bool), np.zeros((N, PLACES)), np.zeros(N, int)
+    for at in range(0, N, BATCH):
+        room = np.minimum(np.arange(at, at + BATCH), N - 1)
+        found = run(*(jnp.asarray(v[room], jnp.float32) for v in (params, actions)))
+        count = min(BATCH, N - at)
+        wins[at : at + count], places[at : at + count], codes[at : at + count] = (np.asarray(f)[:count] for f in found)
+        report(at + count, N, "trials")
+    return Trials(params, actions, wins, places), codes
+
+
+def identity(options: ScoopOptions, numerics: Numerics) -> str:
+    """What a bank belongs to: all of the engine's settings that change an outcome (execution errors are drawn later)."""
+    table = {"clearance": options.clearance, "press": options.press, "numerics": asdict(numerics)}
+    return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def save_bank(
+    path: Path, bank: Bank, parts: dict[str, Trials], about: dict[str, Any], options: ScoopOptions, numerics: Numerics
+) -> None:
+    """The outcomes of each part, the networks, and what they belong to; points, too, where they do not follow from a seed."""
+    arrays: dict[str, Any] = {
+        f"{name}_{n}{i}": np.asarray(v, np.float32)
+        for name in Bank._fields
+        for i, layer in enumerate(getattr(bank, name))
+        for n, v in zip("wb", layer, strict=True)
+    }
+    arrays |= {f"wins_{name}": np.packbits(trials.wins) for name, trials in parts.items()}
+    for name in parts.keys() - BOXES.keys():
+        points = np.concatenate([parts[name].params, parts[name].actions], 1)
+        arrays[f"points_{name}"] = points.astype(np.float32)
+    about = {"identity": identity(options, numerics), "clearance": options.clearance} | about
+    with atomic_file(path) as file:
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
+
+
+@cache
+def read_bank(path: Path = PATH) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What the file at `path` says of itself, and its arrays."""
+    if not path.exists():
+        raise BadInput(f"{path.name}: the bank is not there; make it with `python experiments/scooping_bank.py`")
+    with np.load(path, allow_pickle=False) as file:
+        return json.loads(str(file["about"])), {name: file[name] for name in file.files if name != "about"}
+
+
+def load_bank(options: ScoopOptions, numerics: Numerics, path: Path = PATH) -> Bank:
+    """The bank at `path`; BadInput where it was made with other options or numerics."""
+    about, arrays = read_bank(path)
+    if about["identity"] != identity(options, numerics):
+        raise BadInput(
+            f"scooping: the bank was made with clearance = {about['clearance']} m and the numerics of its day, not with these "
+            "options; use source = rehearsal = 'simulator', correct = false, or make another bank with "
+            "`python experiments/scooping_bank.py`"
+        )
+
+    def layers(name):
+        count = sum(key.startswith(f"{name}_w") for key in arrays)
+        return tuple((jnp.asarray(arrays[f"{name}_w{i}"]), jnp.asarray(arrays[f"{name}_b{i}"])) for i in range(count))
+
+    return Bank(*map(layers, Bank._fields))

@@ -1,0 +1,138 @@
+"""Scooping on a real robot: which scoops to make, and a camera's record of them as the trajectory the task observes.
+
+A record has rows of (trial, time s, x m, y m, on): the number of the scoop, the time since the arm's start, the piece's place on
+the table with x along the spatula's way, and whether it lies on the spatula (1 or 0), which counts in a trial's last row.
+Whatever the task cannot take is refused with the row.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
+from adaptsim_jax.tasks.saved_policy import read_saved
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping import task as scooping
+from adaptsim_jax.tasks.scooping.corrections import Told
+from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
+
+COLUMNS = ("trial", "time", "x", "y", "on")
+GAP = 0.1  # s without a row that can be filled
+LATE = 0.2  # s; the spatula cannot touch the piece before
+FAR = 2.0  # m; no piece goes so far, so it is another unit
+FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the piece
+_PLACES = 0x5C00  # tells the places' keys from those that policies are trained with
+
+
+class Scoops(NamedTuple):
+    """What to do on the robot now: numbers `[N]` int, counted over the session; places `[N, 2]` m of the piece from the middle of
+    the box of places; actions `[N, 3]`: pitch rad, pitch rate rad/s, distance m."""
+
+    numbers: np.ndarray
+    places: np.ndarray
+    actions: np.ndarray
+
+
+def scoops_to_make(key: jax.Array, told: Any, policy: ScoopingPolicy, config: ScoopingConfig) -> Scoops:
+    """The scoops of adaptation iteration `told` (from 0) of a session with `key`: always the same for the same session."""
+    keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, _PLACES), told), config.trajectories)
+    places = jax.vmap(scooping.draw_context)(keys)[:, :2]
+    actions = scooping.make_policy(config)(policy, places)
+    numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
+    return Scoops(numbers, np.asarray(places), np.asarray(actions))
+
+
+def corrected(policy: ScoopingPolicy, config: ScoopingConfig, actions: Any, won: Any) -> ScoopingPolicy:
+    """The policy as it is deployed after scoops `actions [K, 3]` (rad, rad/s, m) of which `won [K]` (1 or 0) succeeded: corrected
+    by them where the task does that (`correct`), else as it is."""
+    if not config.correct or not len(actions):
+        return policy
+    low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
+    own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
+    told = Told(jnp.asarray(own, jnp.float32), jnp.asarray(won, jnp.float32), jnp.ones(len(own), bool))
+    return policy._replace(told=told)
+
+
+def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> dict[str, Any]:
+    """What a file holds of a policy for `read_policy`: its network and, where it is corrected, the scoop that it makes wherever the
+    piece lies (rad, rad/s, m)."""
+    table: dict[str, Any] = {"hidden": list(config.hidden), "policy": {"weights": policy.weights.tolist()}}
+    if policy.told is not None:
+        table["policy"]["corrected"] = scoop_in_the_middle(policy, config).astype(float).tolist()
+    return table
+
+
+def scoop_in_the_middle(policy: ScoopingPolicy, config: ScoopingConfig) -> np.ndarray:
+    """`[3]` rad, rad/s, m: what the policy does for a piece in the middle of the box of places."""
+    return np.asarray(jax.jit(scooping.make_policy(config))(policy, jnp.zeros(2)))
+
+
+def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
+    """`act(place [2] or [N, 2] m) -> (pitch rad, rate rad/s, distance m)` from a `best.toml` or `policy.toml` of `adaptsim robot`.
+
+    Raises BadInput where the file holds no policy of this task.
+    """
+    act = read_saved(path, ScoopingConfig, ScoopingPolicy, scooping.make_scooping_naf, scooping.make_policy, "scooping")
+    action = configs.read(path)["policy"].get("corrected")
+    if action is None:
+        return act
+    if not isinstance(action, list) or np.shape(action) != (3,) or not np.all(np.isfinite(action)):
+        raise BadInput(f"{path}: policy.corrected must be three numbers; write it again with 'adaptsim robot next'")
+    return lambda place: np.broadcast_to(np.asarray(action, np.float32), (*np.shape(place)[:-1], 3)).copy()
+
+
+def measured_trajectory(
+    columns: Mapping[str, np.ndarray], at: Callable[[int], str], where: str, scoops: Scoops
+) -> ScoopingTrajectory:
+    """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time, x, y, on of `[T]` each.
+
+    `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight times and counted from
+    where the piece lay. Raises BadInput.
+    """
+    for name in COLUMNS:
+        if name not in columns:
+            raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s, m, 0 or 1)")
+    check_numbers(columns["trial"], at, scoops.numbers)
+    check_unit(columns, at, FAR, "scoop")
+    for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
+        raise BadInput(f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, else 0")
+    points, lies = [], []
+    for number in scoops.numbers:
+        rows = np.flatnonzero(columns["trial"] == number)
+        if not len(rows):
+            known = ", ".join(map(str, scoops.numbers))
+            raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
+        told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
+        time, track = columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1)
+        _check_track(time, track, told)
+        points.append(np.stack([np.interp(model.SEEN_AT, time, track[:, k]) for k in range(2)], 1) - track[0])
+        lies.append(columns["on"][rows[-1]])
+    success = jnp.asarray(lies, jnp.float32)
+    return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
+
+
+def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]) -> None:
+    """A piece seen from the arm's start to the end of the trial, that never jumped."""
+    check_increasing(time, told)
+    if time[-1] - time[0] > 50 * model.SECONDS:
+        raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
+    if time[0] > LATE:
+        raise BadInput(
+            f"{told(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or subtract that time"
+        )
+    if time[-1] < model.SECONDS - GAP / 2:
+        raise BadInput(f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the arm's start")
+    for k in np.flatnonzero((np.diff(time) > GAP) & (time[:-1] < model.SECONDS))[:1] + 1:
+        raise BadInput(
+            f"{told(k)}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {GAP:g} s can be "
+            "filled: make that scoop again"
+        )
+    leap = np.linalg.norm(np.diff(track, axis=0), axis=1)
+    for k in np.flatnonzero(leap > FASTEST * np.diff(time) + SLIP)[:1] + 1:
+        raise BadInput(f"{told(k)}: the piece jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it")

@@ -1,0 +1,121 @@
+"""The spatula's prescribed motion: cubic splines of velocity, integrated exactly (paper, appendix A4).
+
+Forward speed and pitch rate of the arm's link are cubic splines through values at six knots, clamped: their slopes at both
+ends are zero. A clamped spline is linear in its values, and so is its integral; with the knots fixed, sampling at given times
+is one constant matrix. The motion is therefore a small pure function of the action, differentiable but for one switch: the
+table keeps the blade from sinking below it, which the arm's compliance does in reality.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping.model import ScoopOptions
+
+Array = Any
+
+KNOTS = (0.0, 0.25, 0.35, 0.60, 0.70, 1.0)
+FORWARD = (0.0, 0.6, 0.7, 0.2, 0.0, 0.0)
+"""Speed of the link at the knots, m/s."""
+PITCH = (0.0, 0.0, -0.6, -0.6, 0.0, 0.0)
+"""Pitch rate at the knots, rad/s, the action's added to the second; positive turns the nose down."""
+PRESS = (0.0, -1.0, -1.0, 1.0, 0.0, 0.0)
+"""Vertical speed at the knots, in units of `ScoopOptions.press`."""
+
+
+class Motion(NamedTuple):
+    """Of the blade's tip at `T` times: `pose [T, 3]` is (x m, z m, pitch rad), x from the piece's centre."""
+
+    pose: Array
+    times: np.ndarray
+
+
+def slopes_matrix() -> np.ndarray:
+    """`[6, 6]`: values at the knots to the clamped spline's slopes there.
+
+    Continuity of the second derivative at each inner knot, and slopes of zero at both ends.
+    """
+    gap = np.diff(KNOTS)
+    n = len(KNOTS)
+    left, right = np.eye(n), np.zeros((n, n))
+    for i in range(1, n - 1):
+        a, b = 1 / gap[i - 1], 1 / gap[i]
+        left[i, i - 1 : i + 2] = a, 2 * (a + b), b
+        right[i, i - 1 : i + 2] = -3 * a * a, 3 * (a * a - b * b), 3 * b * b
+    return np.linalg.solve(left, right)
+
+
+def spline_matrix(times: np.ndarray, integral: bool = False) -> np.ndarray:
+    """`[T, 6]`: values at the knots to the spline, or to its integral from 0, at `times [T]` within the knots."""
+    knots = np.array(KNOTS)
+    gap = np.diff(knots)
+    piece = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(gap) - 1)
+    s = (times - knots[piece]) / gap[piece]
+    here = _hermite(s, integral)
+    if integral:
+        here = here * gap[piece]
+    values, slopes = np.eye(len(knots)), slopes_matrix()
+    ends = lambda h, k, g: h[0] * values[k] + h[1] * values[k + 1] + g * (h[2] * slopes[k] + h[3] * slopes[k + 1])
+    out = np.stack([ends(here[:, t], piece[t], gap[piece[t]]) for t in range(len(times))])
+    if integral:  # whole pieces that lie before each time
+        whole = _hermite(np.ones(1), True)[:, 0]
+        done = np.cumsum([ends(whole * gap[k], k, gap[k]) for k in range(len(gap))], axis=0)
+        out += np.concatenate([np.zeros((1, len(knots))), done])[piece]
+    return out
+
+
+def _hermite(s: np.ndarray, integral: bool) -> np.ndarray:
+    """`[4, T]`: the cubic Hermite basis (value, value, slope, slope) on [0, 1] at `s`, or its integral from 0."""
+    if integral:
+        return np.stack([s - s**3 + s**4 / 2, s**3 - s**4 / 2, s**2 / 2 - 2 * s**3 / 3 + s**4 / 4, s**4 / 4 - s**3 / 3])
+    return np.stack([1 - 3 * s**2 + 2 * s**3, 3 * s**2 - 2 * s**3, s - 2 * s**2 + s**3, s**3 - s**2])
+
+
+@cache
+def _travelled(steps: int) -> np.ndarray:
+    """`[steps + 1, 6]`: integrals of the splines at even times over the trial."""
+    return spline_matrix(np.linspace(0.0, KNOTS[-1], steps + 1), integral=True)
+
+
+def motion(action: Array, steps: int, options: ScoopOptions = ScoopOptions()) -> Motion:  # noqa: B008
+    """The tip's pose at `steps + 1` even times for `action [3]`; pure, and as precise as `action`.
+
+    The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with it. Then the blade is
+    lifted wherever its lower edges would pass below the clearance.
+    """
+    pitch, rate, distance = action[0], action[1], action[2]
+    table = jnp.asarray(_travelled(steps), action.dtype)
+    ahead = table @ jnp.asarray(FORWARD, action.dtype)
+    turned = table @ jnp.asarray(PITCH, action.dtype) + table[:, 1] * rate
+    sunk = table @ jnp.asarray(PRESS, action.dtype) * options.press
+    held = model.TIP_BELOW - model.GRIP_BELOW
+    arm_x, arm_z = turn(pitch, model.TIP_AHEAD, -held)
+    arm_z = arm_z - model.GRIP_BELOW
+    now_x, now_z = turn(turned, arm_x, arm_z)
+    theta = pitch + turned
+    x = -model.RADIUS - distance + ahead + now_x - arm_x
+    z = sunk + now_z - arm_z
+    z = z + jnp.maximum(0.0, options.clearance - (z + lowest(theta)))
+    return Motion(jnp.stack([x, z, theta], -1), np.linspace(0.0, KNOTS[-1], steps + 1))
+
+
+def turn(angle: Array, x: Array, z: Array) -> tuple[Array, Array]:
+    """`(x, z)` turned by `angle` about the lateral axis, nose down."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return c * x + s * z, c * z - s * x
+
+
+def lowest(theta: Array) -> Array:
+    """Height of the blade's lowest edge over the tip's origin at pitch `theta`, m."""
+    (cx, cz), (hx, hz) = model.BLADE_CENTRE, model.BLADE_HALF
+    return jnp.minimum(turn(theta, cx + hx, cz - hz)[1], turn(theta, cx - hx, cz - hz)[1])
+
+
+def seen_from_tip(pose: Array, x: Array, z: Array) -> tuple[Array, Array]:
+    """`(ahead, above)` m of a point `(x, z)` in the frame of the tip at `pose [..., 3]`."""
+    return turn(-pose[..., 2], x - pose[..., 0], z - pose[..., 1])

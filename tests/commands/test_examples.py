@@ -1,0 +1,116 @@
+"""Every command line that the README, `docs/*.md` and the `--help` texts show is one that the program takes."""
+
+import importlib
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.baselines.methods import LEARNED_METHODS, METHODS
+from adaptsim_jax.cli import parse
+from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.tasks.pushing.engines import registry as pushing
+from adaptsim_jax.tasks.scooping.engines import registry as scooping
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def lines(text):
+    """The `adaptsim` commands in `text`, on lines that are indented or begin with `$`; without the words of explanation behind them
+    (two blanks or more)."""
+    whole = re.sub(r" *\\\n *", " ", text)
+    found = re.findall(r"^(?: +|\$ )adaptsim (\S.*)$", whole, flags=re.M)
+    return [re.split(r"\s{2,}| > ", line)[0] for line in found]
+
+
+def examples():
+    for path in PAGES:
+        yield from ((path.name, line) for line in lines(path.read_text()))
+    for name in SUMMARIES:
+        module = importlib.import_module(f"adaptsim_jax.commands.{name}")
+        yield from ((name, line) for line in lines(module.EXAMPLES))
+
+
+@pytest.mark.parametrize("where, line", sorted(set(examples())))
+def test_an_example_is_taken(where, line):
+    args = parse(shlex.split(line))
+    assert callable(args.run)
+    command = shlex.split(line)[0]
+    if command in ("train", "compare") and "--config" not in line and "--model" not in line:
+        check_config(command, args)
+
+
+def check_config(command, args):
+    """The keys of `--set` exist, and their sizes fit together."""
+    from adaptsim_jax.commands import compare, train
+
+    if command == "compare":
+        compare.config_of(args)
+    else:
+        train._check(train.config_of(train._start_table(args), args), args)
+
+
+def test_there_are_examples_of_every_command():
+    shown = [line.split()[0] for where, line in examples() if where == "README.md"]
+    assert set(SUMMARIES) - {"demo"} <= set(shown)  # the demo is `make demo` there
+    for name in SUMMARIES:
+        own = [line.split()[0] for where, line in examples() if where == name]
+        assert own and set(own) == {name}
+
+
+def test_commands_of_several_lines_and_of_sessions_are_found():
+    text = (
+        "    adaptsim train pendulum --run a \\\n      --seed 3     as it was\n\n$ adaptsim robot next\nadaptsim: no\n"
+    )
+    assert lines(text) == ["train pendulum --run a --seed 3", "robot next"]
+
+
+def test_presets_that_documents_name_exist_and_are_no_files():
+    for path in PAGES:
+        for option, name in re.findall(r"--(preset|config) ([\w./-]+)", path.read_text()):
+            assert (name in PRESETS) == (option == "preset"), f"{path.name}: --{option} {name}"
+
+
+def test_commands_in_documents_exist():
+    for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]:
+        for name in re.findall(r"`adaptsim ([a-z]+)", path.read_text()):
+            assert name in SUMMARIES, f"{path}: adaptsim {name}"
+
+
+def test_files_that_documents_name_exist():
+    """Paths with a folder and a suffix; what a person would make (`out/`, `runs/`, `logs/`) is no file of ours."""
+    folders = "adaptsim_jax|benchmarks|docs|experiments|tests"
+    for path in [*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+        for name in re.findall(rf'[`("]((?:{folders})/[\w./-]+\.(?:py|md|png))\b', path.read_text()):
+            assert (ROOT / name).exists(), f"{path.name} names {name}"
+
+
+@pytest.fixture
+def help_of(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "2000")  # argparse breaks lines also within a name
+
+    def text(command):
+        with pytest.raises(SystemExit):
+            parse([command, "--help"])
+        return capsys.readouterr().out
+
+    return text
+
+
+def test_help_names_every_preset(help_of):
+    shown = help_of("train")
+    assert all(name in shown for name in PRESETS)
+
+
+def test_help_names_every_method_and_engine_of_each_task(help_of):
+    """The lists stand in the command as text, because its module must not import JAX."""
+    shown = help_of("compare")
+    spelled = lambda names: ", ".join(name.replace("_", "-") for name in names)
+    assert f"pendulum: {spelled(METHODS)};" in shown
+    assert f"pushing and scooping: {spelled(LEARNED_METHODS)}" in shown
+    for task, engines in (("pushing", pushing.NAMES), ("scooping", scooping.NAMES)):
+        listed = re.search(rf"{task}: ([a-z, ]+ or [a-z]+)", shown)
+        assert listed and set(re.split(", | or ", listed[1])) == set(engines)

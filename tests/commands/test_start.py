@@ -1,0 +1,61 @@
+"""How fast the command answers, and that it answers before JAX is loaded."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from adaptsim_jax.cli import parse
+from adaptsim_jax.commands import SUMMARIES
+
+CODE = "import sys; from adaptsim_jax.cli import main; code = main(sys.argv[1:]); "
+LOADED = "print(code, sorted({'jax', 'numpy', 'scipy', 'mujoco', 'matplotlib', 'rich'} & set(sys.modules)))"
+
+
+def python(*arguments, **env):
+    command = [sys.executable, "-c", CODE + LOADED, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, **env}, check=True)
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in SUMMARIES)])
+def test_help_loads_no_jax(command):
+    out = python(*command, "--help").stdout.splitlines()
+    assert out[-1] == "0 []"
+    assert out[0].startswith(" ".join(["usage: adaptsim", *command]))
+    assert not command or any(line == "examples:" for line in out)
+
+
+def test_help_is_under_a_second():
+    """The best of five, as a person on an idle machine has it; other tests run beside this one."""
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "adaptsim_jax.cli", "--help"], capture_output=True, check=True)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 1.0
+
+
+@pytest.mark.parametrize("arguments", [["trian"], ["train", "--sed", "3"], ["adapt"], ["effects", "pushin"]])
+def test_bad_words_are_refused_without_jax(arguments):
+    out = python(*arguments)
+    assert out.stdout == "2 []\n"
+    assert out.stderr.startswith("adaptsim: ") and out.stderr.count("\n") == 1
+
+
+def test_every_command_takes_a_seed():
+    least = {
+        "train": ["pendulum", "--run", "r"],
+        "adapt": ["r", "--target", "wd"],
+        "compare": ["pendulum", "--out", "o"],
+        "init": ["d"],
+        "diagnose": ["d", "--out", "o"],
+        "robot": ["next", "--dir", "d"],
+        "parity": ["pendulum"],
+        "replay": ["m", "d"],
+        "sweep": ["show", "d"],
+    }
+    for name in SUMMARIES:
+        args = parse([name, *least.get(name, []), "--seed", "7"])
+        assert args.seed == 7 and callable(args.run)

@@ -1,0 +1,105 @@
+"""Run folders: what a resumed run finds is what an uninterrupted one would have had."""
+
+import jax.numpy as jnp
+import pytest
+
+from adaptsim_jax.core import config, store
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.store import RunFolder
+
+CONFIG = {"seed": 3, "rounds": 10, "hyper": {"delta": 0.1, "hidden": [64, 64]}}
+
+
+def new_run(path):
+    return RunFolder.create(path, CONFIG, task="pendulum")
+
+
+def rows(first, last):
+    return [{"step": step, "reward": step / 7} for step in range(first, last)]
+
+
+def test_metrics_and_state_go_on_from_the_checkpoint(tmp_path):
+    run = new_run(tmp_path / "run")
+    run.append_metrics(rows(0, 4))
+    run.save({"x": jnp.float32(4)}, step=4)
+    run.append_metrics(rows(4, 8))  # killed before the next checkpoint,
+    with open(run.metrics, "a") as file:
+        file.write('{"step": 8, "rew')  # in the middle of a line
+    again = RunFolder.resume(tmp_path / "run", CONFIG, task="pendulum")
+    tree, step = again.restore({"x": jnp.float32(0)})
+    assert (float(tree["x"]), step) == (4.0, 4)
+    again.append_metrics(rows(4, 8))
+    assert again.read_metrics() == rows(0, 8)
+    straight = new_run(tmp_path / "straight")
+    straight.append_metrics(rows(0, 8))
+    assert again.metrics.read_bytes() == straight.metrics.read_bytes()
+
+
+def test_killed_before_the_first_checkpoint(tmp_path):
+    run = new_run(tmp_path)
+    run.append_metrics(rows(0, 2))
+    like = {"x": jnp.float32(1)}
+    assert RunFolder.resume(tmp_path, CONFIG, task="pendulum").restore(like) == (like, 0)
+    assert run.read_metrics() == []
+
+
+def test_a_number_that_is_not_finite_is_null(tmp_path):
+    """Strict JSON, which other readers take."""
+    run = new_run(tmp_path)
+    run.append_metrics([{"step": 0, "reward": float("nan"), "loss": float("inf")}])
+    assert run.metrics.read_text() == '{"step": 0, "reward": null, "loss": null}\n'
+    assert run.read_metrics() == [{"step": 0, "reward": None, "loss": None}]
+
+
+def test_metrics_that_were_cut_are_refused(tmp_path):
+    run = new_run(tmp_path)
+    run.append_metrics(rows(0, 4))
+    run.save({"x": jnp.float32(4)}, step=4)
+    run.metrics.write_text("")
+    with pytest.raises(BadInput, match=r"metrics\.jsonl: 0 bytes"):
+        run.restore({"x": jnp.float32(0)})
+
+
+def test_another_config_is_named_key_by_key(tmp_path):
+    new_run(tmp_path)
+    other = {"seed": 3, "rounds": 12, "hyper": {"delta": 0.2, "hidden": [64, 64]}}
+    with pytest.raises(BadInput, match=r"hyper\.delta: 0\.1 there, 0\.2 asked; rounds: 10 there, 12 asked"):
+        RunFolder.resume(tmp_path, other, task="pendulum")
+
+
+def test_a_config_edited_after_the_checkpoint_is_refused(tmp_path):
+    run = new_run(tmp_path)
+    run.save({"x": jnp.float32(4)}, step=4)
+    path = tmp_path / store.CONFIG
+    path.write_text(path.read_text().replace("delta = 0.1", "delta = 0.3"))
+    with pytest.raises(BadInput, match="was changed since"):
+        RunFolder.open(tmp_path).load({"x": jnp.float32(0)})
+
+
+def test_a_run_is_not_written_over(tmp_path):
+    new_run(tmp_path)
+    with pytest.raises(BadInput, match="holds a run already; add --resume"):
+        new_run(tmp_path)
+
+
+def test_what_is_not_a_run_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="no such run folder"):
+        RunFolder.open(tmp_path / "none")
+    with pytest.raises(BadInput, match="not a run folder"):
+        RunFolder.open(tmp_path)
+    for text, says in (
+        ("schema = ", "not TOML"),
+        ("a = 1", "written by adaptsim_jax None"),
+        ('schema = 1\nversion = "0.1.0"', "is missing"),
+        ('schema = 1\nversion = "7.0.0"\ntask = "pendulum"\n[config]', "install that version"),
+        ('schema = 1\nversion = "0.1.0"\ntask = "pushing"\n[config]', "is of task 'pushing'"),
+    ):
+        (tmp_path / store.CONFIG).write_text(text)
+        with pytest.raises(BadInput, match=says):
+            RunFolder.open(tmp_path, task="pendulum")
+
+
+def test_config_survives_the_file(tmp_path):
+    run = new_run(tmp_path)
+    again = RunFolder.open(tmp_path, task="pendulum")
+    assert again.config == CONFIG and again.config_hash == run.config_hash == config.digest(CONFIG)

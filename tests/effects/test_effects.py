@@ -1,0 +1,222 @@
+"""One walk over the catalogue: what every entry promises, in both precisions."""
+
+import re
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.base import UNITS, Dry, Effect, Motion, Parameter, Reach, Relaxation
+from adaptsim_jax.effects.layout import Layout
+from adaptsim_jax.effects.registry import catalogue
+
+NAMES = (
+    "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay actuator_lag saturation dead_zone "
+    "presliding backlash cogging rotor_inertia friction_drift periodic_disturbance hard_stop load_friction sensor_lag "
+    "heave sway"
+).split()
+REACH = Reach(
+    np.array([0.9, 0.35]), np.array([1.0, 0.4]), np.array([3.0, 6.0]), np.array([-1.0, -1.5]), np.array([1.2, 1.0]), 6.0,
+    5e-3, np.array([0.1, 0.02]),
+)  # fmt: skip
+
+
+@pytest.fixture(params=[False, True], ids=["float32", "x64"])
+def x64(request):
+    with jax.enable_x64(request.param):
+        yield request.param
+
+
+def motion(torque=1.0, time=1.0, count=40, memory=0.3):
+    """A two-joint motion in units in which torques are `torque` and times `time` as large."""
+    t = np.linspace(0.0, 2.0, count)
+    q = np.stack([1.1 * np.sin(2 * t), 0.9 * np.cos(3 * t) - 0.2])
+    v = np.stack([2.2 * np.cos(2 * t), -2.7 * np.sin(3 * t)]) / time
+    u = torque * np.stack([np.sin(5 * t), 0.4 * np.cos(4 * t)])
+    gravity = lambda q: -torque * jnp.stack([2.0 * jnp.sin(q[0]), 0.7 * jnp.sin(q[0] + q[1])])
+    arrays = (jnp.asarray(z) for z in (q, v, u, t[None] * time, np.full_like(q, memory)))
+    return Motion(*arrays, gravity)
+
+
+def parameters(effect, amplitude=1.0, torque=1.0, time=1.0):
+    """A mid-sized setting of an effect; `amplitude` 0 is its off value, 1 a third of the way to its upper bound."""
+    shape = effect.grid_points(REACH, 0)[-1]
+    out = {}
+    for p in effect.parameters:
+        value = shape.get(p.name, p.default) if p.off is None else p.off + amplitude * 0.3 * (min(p.high, 0.5) - p.off)
+        a, b = UNITS[p.unit]
+        out[p.name] = jnp.asarray(np.reshape(value * torque**a * time**b, (1, 1)))
+    return out
+
+
+@partial(jax.jit, static_argnums=(0, 2, 3))  # one compile an effect: op by op would take minutes
+def act(effect, p, torque=1.0, time=1.0):
+    """What an effect does, as a tuple of arrays, on the standard motion."""
+    m = motion(torque, time)
+    if effect.inertia:
+        return (effect.apply(p) * jnp.ones((2, 1)),)
+    if effect.place == "force":
+        answer = effect.apply(p, m)
+        return tuple(jnp.asarray(z) for z in answer) if isinstance(answer, (Dry, Relaxation)) else (answer,)
+    t, flat = m.t.T, {k: v.reshape(1, 1) for k, v in p.items()}
+    if effect.place == "command":
+        return (effect.apply(flat, t, m.u.T),)
+    return effect.apply(flat, t, m.q.T, m.v.T, m.q.T[0])
+
+
+def untouched(effect):
+    m = motion()
+    if effect.place == "command":
+        return (m.u.T,)
+    return (m.q.T, m.v.T) if effect.place == "measurement" else None
+
+
+def test_catalogue_has_every_name_once():
+    assert sorted(e.name for e in catalogue()) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
+def test_entry_is_complete(effect):
+    names = {e.name for e in catalogue()}
+    assert effect.physics and effect.excitation and effect.look_alikes
+    assert set(effect.look_alikes) <= names and set(effect.contains) <= names - {effect.name}
+    for p in effect.parameters:
+        assert p.low <= p.default <= p.high and p.low < p.high
+        assert p.off is None or p.low <= p.off <= p.high
+        assert p.sign <= 0 or p.low >= 0 or p.plausible is not None
+    for point in effect.grid_points(REACH, 1):
+        assert set(point) >= {p.name for p in effect.shapes if not p.optional} or effect.jump
+        for p in effect.parameters:
+            low, high = p.bounds(float(REACH.torque[1]))
+            assert p.name not in point or low <= point[p.name] <= high
+
+
+def test_a_slow_joint_leaves_room_for_a_drag_of_the_same_torque():
+    """A rig of 80 N m that turns at 0.5 rad/s has a drag of 98 N m s^2/rad^2; what a spring may be does not change."""
+    of = {p.name: p for e in catalogue() if e.name in ("quadratic_drag", "spring") for p in e.parameters}
+    assert of["drag"].bounds(80.0, 0.5) == (0.0, 320.0) and of["drag"].bounds(80.0, 5.0) == (0.0, 80.0)
+    assert of["stiffness"].bounds(80.0, 0.5) == of["stiffness"].bounds(80.0)
+
+
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
+def test_off_value_does_nothing(effect, x64):
+    got = act(effect, parameters(effect, amplitude=0.0))
+    tolerance = 1e-12 if x64 else 2e-4  # a running integral of the command loses digits in float32
+    if untouched(effect) is None:
+        count = 1 if effect.memory else len(got)  # a memory moves on even where it has no force
+        rounding = 1e-14 if x64 else 1e-5  # a fused multiply-add may leave the last digit of gravity minus itself
+        assert all(np.abs(z).max() <= rounding for z in got[:count])
+    else:
+        for a, b in zip(got, untouched(effect), strict=True):
+            np.testing.assert_allclose(a, b, atol=tolerance)
+
+
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
+def test_size_does_something_in_the_default_precision(effect, x64):
+    on, off = act(effect, parameters(effect)), act(effect, parameters(effect, amplitude=0.0))
+    assert all(z.dtype == (jnp.float64 if x64 else jnp.float32) for z in on)
+    assert max(float(np.abs(a - b).max()) for a, b in zip(on, off, strict=True)) > 1e-4
+
+
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
+def test_gradients_are_finite_and_right_where_smooth(effect, x64):
+    p = parameters(effect)
+
+    @jax.jit
+    def total(p):
+        return sum(jnp.sum(jnp.square(z + 0.1)) for z in act(effect, p))
+
+    slope_of = jax.jit(jax.grad(total))
+    slope = slope_of(p)
+    assert all(np.isfinite(z).all() for z in jax.tree.leaves(slope))
+    zero = slope_of(parameters(effect, amplitude=0.0))
+    assert all(np.isfinite(z).all() for z in jax.tree.leaves(zero))
+    if effect.smooth and x64:
+        for name in p:
+            h = 1e-6 * max(1.0, abs(float(p[name][0, 0])))
+            up, down = total(p | {name: p[name] + h}), total(p | {name: p[name] - h})
+            np.testing.assert_allclose(slope[name].sum(), (up - down) / (2 * h), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
+@pytest.mark.parametrize(("torque", "time"), [(1000.0, 1.0), (1.0, 0.01)], ids=["mN m", "other seconds"])
+def test_units_scale_as_declared(effect, torque, time):
+    """Write the same motion and parameters in other units of torque or time: the same thing must happen."""
+    with jax.enable_x64(True):
+        base = act(effect, parameters(effect))
+        other = act(effect, parameters(effect, torque=torque, time=time), torque, time)
+        names = {"command": ["N m"], "measurement": ["rad", "rad/s"]}.get(effect.place)
+        if names is None:
+            remembers, dry = ["N m", "1", "Hz"], ["N m", "N m", "rad/s"]
+            names = ["kg m^2"] if effect.inertia else remembers if effect.memory else dry
+        for a, b, unit in zip(base, other, names, strict=False):
+            i, j = UNITS["rad" if unit == "1" else unit]
+            np.testing.assert_allclose(np.asarray(a) * torque**i * time**j, b, rtol=1e-5, atol=1e-6 * torque)
+
+
+def test_layout_masks_amplitudes_and_keeps_shapes():
+    layout = Layout(catalogue(), ("joint1", "joint2"))
+    eff = jnp.arange(1.0, layout.size + 1)
+    on = layout.mask([("stribeck", "joint2")])
+    kept = np.asarray(layout.masked(eff, on))
+    instance = layout.instances[layout.index("stribeck", "joint2")]
+    np.testing.assert_array_equal(kept[instance.at], np.asarray(eff)[instance.at])
+    other = layout.instances[layout.index("stribeck", "joint1")]
+    np.testing.assert_array_equal(kept[other.at], [0.0, 0.0, *np.asarray(eff[other.at][2:])])
+
+
+def test_layout_has_one_of_what_the_base_does_and_two_of_the_others():
+    layout = Layout(catalogue(), ("joint1", "joint2"))
+    assert [i.effect.name for i in layout.instances if i.where == "base"] == ["tilt", "heave", "sway"]
+    assert len(layout.instances) == 2 * len(NAMES) - 3
+    with pytest.raises(BadInput, match=re.escape("effect 'tilt' at 'joint1'")):
+        layout.index("tilt", "joint1")
+
+
+def test_a_user_adds_an_effect_with_one_entry():
+    def magnet(p, m):
+        return p["pull"] * jnp.exp(-jnp.square(m.q))
+
+    mine = Effect("magnet", "force", (Parameter("pull", "N m", -1.0, 1.0, 0.0),), magnet, "a magnet", "near zero")
+    layout = Layout((*catalogue(), mine), ("joint1", "joint2"))
+    assert layout.names()[-1] == ("magnet", "joint2", "pull")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"place": "base"}, "place 'base'"), ({"scope": "body"}, "scope 'body'"), ({"parameters": ()}, "turns it off")],
+)
+def test_a_wrong_entry_is_refused(change, message):
+    entry = {"name": "x", "place": "force", "parameters": (Parameter("a", "N m", 0.0, 1.0, 0.0),), "apply": abs}
+    with pytest.raises(BadInput, match=message):
+        Effect(**(entry | {"physics": "p", "excitation": "e"} | change))
+
+
+def test_delay_and_lag_keep_the_impulse():
+    """A short pulse arrives late but whole."""
+    with jax.enable_x64(True):
+        t = jnp.arange(400)[:, None] * 5e-3
+        u = jnp.zeros((400, 1)).at[20:24].set(2.0)
+        for effect, p in (("delay", 0.0123), ("actuator_lag", 0.02)):
+            (entry,) = (e for e in catalogue() if e.name == effect)
+            late = entry.apply({entry.parameters[0].name: jnp.array([[p]]), "before": jnp.array([[0.0]])}, t, u)
+            np.testing.assert_allclose(late.sum() * 5e-3, u.sum() * 5e-3, rtol=1e-9)
+            mean = (late * (t + 2.5e-3)).sum() / late.sum() - (u * (t + 2.5e-3)).sum() / u.sum()
+            assert abs(float(mean) - p) < 2e-3 if effect == "delay" else abs(float(mean) - p) < 5e-3
+
+
+def test_what_was_commanded_before_the_recording_fades():
+    """A held command arrives at once where it was there before, late where it was not; later rows do not know."""
+    with jax.enable_x64(True):
+        t, u = jnp.arange(100)[:, None] * 5e-3, jnp.full((100, 1), 2.0)
+        for effect, size in (("delay", 0.0123), ("actuator_lag", 0.01)):
+            (entry,) = (e for e in catalogue() if e.name == effect)
+            p = {entry.parameters[0].name: jnp.array([[size]])}
+            held = entry.apply(p | {"before": jnp.array([[1.0]])}, t, u)
+            fresh = entry.apply(p | {"before": jnp.array([[0.0]])}, t, u)
+            np.testing.assert_allclose(held, u, rtol=1e-9)
+            assert abs(float((held - fresh)[:-1].sum() * 5e-3) - 2.0 * size) < 1e-9  # the impulse that is missing
+            np.testing.assert_allclose(fresh[60:], u[60:], rtol=1e-9)
