@@ -96,16 +96,30 @@ def _stop(rng, s, j, share):
 
 def _drive(rng, s, j, hertz, ratio, gap):
     stiffness = (2 * np.pi * hertz) ** 2 * s.own[j]
-    return {"stiffness": stiffness, "damping": 2 * ratio * np.sqrt(stiffness * s.own[j]), "gap": gap, "link_side": float(rng.integers(2))}
+    return {
+        "stiffness": stiffness,
+        "damping": 2 * ratio * np.sqrt(stiffness * s.own[j]),
+        "gap": gap,
+        "link_side": float(rng.integers(2)),
+    }
 
 
 def _magnet(rng, s, j, share):
-    return {"size": 1.6 * share * s.torque[j], "angle": rng.uniform(s.low[j], s.high[j]), "width": rng.uniform(0.06, 0.15) * s.span(j)}
+    return {
+        "size": 1.6 * share * s.torque[j],
+        "angle": rng.uniform(s.low[j], s.high[j]),
+        "width": rng.uniform(0.06, 0.15) * s.span(j),
+    }
 
 
 def _place_friction(rng, s, j, share):
     order = 2 * np.pi * rng.uniform(0.7, 2.0) / s.span(j)
-    return {"level": 1.2 * share * s.torque[j], "depth": rng.uniform(0.7, 1.0), "order": order, "phase": rng.uniform(0, 6.28)}
+    return {
+        "level": 1.2 * share * s.torque[j],
+        "depth": rng.uniform(0.7, 1.0),
+        "order": order,
+        "phase": rng.uniform(0, 6.28),
+    }
 
 
 ONE = lambda key, scale: lambda r, s, j, k: {key: k * float(s.torque[j] / scale(s, j))}
@@ -187,7 +201,9 @@ def plan(rng: np.random.Generator, machine: Machine, mode: str, suite: str, effe
     first = str(rng.choice([k for k in OUTSIDE if fits(machine, mode, k)]))
     for kind in [first, *map(str, rng.permutation([k for k in inside if k not in ABSORBED]))]:
         joints, family = joints_of(rng, machine, kind), KINDS[kind].family or kind
-        if len(chosen) < count and all((KINDS[k].family or k) != family and _apart(kind, joints, k, js) for k, js in chosen):
+        if len(chosen) < count and all(
+            (KINDS[k].family or k) != family and _apart(kind, joints, k, js) for k, js in chosen
+        ):
             chosen.append((kind, joints))
     return chosen
 
@@ -202,7 +218,9 @@ def _apart(kind: str, joints: tuple[int, ...], other: str, others: tuple[int, ..
     return not ((drives or alike) and set(joints) & set(others))
 
 
-def draw_effects(rng: np.random.Generator, machine: Machine, plans: list[Plan], s: Scales, factors: list[float]) -> tuple[Effect, ...]:
+def draw_effects(
+    rng: np.random.Generator, machine: Machine, plans: list[Plan], s: Scales, factors: list[float]
+) -> tuple[Effect, ...]:
     """Sizes for what is planned: 3 to 30 % of the torque, times a factor where that was too little to see."""
     out = []
     for (kind, joints), factor in zip(plans, factors, strict=True):
@@ -222,7 +240,13 @@ def draw_effects(rng: np.random.Generator, machine: Machine, plans: list[Plan], 
             params = [{"difference": float(np.clip(params[0]["difference"], -0.9 * level, 0.9 * level))}]
         if kind in ("payload", "dropped_mass"):
             share_of_mass = params[0].pop("share")
-            params = [{"mass": share_of_mass * max(machine.links[-1].mass, 0.3 * machine.links[-2].mass if machine.n > 2 else 0)} | params[0]]
+            params = [
+                {
+                    "mass": share_of_mass
+                    * max(machine.links[-1].mass, 0.3 * machine.links[-2].mass if machine.n > 2 else 0)
+                }
+                | params[0]
+            ]
         if kind == "tilt" and machine.name in ("pendulum", "double_pendulum", "cart_pole"):
             params[0]["toward"] = float(rng.integers(2)) * np.pi  # in the plane
         out.append(Effect(k.name or kind, joints, tuple(params), k.outside))
@@ -245,7 +269,9 @@ def tilted(effects: tuple[Effect, ...]) -> np.ndarray:
 
 def extras_of(machine: Machine, effects: tuple[Effect, ...], file: bool) -> Extras:
     """What of the effects MJCF holds; file False: only what `mechanism_engine` leaves to MuJoCo's model."""
-    x = Extras(gravity=tilted(effects), payload=next((e.params[0]["mass"] for e in effects if e.name == "payload"), 0.0))
+    x = Extras(
+        gravity=tilted(effects), payload=next((e.params[0]["mass"] for e in effects if e.name == "payload"), 0.0)
+    )
     for e in effects:
         for j, p in e.each():
             name = machine.links[j].name

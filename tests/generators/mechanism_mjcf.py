@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.generators.mechanism_machines import Link, G, Machine, turned
+from tests.generators.mechanism_machines import G, Link, Machine, turned
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,11 @@ def to_xml(machine: Machine, mode: str, gains: np.ndarray, extras: Extras | None
         ]
     lines += ["  " * k + "</body>" for k in range(depth - 1, 1, -1)] + ["  </worldbody>"]
     if actuators:
-        lines += ["  <actuator>", *(_actuator(machine.links[j].name, mode, gains[j], x) for j in machine.driven), "  </actuator>"]
+        lines += [
+            "  <actuator>",
+            *(_actuator(machine.links[j].name, mode, gains[j], x) for j in machine.driven),
+            "  </actuator>",
+        ]
     return "\n".join([*lines, "</mujoco>", ""])
 
 

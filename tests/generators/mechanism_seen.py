@@ -18,7 +18,14 @@ SENSOR = ("encoder_offset", "encoder_scale", "sensor_delay", "sensor_lag")
 SAME = 0.03  # of an effect that an equivalent may leave
 SEEN = 0.03  # of a joint's torque: less, and nobody need name it there
 BARELY = 0.01  # of a joint's torque: less, and nobody can see it
-MOST = {"torque_gain": 0.5, "position_gain": 0.5, "load_friction": 0.9, "encoder_offset": 0.5, "encoder_scale": 0.3, "tilt": 0.3}
+MOST = {
+    "torque_gain": 0.5,
+    "position_gain": 0.5,
+    "load_friction": 0.9,
+    "encoder_offset": 0.5,
+    "encoder_scale": 0.3,
+    "tilt": 0.3,
+}
 """Sizes beyond which a rival is absurd: a gain of -1 with no inertias explains anything."""
 LEFT = 0.05  # of an effect that inertias and damping leave when they absorb it
 
@@ -39,7 +46,9 @@ class Motion:
 class Sight:
     """Judges the effects of one world."""
 
-    def __init__(self, machine: Machine, plant: Plant, drive: Drive, run: Run, effects: tuple[Effect, ...], tilt, own: np.ndarray):
+    def __init__(
+        self, machine: Machine, plant: Plant, drive: Drive, run: Run, effects: tuple[Effect, ...], tilt, own: np.ndarray
+    ):
         self.machine, self.plant, self.effects, self.tilt = machine, plant, effects, tilt
         steps = np.arange(200, len(run.q) - 200, max(1, len(run.q) // 100))
         flat = lambda z: z[steps].reshape(-1, machine.n)

@@ -52,13 +52,23 @@ def plant_of(machine: Machine, mode: str, gains: np.ndarray, effects: tuple[Effe
     model.dof_solimp[:] = [0.99, 0.999, 1e-3, 0.5, 2.0]
     at = np.array([model.joint(name).dofadr[0] for name in machine.joints])
     bent = [j for e in effects if e.name in ("drive_elasticity", "drive_play") for j in e.joints]
-    return Plant(model, mode, machine.driven, gains, at, {j: int(model.joint(f"twist_{machine.joints[j]}").dofadr[0]) for j in bent})
+    return Plant(
+        model,
+        mode,
+        machine.driven,
+        gains,
+        at,
+        {j: int(model.joint(f"twist_{machine.joints[j]}").dofadr[0]) for j in bent},
+    )
 
 
 def with_rotors(rng: np.random.Generator, machine: Machine, plans: list[Plan]) -> Machine:
     """A drive with a spring behind it has a rotor, which is declared."""
     links = list(machine.links)
-    own = inertia(mujoco.MjModel.from_xml_string(to_xml(machine, "torque", np.zeros((machine.n, 2)), actuators=False)), home(machine))
+    own = inertia(
+        mujoco.MjModel.from_xml_string(to_xml(machine, "torque", np.zeros((machine.n, 2)), actuators=False)),
+        home(machine),
+    )
     for kind, joints in plans:
         for j in joints:
             if kind in ("drive_elasticity", "drive_play"):
@@ -71,7 +81,9 @@ def tame(run: Run) -> bool:
     return bool(np.all(np.isfinite(run.q)) and np.ptp(run.q, axis=0).max() < 1.8 * np.pi and np.abs(run.v).max() < 25)
 
 
-def make_world(kind: str, seed: int, machine: str | None = None, mode: str | None = None, effect: str | None = None) -> World:
+def make_world(
+    kind: str, seed: int, machine: str | None = None, mode: str | None = None, effect: str | None = None
+) -> World:
     """machine, mode and effect (of a single) are drawn where not given. A world whose effects are too small to see is drawn again with
     larger ones, one that turns over with smaller motion. Raises ValueError for an unknown kind or effect."""
     if kind not in SUITES:
@@ -97,14 +109,12 @@ def make_world(kind: str, seed: int, machine: str | None = None, mode: str | Non
         plant = plant_of(m, mode, gains, effects)
         if not tame(pilot) or not tame(run := simulate(plant, drive, effects)):
             wide *= 0.7
-            print("WILD", wide)
             continue
         sight = Sight(m, plant, drive, run, effects, tilted(effects), own)
         told = [_told(m, sight, k) for k in range(len(effects))]
         small = {i for i, e in zip(owners(plans), told, strict=True) if _too_small(e)}
         if not small or max(factors) > 2.5:
             break
-        print("SMALL", [(told[k]["name"],told[k]["seen"]) for k,i in enumerate(owners(plans)) if i in small])
         factors = [1.7 * f if i in small else f for i, f in enumerate(factors)]
     else:
         raise RuntimeError(f"{kind} world {seed} of {m.name} turns over however little it is driven")
@@ -130,7 +140,11 @@ def _told(machine: Machine, sight: Sight, k: int) -> dict:
     that are not wrong; absorbed: nothing need be told, since inertias and damping do the same."""
     e = sight.effects[k]
     names = [machine.joints[j] for j in e.joints]
-    sizes = dict(zip(names, e.params, strict=True)) if len(names) == len(e.params) else {"+".join(names) or "base": e.params[0]}
+    sizes = (
+        dict(zip(names, e.params, strict=True))
+        if len(names) == len(e.params)
+        else {"+".join(names) or "base": e.params[0]}
+    )
     told = {"name": e.name, "joints": names, "outside": e.outside, "size": sizes} | sight.judge(k)
     if e.name in ABSORBED:
         told["absorbed"] = True
