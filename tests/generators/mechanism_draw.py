@@ -14,7 +14,7 @@ from tests.generators.mechanism_mjcf import Extras
 @dataclass(frozen=True)
 class Scales:
     """By joint `[n]`, on a short run without effects, RMS: torque (the actuator's, or what moves a free joint), rate of the torque
-    commanded, speed, speed squared, acceleration; own inertia; low and high: quantiles 2 and 98 % of the angles; u `[M, n]`: torques."""
+    commanded, speed, speed squared, acceleration; own inertia; low and high: 2 and 98 % quantiles of angles; u `[M, n]`: torques."""
 
     torque: np.ndarray
     rate: np.ndarray
@@ -129,7 +129,8 @@ KINDS: dict[str, Kind] = {
     "coulomb": Kind("one", ONE("level", PLAIN)),
     "coulomb_all": Kind("all", ONE("level", PLAIN), "coulomb"),
     "asymmetric_coulomb": Kind(
-        "one", lambda r, s, j, k: {"difference": _either(r, 0.6, 1.0) * max(k, 0.08) * s.torque[j]}, beside=("coulomb",), family="bias"),
+        "one", lambda r, s, j, k: {"difference": _either(r, 0.6, 1.0) * max(k, 0.08) * s.torque[j]}, beside=("coulomb",),
+        family="bias"),
     "stribeck": Kind(
         "one", lambda r, s, j, k: {"excess": 2 * k * s.torque[j], "speed": r.uniform(0.2, 0.6) * s.speed[j]}, beside=("coulomb",)),
     "load_friction": Kind("driven", lambda r, s, j, k: {"share": k}),
@@ -139,7 +140,8 @@ KINDS: dict[str, Kind] = {
     "cogging": Kind("one", _cogging),
     "bias": Kind("one", lambda r, s, j, k: {"torque": _either(r, 1, 1) * k * s.torque[j]}, family="bias"),
     "torque_gain": Kind("driven", lambda r, s, j, k: {"gain": _either(r, 1, 1) * min(1.2 * k, 0.4)}, family="gain"),
-    "position_gain": Kind("driven", lambda r, s, j, k: {"gain": _either(r, 1, 1) * min(1.5 * k, 0.4)}, modes=("position",), family="gain"),
+    "position_gain": Kind("driven", lambda r, s, j, k: {"gain": _either(r, 1, 1) * min(1.5 * k, 0.4)}, modes=("position",),
+        family="gain"),
     "delay": Kind("all_driven", lambda r, s, j, k: {"delay": _late(r, s, j, k)}, family="late"),
     "log_late": Kind("all_driven", lambda r, s, j, k: {"delay": -_late(r, s, j, k)}, "delay", family="late"),
     "actuator_lag": Kind("all_driven", lambda r, s, j, k: {"lag": _late(r, s, j, k, 0.05)}, family="late"),
@@ -150,7 +152,8 @@ KINDS: dict[str, Kind] = {
     "encoder_scale": Kind("one", lambda r, s, j, k: {"scale": _either(r, 1, 1) * min(0.6 * k, 0.2)}, family="gain"),
     "sensor_delay": Kind("all", lambda r, s, j, k: {"delay": _late(r, s, j, k)}, family="late"),
     "sensor_lag": Kind("all", lambda r, s, j, k: {"lag": _late(r, s, j, k)}, family="late"),
-    "tilt": Kind("base", lambda r, s, j, k: {"angle": np.deg2rad(r.uniform(1.5, 6.0)), "toward": r.uniform(0, 2 * np.pi)}, family="bias"),
+    "tilt": Kind("base", lambda r, s, j, k: {"angle": np.deg2rad(r.uniform(1.5, 6.0)), "toward": r.uniform(0, 2 * np.pi)},
+        family="bias"),
     "payload": Kind("base", lambda r, s, j, k: {"share": r.uniform(0.1, 0.4)}, family="drop"),
     "backlash": Kind("one", lambda r, s, j, k: {"gap": r.uniform(0.02, 0.06) * s.span(j)}, family="drive"),
     "drive_elasticity": Kind("driven", lambda r, s, j, k: _drive(r, s, j, r.uniform(5, 10), 0.05, 0.0), family="drive"),
@@ -162,9 +165,11 @@ KINDS: dict[str, Kind] = {
     "place_friction": Kind("one", _place_friction, outside=True),
     "wandering_torque": Kind("one", lambda r, s, j, k: {
         "size": k * s.torque[j], "seed": float(r.integers(2**31))}, outside=True),
-    "dropped_mass": Kind("base", lambda r, s, j, k: {"share": r.uniform(0.15, 0.5), "time": r.uniform(2, 3)}, family="drop", outside=True),
+    "dropped_mass": Kind("base", lambda r, s, j, k: {"share": r.uniform(0.15, 0.5), "time": r.uniform(2, 3)}, family="drop",
+        outside=True),
     "coupling": Kind("pair", lambda r, s, j, k: {
-        "size": 1.41 * k * s.torque[j], "ratio": _either(r, 0.5, 1.0), "order": np.pi / s.span(j), "rest": r.uniform(0, 6.28)}, outside=True),
+        "size": 1.41 * k * s.torque[j], "ratio": _either(r, 0.5, 1.0), "order": np.pi / s.span(j), "rest": r.uniform(0,
+        6.28)}, outside=True),
 }  # fmt: skip
 INSIDE = tuple(k for k, v in KINDS.items() if not v.outside)
 OUTSIDE = tuple(k for k, v in KINDS.items() if v.outside)

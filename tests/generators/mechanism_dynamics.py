@@ -13,7 +13,7 @@ class Chain:
     """Frames and accelerations of all bodies at S samples of q, v, a `[S, n]`; gravity [3]."""
 
     def __init__(self, machine: Machine, q, v, a, gravity=(0.0, 0.0, -9.81)):
-        samples, n = q.shape
+        samples, _ = q.shape
         turn, place = np.broadcast_to(np.eye(3), (samples, 3, 3)), np.zeros((samples, 3))
         spin, gain = np.zeros((samples, 3)), np.zeros((samples, 3))
         lift = np.broadcast_to(-np.asarray(gravity, float), (samples, 3))  # acceleration of the frame, less gravity

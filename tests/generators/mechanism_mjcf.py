@@ -82,7 +82,8 @@ def _body(link: Link, x: Extras) -> list[list[str]]:
     if link.name not in x.twist:
         return [[opened, mass, own]]
     stiff, damp = x.twist[link.name]
-    bend = f'<joint name="twist_{link.name}" type="{link.kind}" axis="{number(link.axis)}" stiffness="{stiff:.9g}" damping="{damp:.9g}"/>'
+    spring = f'stiffness="{stiff:.9g}" damping="{damp:.9g}"'
+    bend = f'<joint name="twist_{link.name}" type="{link.kind}" axis="{number(link.axis)}" {spring}/>'
     tiny = '<inertial pos="0 0 0" mass="1e-4" diaginertia="1e-8 1e-8 1e-8"/>'
     return [
         [f'<body name="drive_{link.name}" pos="{number(link.at)}">', tiny, own],

@@ -177,7 +177,7 @@ class Sight:
                     yield name, (j,), self._at(j, columns)
         now = self._model(m.q, m.v, m.a)
         for j in range(n):
-            for name, size, fed in (("encoder_offset", 1e-4, True), ("encoder_scale", 1e-4, True)):
+            for name, size in (("encoder_offset", 1e-4), ("encoder_scale", 1e-4)):
                 q, v, a = (z.copy() for z in (m.q, m.v, m.a))
                 if name == "encoder_offset":
                     q[:, j] += size
