@@ -28,5 +28,5 @@ class Criteria:
     tried: int = 4
     glance: int = 2
     fitted: int = 2
-    rounds: int = 5
+    rounds: int = 12
     explained: float = 1.5
