@@ -203,19 +203,39 @@ def problem_of(tracks: Tracks) -> Problem:
     scale = seen / tracks.noise
     one = partial(_residual, duration=duration)
     over = jax.jit(jax.vmap(one, (0, 0, 0, 0, 0)))
-    along = jax.jit(jax.vmap(jax.jacfwd(one), (None, 0, 0, 0, 0)))
-    plain = jax.jit(jax.vmap(one, (None, 0, 0, 0, 0)))
+
+    @jax.jit
+    def along(vector, ways, action, time, place, scale):
+        at = lambda a, t, p, s: jax.vmap(
+            lambda w: jax.jvp(lambda v: one(v, a, t, p, s), (vector,), (w,)), out_axes=(None, -1)
+        )(ways)
+        return jax.vmap(at)(action, time, place, scale)
 
     def residuals(vectors):
         with jax.enable_x64(True):
             return np.asarray(over(jnp.asarray(vectors), action, time, place, scale))
 
-    def slopes(vector):
+    def slopes(vector, which):
+        ways = np.zeros((len(which), len(vector)))
+        ways[np.arange(len(which)), which] = 1.0
         with jax.enable_x64(True):
-            v = jnp.asarray(vector)
-            return (np.asarray(plain(v, action, time, place, scale)), np.asarray(along(v, action, time, place, scale)))
+            return tuple(
+                np.asarray(z) for z in along(jnp.asarray(vector), jnp.asarray(ways), action, time, place, scale)
+            )
 
-    return Problem(PARAMETERS, CATALOGUE, DECLARED, residuals, slopes, tracks.trials)
+    return Problem(PARAMETERS, CATALOGUE, DECLARED, residuals, slopes, tracks.trials, _starts())
+
+
+def _starts() -> np.ndarray:
+    """Vectors over Omega: where the patch lies is found from nearby only."""
+    rows = []
+    for mu in (0.09, 0.15):
+        for e in (4.6, 5.4):
+            for y in (-0.07, -0.025, 0.025, 0.07):
+                row = np.array([p.off for p in PARAMETERS])
+                row[:4] = mu, e, 0.5, y
+                rows.append(row)
+    return np.array(rows)
 
 
 def _residual(vector, action, time, place, scale, *, duration):
