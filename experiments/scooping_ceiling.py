@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from adaptsim_jax.baselines.methods import default_comparison
+from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.tasks.one_shot import World, action_grid

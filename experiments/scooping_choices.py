@@ -22,8 +22,8 @@ import numpy as np
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State, make_phase1
 from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of
 from adaptsim_jax.baselines.arena import Arena, lanes
+from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import two_keys
-from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.space import gaussian, step

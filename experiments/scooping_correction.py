@@ -24,9 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, Trials, lanes
+from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
 from adaptsim_jax.baselines.memory import Memory
-from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.core.files import output_folder, write_json

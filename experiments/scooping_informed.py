@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.arena import Arena
-from adaptsim_jax.baselines.methods import default_comparison
+from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.one_shot import OneShot
