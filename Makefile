@@ -15,7 +15,7 @@ help:
 	@echo "make demo    install into $(VENV), run 'adaptsim demo', leave figures and a page in $(DEMO_OUT)"
 	@echo "make test    run the test suite on $(JOBS) processes (JOBS=n for another number)"
 	@echo "make lint    ruff and pyright"
-	@echo "make bench   run every benchmark that needs no extra package"
+	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
 	@echo "make clean   remove $(VENV) and what the other targets wrote"
 
 demo: $(VENV)/.core
@@ -37,13 +37,11 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.core
-	@for script in benchmarks/*.py; do \
-	  case "$$script" in *__init__.py) continue;; esac; \
-	  echo "== $$script"; $(BIN)/python "$$script" || echo "$$script did not run to its end; 'pip install -e .[bench]' adds its peers"; \
-	done
+	$(BIN)/python benchmarks/table.py --out bench
+	@cat bench/table.md
 
 clean:
-	rm -rf $(VENV) .cache demo_out build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) .cache demo_out bench build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
 
 # A stamp is written only when its step ended well, so an interrupted install is taken up again.
 $(VENV)/.made:

@@ -22,7 +22,8 @@ WITHIN = {
     ),
     "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),
     "mechanisms": (
-        "lanes", "tree", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write", "plant", "double_pendulum",
+        "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write",
+        "plant", "double_pendulum",
         "dry_friction", "stepping", "closed_loop", "model_file",
     ),
     "sysid": (

@@ -146,6 +146,23 @@ def pushing_native() -> TrainConfig:
     return replace(base, every=1, task=task, phase1=phase1)
 
 
+def pushing_mjx() -> TrainConfig:
+    """`pushing_native` with the scene in MJX, within the compiled program."""
+    base = pushing_native()
+    return replace(base, task=base.task | {"simulator": "mjx"})
+
+
+def scooping_hydro() -> TrainConfig:
+    """`scooping` without the bank: policies are trained and Phase 1 runs in the hydroelastic engine. Nothing is corrected, since
+    corrections are by the bank."""
+    return replace(scooping(), task={"simulator": "hydro"})
+
+
+def scooping_mjx() -> TrainConfig:
+    """The same in the MuJoCo scene, in MJX."""
+    return replace(scooping(), task={"simulator": "mjx"})
+
+
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
     """`table` over the task's default config, key by key. A run's own config is whole and stays as it is."""
     if {f.name for f in fields(TrainConfig)} <= set(table):
@@ -153,4 +170,11 @@ def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
     return configs.over(configs.to_table(default_config(task)), table)
 
 
-PRESETS = {"paper-pendulum": paper_pendulum, "paper-pushing": paper_pushing, "native-pushing": pushing_native}
+PRESETS = {
+    "paper-pendulum": paper_pendulum,
+    "paper-pushing": paper_pushing,
+    "native-pushing": pushing_native,
+    "mjx-pushing": pushing_mjx,
+    "hydro-scooping": scooping_hydro,
+    "mjx-scooping": scooping_mjx,
+}

@@ -12,7 +12,8 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refitted_start, run, starts_of
-from adaptsim_jax.attribution.load import Machine, load
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, prepare
 
@@ -61,7 +62,7 @@ def _rms(e: np.ndarray) -> float:
 
 
 def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None) -> Replay:
-    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values (the model file's where None)."""
+    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values, or the file's."""
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     problem = prepare(

@@ -8,11 +8,13 @@ import json
 EXAMPLES = """
   adaptsim doctor
   adaptsim doctor --json > doctor.json     for a report of a fault
+  adaptsim doctor --costs                  and what a trajectory of Phase 1 costs here in each engine; some minutes
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--costs", action="store_true", help="measure what a trajectory costs in each engine, too")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -20,8 +22,21 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands import doctor_checks as doctor
 
     found = doctor.examine()
+    if args.costs and args.json:
+        found["costs"] = list(_costs())
     if args.json:
         print(json.dumps(found, indent=1))
     else:
         doctor.show(found)
+    if args.costs and not args.json:
+        from adaptsim_jax.commands.doctor_costs import line
+
+        for row in _costs():
+            print(line(row), flush=True)
     return 1 if found["faults"] else 0
+
+
+def _costs():
+    from adaptsim_jax.commands.doctor_costs import costs
+
+    return costs()

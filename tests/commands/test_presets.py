@@ -63,7 +63,7 @@ def test_a_config_file_with_some_keys_is_filled_up():
 
 @pytest.mark.parametrize(
     ("task", "name", "there"),
-    [("pushing", "paper", "paper-pushing"), ("scooping", "paper-pushing", "none of scooping's")],
+    [("pushing", "paper", "paper-pushing"), ("scooping", "paper-pushing", "hydro-scooping or mjx-scooping")],
 )
 def test_an_unknown_preset_is_refused(task, name, there):
     args = parse(["train", task, "--run", "r", "--preset", name])
