@@ -1,4 +1,7 @@
-"""The baselines of tasks whose policy is solved exactly: each returns the means of E that it visited in every target, for every seed."""
+"""The baselines of tasks whose policy is solved exactly.
+
+Each returns the means of E that it visited in every target, for every seed.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -11,6 +11,7 @@ from adaptsim_jax.core.registry import Registry
 
 if TYPE_CHECKING:
     from adaptsim_jax.tasks.base import Task, TaskKind
+    from adaptsim_jax.tasks.engine import Backend
     from adaptsim_jax.tasks.one_shot import OneShot
 
 TASKS: Registry[TaskKind] = Registry(
@@ -42,3 +43,15 @@ def make_one_shot(name: str, options: Mapping[str, Any], where: str = "config, [
     if kind.one_shot is None:
         raise BadInput(f"task '{name}' cannot be compared yet: it gives no `one_shot` (tasks/one_shot.py)")
     return kind.one_shot(config.from_table(kind.config, dict(options), where))
+
+
+def make_backend(task: str, name: str, /, *options: Any, **settings: Any) -> Backend:
+    """The engine called `name` of `task`, as `simulate(params [B, P], commands [B, ...], initial [B, ...]) -> Trajectory`.
+
+    What the arrays hold, in SI units, stands in `tasks/TASK/engines/registry.py`. options: the step [s] for the pendulum,
+    `PushOptions`, `ScoopOptions`; settings: the engine's own. BadInput where the name is unknown, or the engine absent or unable.
+    """
+    kind = TASKS[config.pick("task", task, TASKS)]
+    if kind.make_backend is None:
+        raise BadInput(f"task '{task}' has no engines beside its own simulator; use `make_task`")
+    return kind.make_backend(name, *options, **settings)

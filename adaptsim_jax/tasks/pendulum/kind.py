@@ -8,6 +8,7 @@ from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.mechanisms.model_file import model_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum
+from adaptsim_jax.tasks.pendulum.engines import registry
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
 
 
@@ -26,4 +27,6 @@ def augmented(options: dict[str, Any], where: str) -> Task:
     return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 
 
-TASK = TaskKind(PendulumConfig, make_pendulum, augmented=augmented)
+TASK = TaskKind(
+    PendulumConfig, make_pendulum, augmented=augmented, backends=registry.BACKENDS, make_backend=registry.make_backend
+)
