@@ -27,21 +27,23 @@ if TYPE_CHECKING:
     from adaptsim_jax.space import gaussian as gaussian
     from adaptsim_jax.tasks.base import Task as Task
     from adaptsim_jax.tasks.base import TaskKind as TaskKind
+    from adaptsim_jax.tasks.engine import EngineKind as EngineKind
     from adaptsim_jax.tasks.registry import make_backend as make_backend
     from adaptsim_jax.tasks.registry import make_one_shot as make_one_shot
     from adaptsim_jax.tasks.registry import make_task as make_task
 
 __version__ = "0.1.0"
 __all__ = [
-    "BadInput", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Space", "Task", "TaskKind", "TrainConfig", "Trained",
-    "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "gaussian", "make_backend", "make_one_shot",
-    "make_phase1", "make_task", "replay_files",
+    "BadInput", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Space", "Task", "TaskKind",
+    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "gaussian",
+    "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
 ]  # fmt: skip
 
 __getattr__ = lazily(
     __name__,
     {
         "BadInput": "core.errors",
+        "EngineKind": "tasks.engine",
         "Gaussian": "space",
         "Parameter": "space",
         "Phase1Config": "adaptation.phase1_config",
