@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax import BadInput
 from adaptsim_jax.core import config, files
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.tasks.pushing import model_fit as pushing_fit
 from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact

@@ -19,16 +19,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State, make_phase1
+from adaptsim_jax import default_comparison, gaussian, make_one_shot, make_phase1
+from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State
 from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of
 from adaptsim_jax.baselines.arena import Arena, lanes
-from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import two_keys
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import output_folder, write_json
-from adaptsim_jax.space import gaussian, step
+from adaptsim_jax.space import step
 from adaptsim_jax.tasks.one_shot import OneShot
-from adaptsim_jax.tasks.registry import make_one_shot
 
 TRAIN = default_comparison("scooping").train
 MORE = {"trajectories": 5000, "parallel": 250, "updates": 2400, "capacity": 40_000}

@@ -16,12 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import Gaussian, default_comparison, make_one_shot
 from adaptsim_jax.baselines.arena import Arena
-from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.core import compile_cache
-from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.one_shot import OneShot
-from adaptsim_jax.tasks.registry import make_one_shot
 
 SHAPE = 2  # E's spread there is left as it is
 

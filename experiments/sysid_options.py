@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from page import parser, sysid_config, write_page
 
+from adaptsim_jax import make_task
 from adaptsim_jax.baselines.compare import find_bounds
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.baselines.summary import normalised
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
-from adaptsim_jax.tasks.registry import make_task
 
 MAKERS = {"sysid_bayes": make_sysid_bayes, "sysid_point": make_sysid_point}
 CHANGES = {
