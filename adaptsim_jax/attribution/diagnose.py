@@ -1,32 +1,37 @@
 """Diagnose a recording of any mechanism: which effects its model file lacks, what is left, and a better model file."""
 
+import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import adaptsim_jax
+from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.estimate import run
-from adaptsim_jax.attribution.load import Machine, load
-from adaptsim_jax.attribution.mend import changes
+from adaptsim_jax.attribution.estimate import fit, run
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.mend import changes, declared_changes, holdable
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, Problem, nuisances, prepare
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Model, Named, Selection, select
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
 from adaptsim_jax.sysid.report.schema import check, new_report
 
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
+Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 MODEL = "model.xml"
-OTHERS = ("model.toml", "leading.toml", "next_experiment.csv")  # of an earlier run of another kind into the same folder
+OTHERS = ("leading.toml", "next_experiment.csv")  # of an earlier run of another kind into the same folder
 
 
 def diagnose(
@@ -38,7 +43,7 @@ def diagnose(
     horizon: float = HORIZON,
     exclude: tuple[str, ...] = (),
     without: tuple[str, ...] = (),
-    progress: Callable[[float, float, str], None] | None = None,
+    progress: Progress | None = None,
     page: Page | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
@@ -49,13 +54,56 @@ def diagnose(
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
     say(0.02, 1.0, "reading")
-    machine = load(data, model)
-    if without:
-        known = {t.name for t in machine.tracks}
-        if unknown := sorted(set(without) - known):
-            raise BadInput(f"{data}: no trial is named {unknown[0]!r}; --without takes of {', '.join(sorted(known))}")
-        machine = machine.only(known - set(without))
+    machine = scaled(load(data, model).without(without), horizon)
     folder = None if out is None else output_folder(out)
+    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
+    report["run"] = evidence["run"] = {
+        "version": adaptsim_jax.__version__, "seed": 0, "command": command_of(data, model, exclude, without),
+        "seconds": round(time.monotonic() - began, 1),
+    }  # fmt: skip
+    report = check(report)
+    if folder is not None:
+        told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
+        write_model(folder, machine, problem, found, criteria or Criteria(), told)
+        (page or plain)(folder, report, evidence)
+    return report
+
+
+def command_of(data: str | Path, model: str | Path | None, exclude: Sequence[str], without: Sequence[str]) -> str:
+    """The command that gives the same answer."""
+    words = ["adaptsim", "diagnose", str(data), "--out", "again"]
+    words += ["--model", str(model)] if model is not None else []
+    for flag, names in (("--exclude", exclude), ("--without", without)):
+        words += [flag, *names] if names else []
+    return shlex.join(words)
+
+
+def write_model(
+    folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria, told: Mapping[str, Any]
+) -> None:
+    """`declared.xml`, `model.xml` and `model.toml` into the folder; what an earlier run of another kind left there goes."""
+    for name in (*OTHERS, MODEL):
+        (folder / name).unlink(missing_ok=True)
+    made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
+    write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
+    write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
+    write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told).encode())
+
+
+def plain(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
+    """`report.json` alone."""
+    write_json(folder / "report.json", report)
+
+
+def examined(
+    machine: Machine,
+    criteria: Criteria,
+    horizon: float,
+    exclude: Sequence[str] = (),
+    say: Progress = lambda done, total, note: None,
+    narrow: Callable[[Vector], Vector] = lambda vector: vector,
+) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
+    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept."""
     names = {e.name for e in MACHINE}
     if strange := sorted(set(exclude) - names):
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
@@ -63,27 +111,30 @@ def diagnose(
     problem = prepare(
         machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
-    steps = [0.05]
+    share = [0.05]
 
     def step(note: str) -> None:
-        steps[0] += 0.05 * (1.0 - steps[0])
-        say(steps[0], 1.0, note)
+        share[0] += 0.05 * (1.0 - share[0])
+        say(share[0], 1.0, note)
 
     say(0.05, 1.0, "declared model")
-    found = select(problem, declared_vector(machine, problem), criteria or Criteria(), step)
-    report, evidence = reported(machine, problem, found, criteria or Criteria(), horizon)
-    report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__, "seed": 0, "command": f"adaptsim diagnose {data} --out again",
-        "seconds": round(time.monotonic() - began, 1),
-    }  # fmt: skip
-    report = check(report)
-    if folder is not None:
-        for name in (*OTHERS, MODEL):
-            (folder / name).unlink(missing_ok=True)
-        write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, changes(machine, problem, found)).encode())
-        if page is not None:
-            page(folder, report, evidence)
-    return report
+    found = select(problem, narrow(declared_vector(machine, problem)), criteria, step)
+    return *reported(machine, problem, found, criteria, horizon), problem, found
+
+
+def scaled(machine: Machine, horizon: float) -> Machine:
+    """With the gain of a voltage or current as the declared model's fit has it, so that effects see a torque in N m."""
+    if not machine.gain_unknown:
+        return machine
+    problem = prepare(
+        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
+    )
+    vector = fit(problem, declared_vector(machine, problem), rounds=15).vector
+    law = machine.actuator.copy()
+    for e, value in zip(vector.entries, vector.values, strict=True):
+        if e.owner == "torque_gain":
+            law[0, list(e.joints)] *= 1.0 + value
+    return replace(machine, actuator=law)
 
 
 def declared_vector(machine: Machine, problem: Problem) -> Vector:
@@ -193,15 +244,9 @@ def message(problem: Problem, found: Selection, before: np.ndarray, after: np.nd
     return f"{told}. {rest}{where}."
 
 
-def spread_of(model: Model) -> np.ndarray:
-    """Standard errors [P] by the jackknife over folds."""
-    v = model.held.vectors
-    return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
-
-
 def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
     c, model = n.candidate, found.final
-    spread = spread_of(model)
+    spread = model.spread
     numbers = {}
     for i, e in enumerate(model.fit.vector.entries):
         if e.owner == c.effect and set(e.joints) <= set(c.joints):
@@ -272,7 +317,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
 
 def _declared(problem: Problem, model: Model) -> dict[str, Any]:
     """Fitted inertial parameters by body (mass and what gravity and motion see of it) and dampings."""
-    spread = spread_of(model)
+    spread = model.spread
     out: dict[str, Any] = {}
     for i, e in enumerate(model.fit.vector.entries):
         if e.owner in (INERTIA, "viscous"):

@@ -1,112 +1,42 @@
-"""From a log and a model file to what is identified: tracks of joints, and the law of the actuator at each joint."""
+"""From a recording and a model file to what is identified."""
 
-from dataclasses import dataclass, field, replace
+import tomllib
 from pathlib import Path
 
-import numpy as np
-
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution.machine import Machine, machine
+from adaptsim_jax.attribution.pendulum import pendulum_machine
+from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.mjcf import Mechanism
-from adaptsim_jax.mechanisms.tree import Tree
-from adaptsim_jax.sysid.io.log import Log
-from adaptsim_jax.sysid.io.read import read_with_model
+from adaptsim_jax.sysid.io.read import META, read_with_model
+from adaptsim_jax.sysid.io.recording import read_recording
+from adaptsim_jax.sysid.quality.audit import audit, usable
 
 
-@dataclass(frozen=True)
-class Machine:
-    """A mechanism with its recording. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force; gear [n];
-    gain_unknown: the input is a voltage or a current, whose torque is to be found."""
-
-    mechanism: Mechanism
-    log: Log
-    tracks: tuple[Track, ...]
-    actuator: np.ndarray
-    gear: np.ndarray
-    gain_unknown: bool
-    declared: dict[tuple[str, str], np.ndarray] = field(
-        default_factory=dict
-    )  # delay and lag [n] of the file's actuators
-
-    @property
-    def tree(self) -> Tree:
-        return self.mechanism.tree
-
-    def only(self, names) -> "Machine":
-        """With these trials alone."""
-        return replace(self, tracks=tuple(t for t in self.tracks if t.name in set(names)))
+def task_of(data: str | Path) -> str | None:
+    """The task that a folder's meta.toml declares; None where there is none, or none that can be read (its reader says why)."""
+    try:
+        return tomllib.loads((Path(data) / META).read_text(encoding="utf-8")).get("task")
+    except (OSError, ValueError):
+        return None
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:
-    """Read a recording and its model. Raises BadInput that names file, key and mend."""
-    mechanism, log = read_with_model(data, model)
-    return machine(mechanism, log)
+    """Read a recording (of a mechanism, or of the double pendulum of `task = "pendulum"`) and its model.
 
-
-def machine(mechanism: Mechanism, log: Log) -> Machine:
-    """The two joined."""
-    n = mechanism.tree.n
-    where = {name: j for j, name in enumerate(mechanism.tree.joint_names)}
-    law = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
-    gear = np.ones(n)
-    column = {}
-    limits = np.tile([-np.inf, np.inf], (n, 1))
-    if log.input_kind == "command":
-        by_name = {a.name: a for a in mechanism.actuators}
-        for k, name in enumerate(log.input_names):
-            a = by_name.get(name) or next(
-                (a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None
+    Raises BadInput that names file, key and mend.
+    """
+    if task_of(data) != "pendulum":
+        if model is None or Path(model).suffix.lower() != ".toml":
+            return machine(*read_with_model(data, model))
+        beside = config.read(Path(model)).get("model")
+        if config.read(Path(model)).get("task") != "mechanism" or not isinstance(beside, str):
+            raise BadInput(
+                f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"
             )
-            if a is None:
-                raise BadInput(
-                    f"{log.path}: a command for {name}, but {mechanism.path} has no such actuator; add it or rename the column"
-                )
-            if a.joint in column:
-                raise BadInput(
-                    f"{mechanism.path}: joint {mechanism.tree.joint_names[a.joint]} has several actuators; keep one of them"
-                )
-            column[a.joint], j = k, a.joint
-            gear[j] = a.gear
-            low, high = a.forcerange
-            law[:, j] = (
-                a.gain,
-                a.offset,
-                -a.kp,
-                -a.kv,
-                -np.inf if np.isnan(low) else low,
-                np.inf if np.isnan(high) else high,
-            )
-            low, high = a.ctrlrange
-            limits[j] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
-        for j in set(range(n)) - set(column):
-            law[0, j] = 0.0
-    else:
-        for k, name in enumerate(log.input_names):
-            column[where[name]] = k
-    tracks = []
-    for trial in log.trials:
-        u = np.zeros((len(trial.time), n))
-        for j, k in column.items():
-            u[:, j] = np.clip(trial.u[:, k], *limits[j])
-        tracks.append(Track(trial.name, trial.time, trial.q, trial.v, u, trial.group))
-    unknown = log.input_kind in ("voltage", "current")
-    if unknown:
-        law[0] *= _gain(mechanism.tree, tracks)
-    told = {("delay", "delay"): np.zeros(n), ("actuator_lag", "lag"): np.zeros(n)}
-    if log.input_kind == "command":
-        for a in mechanism.actuators:
-            told["delay", "delay"][a.joint], told["actuator_lag", "lag"][a.joint] = a.delay, a.lag
-    return Machine(mechanism, log, tuple(tracks), law, gear, unknown, told)
-
-
-def _gain(tree: Tree, tracks) -> float:
-    """A first guess at torque over input: weight of what hangs over the size of the input."""
-    reach = sum(float(np.linalg.norm(p)) for p in np.asarray(tree.place)) + float(
-        np.max(
-            np.linalg.norm(np.asarray(tree.inertial)[:, 1:4], axis=1)
-            / np.maximum(np.asarray(tree.inertial)[:, 0], 1e-9)
-        )
-    )
-    weight = float(np.asarray(tree.inertial)[:, 0].sum() * np.linalg.norm(np.asarray(tree.gravity)) * max(reach, 1e-3))
-    u = np.concatenate([np.abs(t.u) for t in tracks])
-    return 0.5 * weight / max(float(np.quantile(u, 0.9)), 1e-9)
+        made = machine(*read_with_model(data, Path(model).parent / beside))
+        return model_toml.read(Path(model), made)
+    if model is None:
+        raise BadInput(f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml of it")
+    recording = read_recording(data)
+    return pendulum_machine(usable(recording, audit(recording)), model)

@@ -2,23 +2,59 @@
 
 import numpy as np
 
-from adaptsim_jax.attribution.load import Machine
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.problem import TILT, Problem, values_of
-from adaptsim_jax.attribution.select import Selection
+from adaptsim_jax.attribution.score import Candidate, candidates, table
+from adaptsim_jax.attribution.select import Model, Selection, attempted, modelled, refit, without
 from adaptsim_jax.mechanisms.mjcf_write import Changes
 
-HELD = (
-    "viscous",
-    "coulomb",
-    "armature",
-    "spring",
-    TILT,
-)  # effects that any MJCF holds; those of an actuator where there is one
+HELD = ("viscous", "coulomb", "armature", "spring", TILT)
+"""Effects that any MJCF holds."""
+ACTUATED = {
+    "torque_gain": "gain",
+    "position_gain": "kp",
+    "delay": "delay",
+    "actuator_lag": "lag",
+    "saturation": "limit",
+}
+"""Those that it holds where an actuator is told what to do, with the name of the change."""
+COMMANDED = ("command", "voltage", "current")
 
 
-def changes(machine: Machine, problem: Problem, found: Selection) -> Changes:
-    """The changes that `model.xml` gets: everything that is fitted, and each effect that MJCF can hold; comments on the others."""
-    vector, tree = found.final.fit.vector, machine.tree
+DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
+"""Dry friction that MJCF does not know: a constant level is the nearest that it has."""
+
+
+def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> Model:
+    """The final model, refitted without what the model file cannot hold; Coulomb friction stands in for other dry friction."""
+    model = found.final
+    for c in model.added:
+        if not _holds(machine, model, c):
+            model = without(problem, model, c, criteria.rounds)
+            if c.effect in DRY:
+                rows = [k for k in candidates(problem, model.fit.vector, found.reach)
+                        if k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"]  # fmt: skip
+                for row in table(problem, model.lin, rows)[:1]:
+                    vector, starts, _ = attempted(problem, model, found.reach, row)
+                    fitted = refit(problem, model.fit, vector, starts, c.joints, criteria.rounds, model.fit.weights)
+                    model = modelled(problem, (*model.added, row.candidate), fitted, model.fit.weights)
+    return model
+
+
+def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
+    if c.effect in HELD:
+        return True
+    driven = {a.joint for a in machine.mechanism.actuators} if machine.log.input_kind in COMMANDED else set()
+    values = [v for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+              if e.owner == c.effect and set(e.joints) <= set(c.joints)]  # fmt: skip
+    late = c.effect in ("delay", "actuator_lag")
+    return c.effect in ACTUATED and set(c.joints) <= driven and not (late and min(values) < 0.0)
+
+
+def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> Changes:
+    """The changes that `model.xml` gets of a `holdable` model, with comments on what is `named` besides."""
+    vector, tree = model.fit.vector, machine.tree
     n = problem.joints
     inertial = np.array(tree.inertial, float)
     gravity = None
@@ -35,41 +71,58 @@ def changes(machine: Machine, problem: Problem, found: Selection) -> Changes:
         }.items():  # fmt: skip
             if effect in values.effects:
                 table[key][own] = values.effects[effect][name][:, 0]
-    joint_names = tree.joint_names
-    by_joint = lambda z: {name: float(v) for name, v in zip(joint_names, z, strict=True)}
+    by_joint = lambda z: {name: float(v) for name, v in zip(tree.joint_names, z, strict=True)}
     joints = {k: by_joint(table[k]) for k in ("damping", "frictionloss", "armature", "stiffness")}
     stiff = table["stiffness"] != 0.0
     rest = np.where(stiff, table["preload"] / np.where(stiff, table["stiffness"], 1.0), np.asarray(tree.springref))
     joints["springref"] = by_joint(rest)
-    actuators, lost = _actuators(machine, problem, found)
-    comments = [f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}"]
-    return Changes(inertial, joints, gravity, actuators, (*comments, *lost))
+    comments = [f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}", *_lost(problem, model, named)]
+    return Changes(inertial, joints, gravity, _actuators(machine, problem, model), comments)
 
 
-def _actuators(machine: Machine, problem: Problem, found: Selection):
-    """Changes of actuators by name, and a line for each effect that the file cannot hold."""
+def declared_changes(machine: Machine) -> Changes:
+    """Those of the declared model: none, but for a gain that had to be found."""
+    return Changes(actuators={"gain": _found_gain(machine)})
+
+
+def _found_gain(machine: Machine) -> dict[str, float]:
+    """Factors on the actuators' gains in the file that make them those of the machine."""
+    if not machine.gain_unknown:
+        return {}
+    return {a.name: float(machine.actuator[0, a.joint] / (a.gear * a.gain)) for a in machine.mechanism.actuators}
+
+
+def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, float]]:
+    """Changes of actuators by name, for `mjcf_write.Changes`."""
     by_joint = {a.joint: a.name for a in machine.mechanism.actuators}
-    commanded = machine.log.input_kind == "command"
-    out: dict[str, dict[str, float]] = {"gain": {}, "kp": {}, "delay": {}, "lag": {}, "limit": {}}
-    lost = []
-    key = {"torque_gain": "gain", "position_gain": "kp", "delay": "delay", "actuator_lag": "lag", "saturation": "limit"}
-    for e, value in zip(found.final.fit.vector.entries, found.final.fit.vector.values, strict=True):
-        if e.owner in (*HELD, "inertia"):
-            continue
-        for j in e.joints:
-            actuator = by_joint.get(j) if commanded else None
-            kind = key.get(e.owner)
-            if actuator is None or kind is None or (kind in ("delay", "lag") and value < 0.0):
+    gains = _found_gain(machine)
+    out: dict[str, dict[str, float]] = {"gain": dict(gains)}
+    if machine.log.input_kind not in COMMANDED:
+        return out
+    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
+        key = ACTUATED.get(e.owner)
+        for j in e.joints if key else ():
+            name = by_joint.get(j)
+            if name is None:
                 continue
-            if kind in ("gain", "kp"):
-                out[kind][actuator] = 1.0 + float(value)
-            elif kind == "limit":
-                if e.name == "cut":
-                    out[kind][actuator] = (1.0 - float(value)) * float(problem.reach.peak[j])
-            else:
-                out[kind][actuator] = float(value)
-        held = commanded and e.owner in key and all(j in by_joint for j in e.joints) and value >= 0.0
-        if not held or e.owner not in key:
-            where = ", ".join(problem.joint_names[j] for j in e.joints)
-            lost.append(f"not held by this file: {e.owner} at {where}, {e.name} = {value:.6g} {e.unit}")
-    return out, lost
+            if key in ("gain", "kp"):
+                out.setdefault(key, {})[name] = (1.0 + float(value)) * (gains.get(name, 1.0) if key == "gain" else 1.0)
+            elif key == "limit" and e.name == "cut":
+                out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
+            elif key in ("delay", "lag") and e.name == key:
+                out.setdefault(key, {})[name] = float(value)
+    return out
+
+
+def _lost(problem: Problem, model: Model, named: Model) -> list[str]:
+    """A line for each effect that the file cannot hold."""
+    kept = {c.key for c in model.added}
+    gone = [c for c in named.added if c.key not in kept]
+    vector = named.fit.vector
+    return [
+        f"not held by this file, see model.toml: {e.owner} at {', '.join(problem.joint_names[j] for j in e.joints)}, "
+        f"{e.name} = {value:.6g} {e.unit}"
+        for c in gone
+        for e, value in zip(vector.entries, vector.values, strict=True)
+        if e.owner == c.effect and set(e.joints) <= set(c.joints)
+    ]

@@ -12,7 +12,8 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refitted_start, run, starts_of
-from adaptsim_jax.attribution.load import Machine, load
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, prepare
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,8 +37,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
     )
+    parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out")
     parser.add_argument(
-        "--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out (of a mechanism)"
+        "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
     )
     parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
@@ -54,13 +56,13 @@ def run(args: argparse.Namespace) -> int:
 
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
-    if args.without:
-        raise BadInput('--without takes trials of a mechanism; for task = "pendulum" move the files out of the folder')
-    recording = read_recording(args.data)  # refused within a second, and before JAX is loaded
+    recording = without(read_recording(args.data), args.without)  # refused within a second, and before JAX is loaded
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
-        result = diagnose(recording, out=out, seed=args.seed, exclude=args.exclude, progress=paced(report))
+        result = diagnose(
+            recording, out=out, seed=args.seed, exclude=args.exclude, strict=args.strict, progress=paced(report)
+        )
     from rich.console import Console
 
     from adaptsim_jax.report.diagnosis import print_summary
@@ -107,13 +109,33 @@ def run_mechanism(args: argparse.Namespace) -> int:
     return 0
 
 
-def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
-    """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`."""
+def without(recording: Recording, names: Sequence[str]) -> Recording:
+    """The recording without these trials."""
+    known = [t.name for t in recording.trials]
+    if unknown := sorted(set(names) - set(known)):
+        raise BadInput(f"{recording.path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
+    if not set(known) - set(names):
+        raise BadInput(f"{recording.path}: --without leaves no trial; leave fewer out")
+    return recording.replace(trials=tuple(t for t in recording.trials if t.name not in set(names)))
+
+
+def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: Any) -> dict[str, Any]:
+    """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`; where it names nothing
+    although the declared model does not explain the data, what holds out by itself (`attribution.partly`), unless `strict`."""
+    from adaptsim_jax.attribution.partly import partly_explained
     from adaptsim_jax.commands.task_reward import task_reward
     from adaptsim_jax.report.diagnosis import write_diagnosis
     from adaptsim_jax.sysid import pipeline
+    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.sysid.quality.audit import audit, usable
 
-    return pipeline.diagnose(data, reward=task_reward, page=write_diagnosis, **options)
+    recording = read_recording(data) if isinstance(data, (str, Path)) else data
+    report = pipeline.diagnose(recording, reward=task_reward, page=write_diagnosis, **options)
+    if strict or report["verdict"] != "structured_unattributed" or recording.model != "rigid_body":
+        return report
+    kept = {k: options[k] for k in ("out", "exclude") if k in options}
+    found = partly_explained(usable(recording, audit(recording)), report, page=write_diagnosis, **kept)
+    return found or report
 
 
 def paced(report: Report) -> Report:

@@ -1,4 +1,4 @@
-"""Machines drawn at random within a family, and their MJCF files: as declared, and as they are.
+"""Machines drawn at random within a family.
 
 A link's inertia is about its centre of mass, along the axes of its body. Joint values are 0 in the file's own pose.
 """
@@ -164,67 +164,6 @@ def misjudged(rng: np.random.Generator, machine: Machine) -> Machine:
             replace(link, mass=link.mass * float(off()), com=com, inertia=inertia, damping=link.damping * float(off()))
         )
     return replace(machine, links=tuple(links))
-
-
-@dataclass(frozen=True)
-class Extras:
-    """What the true machine has in its MJCF beside the declared: by joint name, in SI units; `gravity [3]`, `payload` kg."""
-
-    frictionloss: dict[str, float] = field(default_factory=dict)
-    armature: dict[str, float] = field(default_factory=dict)
-    stiffness: dict[str, tuple[float, float]] = field(default_factory=dict)  # and the angle of rest
-    gear: dict[str, float] = field(default_factory=dict)
-    kp: dict[str, float] = field(default_factory=dict)  # factor
-    force: dict[str, float] = field(default_factory=dict)
-    gravity: np.ndarray = field(default_factory=lambda: np.array([0, 0, -G]))
-    payload: float = 0.0
-
-
-def to_xml(machine: Machine, mode: str, gains: np.ndarray, extras: Extras | None = None, actuators: bool = True) -> str:
-    """MJCF. mode: torque (motors) or position (servos with `gains [n, 2]`: kp, kv)."""
-    x = extras or Extras()
-    number = lambda values: " ".join(f"{v:.9g}" for v in np.atleast_1d(values))
-    lines = [f'<mujoco model="{machine.name}">', '  <compiler angle="radian"/>',
-             f'  <option timestep="0.0005" integrator="implicitfast" gravity="{number(x.gravity)}"/>', "  <worldbody>"]  # fmt: skip
-    for k, link in enumerate(machine.links):
-        pad = "  " * (k + 2)
-        loss = x.frictionloss.get(link.name, 0.0)
-        joint = {
-            "damping": link.damping,
-            "armature": link.armature + x.armature.get(link.name, 0.0),
-            "frictionloss": loss,
-        }
-        if loss:
-            joint |= {"solreffriction": [2e-3, 1.0], "solimpfriction": [0.99, 0.999, 1e-3, 0.5, 2.0]}
-        if link.name in x.stiffness:
-            joint["stiffness"], joint["springref"] = x.stiffness[link.name]
-        text = " ".join(f'{key}="{number(v)}"' for key, v in joint.items() if np.any(v))
-        i = turned(link)
-        full = number([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
-        lines += [f'{pad}<body name="link_{link.name}" pos="{number(link.at)}">',
-                  f'{pad}  <inertial pos="{number(link.com)}" mass="{link.mass:.9g}" fullinertia="{full}"/>',
-                  f'{pad}  <joint name="{link.name}" type="{link.kind}" axis="{number(link.axis)}" {text}/>']  # fmt: skip
-    pad = "  " * (machine.n + 2)
-    if x.payload:
-        r = 0.4 * x.payload * 0.03**2
-        lines += [f'{pad}<body name="payload" pos="{number(machine.tip)}">',
-                  f'{pad}  <inertial pos="0 0 0" mass="{x.payload:.9g}" diaginertia="{r:.9g} {r:.9g} {r:.9g}"/>',
-                  f"{pad}</body>"]  # fmt: skip
-    lines += ["  " * (k + 2) + "</body>" for k in reversed(range(machine.n))] + ["  </worldbody>"]
-    if actuators:
-        lines += ["  <actuator>"]
-        for j in machine.driven:
-            name = machine.links[j].name
-            more = f' gear="{x.gear[name]:.9g}"' if name in x.gear else ""
-            if name in x.force:
-                more += f' forcerange="{-x.force[name]:.9g} {x.force[name]:.9g}"'
-            if mode == "torque":
-                lines.append(f'    <motor name="{name}" joint="{name}"{more}/>')
-            else:
-                kp = gains[j, 0] * x.kp.get(name, 1.0)
-                lines.append(f'    <position name="{name}" joint="{name}" kp="{kp:.9g}" kv="{gains[j, 1]:.9g}"{more}/>')
-        lines += ["  </actuator>"]
-    return "\n".join([*lines, "</mujoco>", ""])
 
 
 def turned(link: Link) -> np.ndarray:

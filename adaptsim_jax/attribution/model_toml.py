@@ -1,0 +1,88 @@
+"""`model.toml` of a mechanism: the declared model beside it with fitted numbers, and every effect that is named.
+
+    schema = 1
+    task = "mechanism"
+    model = "declared.xml"
+    [inertial]                       # by joint, in its frame: m, m cx, m cy, m cz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz (kg, kg m, kg m^2)
+    elbow = [1.0, 0.1, ...]
+    [[effects]]                      # name and joint (of a base: "base")
+    name = "load_friction"
+    joint = "elbow"
+    [effects.parameters.share]       # value, unit
+
+`model.xml` says the same as far as MJCF can.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, tilted, values_of
+from adaptsim_jax.attribution.select import Model
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+
+FILE, DECLARED = "model.toml", "declared.xml"
+
+
+def text_of(problem: Problem, model: Model, told: Mapping[str, Any]) -> str:
+    """The TOML text. told: of its provenance."""
+    parts = ["# A model fitted by `adaptsim diagnose`; `adaptsim replay model.toml DATA` simulates all of it."]
+    parts.append(config.dumps({"schema": 1, "task": "mechanism", "model": DECLARED}))
+    inertial = {}
+    for g in problem.groups:
+        values = values_of(problem, g, model.fit.vector).inertial[..., 0]
+        inertial |= {problem.joint_names[j]: [float(z) for z in values[k]] for k, j in enumerate(g.joints)}
+    parts.append(config.dumps({"inertial": inertial}))
+    by: dict[tuple[str, int], dict[str, Any]] = {}
+    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
+        if e.owner != INERTIA:
+            for j in [-1] if e.owner == TILT else e.joints:
+                by.setdefault((e.owner, j), {})[e.name] = {"value": float(value), "unit": e.unit}
+    for (name, j), parameters in by.items():
+        joint = "base" if j < 0 else problem.joint_names[j]
+        parts.append("[[effects]]\n" + config.dumps({"name": name, "joint": joint}))
+        parts += [f"[effects.parameters.{k}]\n" + config.dumps(v) for k, v in parameters.items()]
+    parts.append(config.dumps({"provenance": dict(told)}))
+    return "\n".join(parts)
+
+
+def read(path: Path, machine: Machine) -> Machine:
+    """The machine of the declared model with what the file says. Raises BadInput that names the key."""
+    given, tree = config.read(path), machine.tree
+    joints, known = tree.joint_names, {e.name: e for e in MACHINE}
+    inertial = np.array(tree.inertial, float)
+    for name, row in given.get("inertial", {}).items():
+        if name not in joints or np.shape(row) != (10,):
+            raise BadInput(
+                f"{path}: inertial.{name} must be 10 numbers of a joint of its model; {config.suggest(name, joints)}"
+            )
+        inertial[joints.index(name)] = row
+    out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
+    for k, row in enumerate(given.get("effects", [])):
+        name, joint = row.get("name"), row.get("joint")
+        numbers = {p: float(z["value"]) for p, z in row.get("parameters", {}).items()}
+        if name == TILT:
+            gravity = tilted(gravity, *(numbers.get(t, 0.0) for t in TILTS))
+            continue
+        if name not in known:
+            raise BadInput(
+                f"{path}: effects[{k}].name = {name!r} is no effect of a mechanism; {config.suggest(str(name), known)}"
+            )
+        if joint not in joints:
+            raise BadInput(
+                f"{path}: effects[{k}].joint = {joint!r} is no joint of its model; {config.suggest(str(joint), joints)}"
+            )
+        for p in known[name].parameters:
+            rest = p.default if p.off is None else p.off
+            column = np.array(out.get((name, p.name), np.full(len(joints), rest)), float)
+            column[joints.index(joint)] = numbers.get(p.name, rest)
+            out[name, p.name] = column
+    mechanism = replace(machine.mechanism, tree=replace(tree, inertial=inertial, gravity=gravity))
+    return replace(machine, mechanism=mechanism, declared=out)
