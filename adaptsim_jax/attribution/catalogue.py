@@ -62,8 +62,12 @@ def dead_zone(p, m):
 
 
 def sensor_delay(p, t, q, v, first):
-    """Late by a few rows at most: to first order."""
-    return q - p["delay"] * v, v
+    """Late by a few rows at most: to second order in the delay."""
+    span = jnp.diff(t, axis=0)
+    rise = jnp.where(span > 0.0, jnp.diff(v, axis=0) / jnp.where(span > 0.0, span, 1.0), 0.0)
+    a = 0.5 * (jnp.concatenate([rise[:1], rise]) + jnp.concatenate([rise, rise[-1:]]))
+    d = p["delay"]
+    return q - d * (v - 0.5 * d * a), v - d * a
 
 
 def encoder_scale(p, t, q, v, first):

@@ -8,14 +8,14 @@ import sys
 
 EXAMPLES = """
   adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared
-  adaptsim replay out/model.xml logs/validation --json    the mended model on other data
+  adaptsim replay out/model.toml logs/validation --json   the mended model on other data
   adaptsim replay out/model.xml logs/robot --horizon 0    every trial in one go
   adaptsim replay robot.urdf run.mcap --out replay        with a figure of measured against simulated
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("model", metavar="MODEL", help="an MJCF or URDF file")
+    parser.add_argument("model", metavar="MODEL", help="an MJCF or URDF file, or the model.toml of a diagnosis")
     parser.add_argument("data", metavar="DATA", help="a folder with meta.toml, or one log (CSV, NPZ, bag, MCAP)")
     parser.add_argument(
         "--horizon",
