@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +70,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     wanted = tuple(dict.fromkeys(column for column in header if column in told))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     table = _read(path, {column: named[column] for column in wanted if column != labels})
-    table = Table(table.columns, table.lines, tuple(c for c in table.ignored if c != labels), table.row_word)
+    table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise BadInput(
@@ -80,7 +80,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     trials = []
     for label, part in by_label:
         check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
-        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored))
+        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, part.notes))
     return trials
 
 
@@ -102,7 +102,7 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     if all(array.ndim == 1 for array in arrays.values()):
         table = read_table(path, tuple(named))
         columns = {named[name]: values for name, values in table.columns.items()}
-        return Table(columns, table.lines, table.ignored, table.row_word)
+        return replace(table, columns=columns)
     columns = {}
     for name, array in arrays.items():
         if array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
@@ -175,7 +175,7 @@ def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
         if not label:
             raise BadInput(f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name the trial")
         columns = {name: values[rows] for name, values in table.columns.items()}
-        parts.append((_plain(label), Table(columns, table.lines[rows], table.ignored, table.row_word)))
+        parts.append((_plain(label), replace(table, columns=columns, lines=table.lines[rows])))
     return parts
 
 
