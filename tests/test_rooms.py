@@ -12,8 +12,8 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "core", "space", "control", "effects", "mechanisms", "sysid", "attribution", "learners", "tasks", "adaptation", "baselines", "report",
-    "commands", "cli", "__main__",
+    "core", "space", "control", "effects", "mechanisms", "sysid", "attribution", "learners", "tasks", "adaptation",
+    "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
     "core": (
@@ -22,7 +22,9 @@ WITHIN = {
     ),
     "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),
     "mechanisms": (
-        "lanes", "tree", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "plant", "double_pendulum", "dry_friction", "stepping", "closed_loop", "model_file",
+        "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write",
+        "plant", "double_pendulum",
+        "dry_friction", "stepping", "closed_loop", "model_file",
     ),
     "sysid": (
         "types", "criteria", "quality", "io", "noise", "segments", "forward", "dictionary", "estimate", "score", "nuisance",

@@ -74,8 +74,9 @@ class Phase1(NamedTuple):
     run: Callable[..., tuple[Phase1State, Phase1Info]]
 
 
-def make_phase1(task: Task, config: Phase1Config) -> Phase1:
-    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps.
+def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> Phase1:
+    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: maps the function of one of the parallel
+    trajectories over all of them, where no policies are reused (`sweep_devices.spread` shares them out among devices).
 
     * `init(key) -> Phase1State`
     * `round(state, hyper, number []) -> (state, info)`
@@ -102,7 +103,7 @@ def make_phase1(task: Task, config: Phase1Config) -> Phase1:
     def one_round(state, hyper, number):
         act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
         epsilon = _epsilon(config, hyper, number)
-        episodes, pool, reused = _collect(act_key, stage, bdq, config, hyper, state, epsilon)
+        episodes, pool, reused = _collect(act_key, stage, bdq, config, hyper, state, epsilon, over)
         batch, shaped = _transitions(episodes, hyper)
         state = state._replace(
             replay=ring.write(state.replay, batch, number),
@@ -131,7 +132,7 @@ def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
     return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
 
 
-def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon):
+def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
     """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis `parallel`. Also the pool after
     them, and what Info says of reuse."""
     act = lambda k, obs: bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
@@ -150,7 +151,7 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon):
             run_key, start, policy, target = begin(key)
             return run_episode(run_key, task, act, start, policy, target, **sizes)
 
-        return jax.vmap(one)(keys), None, ()
+        return over(one)(keys), None, ()
     found = run_reusing(*jax.vmap(begin)(keys), task, act, state.pool, config.reuse, **sizes)
     return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
 

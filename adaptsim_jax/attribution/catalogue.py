@@ -96,7 +96,8 @@ MACHINE: tuple[Effect, ...] = (
         "friction in proportion to the speed", "fast motion", ("quadratic_drag", "coulomb"), formula="-damping v",
     ),
     Effect(
-        "coulomb", "force", (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1),), coulomb, "dry friction: a constant torque against the motion",
+        "coulomb", "force", (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1),), coulomb,
+        "dry friction: a constant torque against the motion",
         "reversals, and both slow and fast motion", ("stribeck", "load_friction", "asymmetric_coulomb"),
         formula="-level sign(v); holds the joint where less than the level would move it",
     ),

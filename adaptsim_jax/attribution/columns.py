@@ -28,6 +28,7 @@ def _middle(path: Path, dt):
     n = path.x.shape[1] // 2
     x = jnp.moveaxis(path.x, 0, 1)
     mid = 0.5 * (x[:, 1:] + x[:, :-1])
+    dt = dt[None]
     rise = (x[n:, 1:] - x[n:, :-1]) / jnp.where(dt > 0, dt, 1.0)
     return mid[:n], mid[n:], jnp.where(dt > 0, rise, 0.0)
 

@@ -87,7 +87,7 @@ def diagnose(
 
 
 def declared_vector(machine: Machine, problem: Problem) -> Vector:
-    """What is fitted whatever is named: inertias and damping, unless `[fit]` in meta.toml says otherwise; the gain of volts or amperes."""
+    """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says otherwise, and the gain of volts."""
     meta = machine.log.meta
     for table, key in (("fit", k) for k in meta.fit):
         if key not in ("inertias", "damping"):
@@ -208,8 +208,8 @@ def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
             value, width = float(model.fit.vector.values[i]), NINETY * float(spread[i])
             own = len(e.joints) == 1 and len(c.joints) > 1
             key = f"{e.name}[{problem.joint_names[e.joints[0]]}]" if own else e.name
-            numbers[key] = {"value": value, "low": max(value - width, min(e.low, value)), "high": min(value + width, max(e.high, value)),
-                            "unit": e.unit}  # fmt: skip
+            low, high = max(value - width, min(e.low, value)), min(value + width, max(e.high, value))
+            numbers[key] = {"value": value, "low": low, "high": high, "unit": e.unit}
     tilt = c.effect == TILT
     effect = None if tilt else problem.effect(c.effect)
     return {
@@ -265,7 +265,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
         rows.append({
             "name": key[0], "where": place(problem, s.candidate), "held_out_gain": float(np.clip(s.held_out / total, -1.0, 1.0)),
             "p_value": float(min(1.0, s.p * len(found.first))), "accepted": key in names, "status": status,
-            "why": why.get(key, "named" if key in names else "does as well" if key in alike else "gains less at first order than what was taken"),
+            "why": why.get(key, "named" if key in names else "does as well" if key in alike else "gains less than what was taken"),
         })  # fmt: skip
     return rows[:40]
 
@@ -293,7 +293,8 @@ def _doubts(problem: Problem, found: Selection) -> list[str]:
     out = []
     for s in found.trace:
         if s.action == "dropped" and s.candidate is not None:
-            out.append(f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)} helped at first, but does not hold out beside the others ({s.why}).")  # fmt: skip
+            name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
+            out.append(f"{name} helped at first, but does not hold out beside the others ({s.why}).")
     return out
 
 

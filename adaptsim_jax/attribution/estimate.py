@@ -298,6 +298,51 @@ def refitted_start(start: np.ndarray, left: np.ndarray) -> np.ndarray:
     return (np.linalg.solve(normal, np.swapaxes(x, 1, 2) @ left[..., None])[..., 0] / scale).T
 
 
+def weighted(problem: Problem, lin: Linear, group: Group, path: Path) -> np.ndarray:
+    """Residuals [W, R] of a path with the weights of `lin`."""
+    s = group.stretches
+    seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
+    weight = _own(lin.fit.weights, group, problem.joints) * np.sqrt(lin.fit.weights.stretch)[:, None, None] * seen
+    return (residuals(group, path) * weight)[:, lin.picked].reshape(len(seen), -1)
+
+
+def settled(
+    problem: Problem,
+    lin: Linear,
+    vector: Vector,
+    options: Sequence[Sequence[np.ndarray]],
+    rows: np.ndarray | None = None,
+    refine: int = 1,
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, list[Path]]:
+    """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better, refined `refine` times by least
+    squares with the derivatives of `lin`. A stretch that sticks and slips need not follow them: no step is taken on trust."""
+    best: list = []
+
+    def offer(starts: Sequence[np.ndarray]) -> None:
+        paths = run(problem, vector, starts, rows)
+        loss = losses(problem, paths, lin.fit.weights)
+        if not best:
+            best[:] = [tuple(starts), loss, paths]
+            return
+        good = loss < best[1]
+        pick = lambda a, b: np.where(good, a, b)
+        best[0] = tuple(pick(a, b) for a, b in zip(starts, best[0], strict=True))
+        best[2] = [
+            Path(*(pick(a, b) for a, b in zip(new, old, strict=True))) for new, old in zip(paths, best[2], strict=True)
+        ]
+        best[1] = pick(loss, best[1])
+
+    for starts in options:
+        offer(starts)
+    for _ in range(refine):
+        moves = [
+            refitted_start(x, weighted(problem, lin, g, p))
+            for g, p, x in zip(problem.groups, best[2], lin.start, strict=True)
+        ]
+        offer([x + d for x, d in zip(best[0], moves, strict=True)])
+    return best[0], best[1], best[2]
+
+
 def fit(
     problem: Problem,
     vector: Vector,
@@ -323,9 +368,8 @@ def fit(
             step = bounded_step(n.hess.sum(0), n.slope.sum(0), now.vector, damping)
             moves = start_steps(lin, step)
             trial = now.vector.at(now.vector.values + step)
-            at = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
-            paths = run(problem, trial, at)
-            loss = losses(problem, paths, weights)
+            moved = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
+            at, loss, paths = settled(problem, lin, trial, (moved, now.starts))
             if _cost(loss, trial) < _cost(now.loss, now.vector):
                 taken = replace(now, vector=trial, starts=at, loss=loss, rounds=k + 1)
                 break

@@ -8,10 +8,11 @@ import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Inertias, Vector, inertia_entries, inertias
 from adaptsim_jax.attribution.simulate import Model, Values
-from adaptsim_jax.attribution.stretches import Stretches, Track, cut, local_motion
+from adaptsim_jax.attribution.stretches import Stretches, Track, cut
 from adaptsim_jax.effects.base import Effect, Reach
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
+from adaptsim_jax.sysid.segments import local_motion
 
 TILT = "tilt"
 TILTS = ("about_x", "about_y")

@@ -61,7 +61,7 @@ def _rms(e: np.ndarray) -> float:
 
 
 def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None) -> Replay:
-    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values (the model file's where None)."""
+    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values, or the file's."""
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     problem = prepare(

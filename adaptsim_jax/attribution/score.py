@@ -36,10 +36,6 @@ class Candidate:
     def key(self) -> tuple[str, tuple[int, ...], str]:
         return self.effect, self.joints, self.sharing
 
-    @property
-    def amplitudes(self) -> tuple[Entry, ...]:
-        return self.entries
-
     def shaped(self) -> dict[str, float]:
         return dict(self.shape)
 
@@ -222,8 +218,13 @@ class _Sums:
         for k in folds:
             a = _solved(c, bend - curve[k], total - by_fold[k])
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
-        spread = np.sqrt(np.square(slope).sum(0))
-        z = np.where(spread > 0, np.abs(total) / np.where(spread > 0, spread, 1.0), 0.0)
+        count = max(int(np.any(slope != 0.0, axis=1).sum()), 2)
+        mean = slope.sum(0) / count
+        spread = np.sqrt(np.maximum(np.square(slope).sum(0) / count - np.square(mean), 0.0) / (count - 1))
+        t = np.abs(mean) / np.maximum(spread, 1e-300)
+        z = stats.norm.isf(
+            np.maximum(stats.t.sf(t, count - 1), 1e-300)
+        )  # as far out as Student's t of so few stretches
         on = amplitude != 0.0
         p = float(stats.chi2.sf(np.square(z[on]).sum(), int(on.sum()))) if on.any() else 1.0
         return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))

@@ -16,16 +16,15 @@ from adaptsim_jax.attribution.estimate import (
     Linear,
     Weights,
     _fold,
-    _own,
     bounded_step,
     candidate_columns,
     fit,
     linear,
     losses,
     normal,
-    refitted_start,
     residuals,
     run,
+    settled,
     start_steps,
 )
 from adaptsim_jax.attribution.parameters import Vector
@@ -33,6 +32,7 @@ from adaptsim_jax.attribution.problem import TILT, Problem, own_inertia, scaled_
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
 from adaptsim_jax.effects.base import Reach
 
+TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
 LEAST_TRIALS = 5
 EXACT = 14  # folds up to which the sign-flip test takes all patterns of signs
 
@@ -117,24 +117,8 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     fold = _fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
-    best = None
-    for _ in range(2):
-        paths = run(problem, now.vector, starts, rows)
-        loss = losses(problem, paths, weights)
-        if best is None:
-            best, kept = loss, paths
-        else:
-            better = (loss < best) | ~np.isfinite(best)
-            best = np.where(better, loss, best)
-            kept = [
-                type(a)(*(np.where(better, x, y) for x, y in zip(a, b, strict=True)))
-                for a, b in zip(paths, kept, strict=True)
-            ]
-        moves = []
-        for group, path, x in zip(problem.groups, paths, lin.start, strict=True):
-            w = _weighted(problem, lin, group, path)
-            moves.append(refitted_start(x, w))
-        starts = [x + d for x, d in zip(starts, moves, strict=True)]
+    _, _, kept = settled(problem, lin, now.vector, (starts, now.starts), rows, refine=2)
+    best = losses(problem, kept, weights)
     width, joints = len(best), problem.joints
     squared = np.zeros((width, 2 * joints))
     for group, path in zip(problem.groups, kept, strict=True):
@@ -143,13 +127,6 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
         j = np.array(group.joints)
         squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
     return HeldOut(best, squared, now.vector.values + steps)
-
-
-def _weighted(problem: Problem, lin: Linear, group, path) -> np.ndarray:
-    s = group.stretches
-    seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
-    weight = _own(lin.fit.weights, group, problem.joints) * np.sqrt(lin.fit.weights.stretch)[:, None, None] * seen
-    return (residuals(group, path) * weight)[:, lin.picked].reshape(len(seen), -1)
 
 
 def by_fold(problem: Problem, loss: np.ndarray) -> np.ndarray:
@@ -187,7 +164,7 @@ def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights:
 def refit(
     problem: Problem, base: Fit, vector: Vector, starts, joints: Sequence[int], rounds: int, weights: Weights | None
 ) -> Fit:
-    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared by groups."""
+    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
     touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
     owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
     shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
@@ -225,9 +202,10 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tupl
     shapes = shape_entries(problem, reach, c)
     best = None
     for length in (1.0, 0.5, 0.2):
-        starts = [x + d for x, d in zip(base.fit.starts, start_steps(wide, length * step), strict=True)]
+        moved = [x + d for x, d in zip(base.fit.starts, start_steps(wide, length * step), strict=True)]
         trial = vector.at(vector.values + length * step).with_entries(shapes)
-        loss = losses(problem, run(problem, trial, starts), base.fit.weights).sum()
+        starts, by_lane, _ = settled(problem, base.lin, trial, (moved, base.fit.starts))
+        loss = by_lane.sum()
         if best is None or loss < best[2]:
             best = (trial, starts, float(loss))
         if loss < 0.9 * base.fit.total:
@@ -286,7 +264,7 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
                 f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss",
             )
         )
-        if good and (best is None or test.gain > best[0]):
+        if good and (best is None or _beats(problem, model, best[1], criteria)):
             best = (test.gain, model, score, test)
     if best is None:
         trace.append(
@@ -300,6 +278,14 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     # its own weights from here on: the residual has become smaller, and with it what matters in it
     again = fit(problem, model.fit.vector, model.fit.starts, rounds=criteria.rounds)
     return modelled(problem, model.added, again)
+
+
+def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
+    """Whether a model is to be taken instead of another: the one with fewer parameters, unless the larger holds out better."""
+    small, large = sorted((other, model), key=lambda m: len(m.fit.vector))
+    test = paired(problem, small.held.loss, large.held.loss)
+    chosen = large if test.gain > criteria.size and test.p < criteria.confidence else small
+    return chosen is model
 
 
 def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
@@ -322,7 +308,12 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         order = sorted(tests, key=lambda t: t[2].p)
         for rank, (c, less, test, steady) in enumerate(order):
             level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0**-test.folds)
-            if test.p > level or test.gain < criteria.size or steady < criteria.steady:
+            if (
+                test.p > level
+                or test.gain < criteria.size
+                or steady < criteria.steady
+                or _too_short(problem, model, c, criteria)
+            ):
                 failing.append((test.gain, c, less, test, steady))
         if not failing:
             break
@@ -337,6 +328,16 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         for c, less, test, steady in tests
     )
     return model, named
+
+
+def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether it is a shift in time of less than the log resolves."""
+    times = [
+        abs(z)
+        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        if e.owner == c.effect and e.unit == "s"
+    ]
+    return bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
 
 
 def steadiness(problem: Problem, model: Model, c: Candidate) -> float:

@@ -111,63 +111,60 @@ def forces(model: Model, values: Values, q, v, u, t) -> Forces:
     return Forces(smooth, level, inertia)
 
 
-def _factors(model: Model, values: Values, q, v, inertia):
-    mass = dynamics.mass_matrix(model.tree, values.inertial, q)
-    n = q.shape[0]
-    mass = mass + inertia[:, None] * jnp.eye(n, dtype=q.dtype).reshape(n, n, *(1,) * (q.ndim - 1))
-    return mass, dynamics.bias_force(model.tree, values.inertial, q, v, values.gravity)
-
-
 def _accelerate(model: Model, values: Values, q, v, u, t, extra):
     act = forces(model, values, q, v, u, t)
-    mass, bias = _factors(model, values, q, v, act.inertia)
-    return dynamics.solve(mass, act.smooth - bias + extra), mass, act
+    force = act.smooth + extra
+    return dynamics.acceleration(model.tree, values.inertial, q, v, force, act.inertia, values.gravity), act
 
 
-def _friction(mass, free, v, level, h):
+def _friction(model: Model, values: Values, q, inertia, free, v, level, h):
     """Dry friction [n, W] held over a step of h s from the acceleration `free` without it."""
     n = v.shape[0]
-    eye = jnp.eye(n, dtype=v.dtype).reshape(n, n, *(1,) * (v.ndim - 1)) + jnp.zeros_like(v)
-    answer = [dynamics.solve(mass, eye[j]) for j in range(n)]  # column j: accelerations under a unit force at joint j
+    answer = dynamics.inverse_mass(model.tree, values.inertial, q, inertia)  # column j: under a unit force at joint j
     safe = jnp.where(h > 0, h, 1.0)
-    after = v + h * free
-    force = [jnp.zeros_like(v[0])] * n
-    for _ in range(SWEEPS if n > 1 else 1):
-        for j in range(n):
-            wanted = force[j] - after[j] / (safe * answer[j][j])
-            new = jnp.clip(wanted, -level[j], level[j])
-            after = after + h * answer[j] * (new - force[j])
-            force[j] = new
-    return jnp.stack(force)
+    own = jnp.stack([answer[j, j] for j in range(n)])
+
+    def turn(carry, j):  # a loop: written out for each joint it takes many times as long to compile
+        after, force = carry
+        new = jnp.clip(force[j] - after[j] / (safe * own[j]), -level[j], level[j])
+        after = after + h[None] * answer[:, j] * (new - force[j])[None]
+        return (after, force.at[j].set(new)), None
+
+    order = jnp.tile(jnp.arange(n), SWEEPS if n > 1 else 1)
+    (_, force), _ = jax.lax.scan(turn, (v + h[None] * free, jnp.zeros_like(v)), order)
+    return force
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
     """State [2n, W] after a row, and the mean dry friction over it [n, W]. extra [n, W] N m; rough: whether anything rubs."""
     n = x.shape[0] // 2
     h = dt / substeps
+    wide = h[None]
 
     def substep(i, carry):
         x, rubbed = carry
-        now = (t + i * h)[None]
+        now = t[None] + i * wide
         q, v = x[:n], x[n:]
-        free, mass, act = _accelerate(model, values, q, v, u, now, extra)
+        free, act = _accelerate(model, values, q, v, u, now, extra)
         rub = jax.lax.cond(
-            rough, lambda: _friction(mass, free, v, jnp.maximum(act.level, 0.0), h), lambda: jnp.zeros_like(v)
+            rough,
+            lambda: _friction(model, values, q, act.inertia, free, v, jnp.maximum(act.level, 0.0), h),
+            lambda: jnp.zeros_like(v),
         )
 
         def slope(x, at):
-            a, _, _ = _accelerate(model, values, x[:n], x[n:], u, now + at, extra + rub)
+            a, _ = _accelerate(model, values, x[:n], x[n:], u, now + at, extra + rub)
             return jnp.concatenate([x[n:], a])
 
         def stage(carry, ab):
             k, total = carry
-            k = slope(x + ab[0] * h * k, ab[0] * h)
+            k = slope(x + ab[0] * wide * k, ab[0] * wide)
             return (k, total + ab[1] * k), None
 
         kind = x.dtype
-        weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([1.0, 6.0], kind)
+        weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([[1.0, 6.0]], kind)
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), weights)
-        return x + h * total, rubbed + rub / substeps
+        return x + wide * total, rubbed + rub / substeps
 
     return jax.lax.fori_loop(0, substeps, substep, (x, jnp.zeros_like(x[:n])))
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.segments import local_motion
 
 ROW = 4e-3  # s, of a row: a faster log is merged to about this
 PAST, FUTURE = 0.25, 0.06  # s of command before and after a stretch, for effects that move or filter it
@@ -156,28 +157,3 @@ def _means(time, u, integral, edges) -> np.ndarray:
         row = np.clip(np.searchsorted(time, edges[:-1], side="right") - 1, 0, len(time) - 1)
         out[:, j] = np.where(span > 0, np.diff(area) / np.where(span > 0, span, 1.0), u[row, j])
     return out
-
-
-def local_motion(time: np.ndarray, q: np.ndarray, v: np.ndarray | None, half: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Angle and speed [T, n] by least-squares cubics over `2 half + 1` neighbours (Savitzky and Golay, 1964; uneven rows).
-    Measured speeds enter the same cubic."""
-    count = min(2 * half + 1, len(time))
-    first = np.clip(np.arange(len(time)) - half, 0, len(time) - count)
-    near = first[:, None] + np.arange(count)
-    s = time[near] - time[:, None]
-    width = np.abs(s).max(1, keepdims=True)
-    powers = (s / width)[..., None] ** np.arange(4)
-    design, target = powers, q[near]
-    if v is not None:
-        slopes = np.concatenate([np.zeros_like(powers[..., :1]), np.arange(1, 4) * powers[..., :3]], -1)
-        design, target = np.concatenate([design, slopes], 1), np.concatenate([target, v[near] * width[..., None]], 1)
-    keep = np.isfinite(target)
-    target = np.where(keep, target, 0.0)
-    coef = np.stack([_cubic(design, target[..., j], keep[..., j]) for j in range(q.shape[1])], -1)  # [T, 4, n]
-    return coef[:, 0], coef[:, 1] / width
-
-
-def _cubic(design: np.ndarray, target: np.ndarray, keep: np.ndarray) -> np.ndarray:
-    kept = design * keep[..., None]
-    normal = np.swapaxes(kept, 1, 2) @ design + 1e-9 * np.eye(4)
-    return np.linalg.solve(normal, (np.swapaxes(kept, 1, 2) @ target[..., None]))[..., 0]

@@ -1,79 +1,84 @@
-"""Dynamics of a `Tree`: mass matrix, bias force, regressor, acceleration, positions and energy.
+"""Dynamics of a `Tree`: mass matrix, bias force, regressor, acceleration with its derivatives, positions and energy.
 
-Arrays are `[n, ...batch]` with the batch last, and everything is written out as sums and products of such lanes over the few
-joints, so that it vectorises over the batch. Vectors are in the world's axes and moments about each joint's own origin: nothing
-is turned from frame to frame, and a distal link's inertia is not lost beside what its mass makes about the base in single
-precision. Inverse dynamics are Luh, Walker and Paul's recursion ("On-line computational scheme for mechanical manipulators",
-1980), the mass matrix is built from composite bodies (Walker and Orin, 1982), and its factor keeps the zeros of branches
-(Featherstone, "Efficient factorization of the joint-space inertia matrix for branched kinematic trees", 2005).
+Arrays are `[n, ...batch]` with the batch last, and all is sums and products over lanes of all joints at once, so that it
+vectorises, and compiles in about the same time for two joints and for twelve. Vectors are in the world's axes, motions and
+wrenches about the first joint of each branch. Inverse dynamics are the recursive Newton-Euler algorithm and the mass matrix comes
+from composite bodies (Featherstone, "Rigid Body Dynamics Algorithms", 2008); derivatives are analytic (Singh, Russell and
+Wensing, "Efficient analytical derivatives of rigid-body dynamics using spatial vector algebra", RA-L 7(2), 2022; Carpentier and
+Mansard, 2018), so that a derivative along many directions costs a small matrix product each.
 
-`inertial [n, 10]`, `gravity [3]` and `armature [n]` are arguments of their own and may carry the batch's axes. Where a
-`tree.massless` body is concerned, its row of `inertial` is not looked at.
+`inertial [n, 10]`, `gravity [3]` and `armature [n]` are arguments of their own and may carry the batch's axes. Rows of `inertial`
+of bodies that are `tree.massless` are not looked at.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from adaptsim_jax.core.trig import sin_cos
+from adaptsim_jax.core.once import once
+from adaptsim_jax.mechanisms.kinematics import Pose, chain, lifted, together
 from adaptsim_jax.mechanisms.lanes import (
     IDENTITY,
     ZERO,
     Entry,
-    Rows,
     Vector,
     add,
     apply,
     apply_transposed,
     cross,
     dot,
+    known,
+    minus,
     mul,
-    neg,
     plus,
-    product,
     stacked,
     sub,
     symmetric,
     times,
-    total,
+)
+from adaptsim_jax.mechanisms.spatial import (
+    Body,
+    Pair,
+    cross_motion,
+    cross_wrench,
+    dot_pair,
+    momentum,
+    moved,
+    plus_pair,
+    swirl,
+    times_pair,
+    turned,
 )
 from adaptsim_jax.mechanisms.tree import Tree, ancestors
 
 Array = Any
 
 
-class Pose(NamedTuple):
-    """Of a joint's frame: its rotation in the world, and the way to its origin from the origin before it, in the world's axes."""
+class Still(NamedTuple):
+    """What positions alone decide: poses, the motion that each joint makes at unit speed, and the bodies."""
 
-    rotation: Rows
-    way: Vector
-
-    @property
-    def axis(self) -> Vector:
-        return tuple(row[2] for row in self.rotation)
+    pose: Pose
+    screw: Pair
+    body: Body
 
 
-class Body(NamedTuple):
-    """Mass, first moment and moments of inertia about the joint's origin, in the world's axes."""
+class Moving(NamedTuple):
+    """Of each body: velocity and acceleration (less gravity), the same of the body before it, and the wrench that it needs."""
 
-    mass: Entry
-    moment: Vector
-    inertia: Rows
-
-
-NOTHING = Body(0, ZERO, (ZERO, ZERO, ZERO))
+    velocity: Pair
+    acceleration: Pair
+    velocity_before: Pair
+    acceleration_before: Pair
+    wrench: Pair
 
 
 def mass_matrix(tree: Tree, inertial: Array, q: Array) -> jax.Array:
     """`[n, n, ...]` kg m^2 (kg m, kg where slides are concerned) at `q: [n, ...]`, without armature."""
     q = jnp.asarray(q)
-    poses = _poses(tree, q)
-    entries = _mass(tree, poses, _bodies(tree, poses, inertial, q.dtype))
-    like = _like(tree, inertial, q)
-    n = tree.n
-    return jnp.stack([stacked([entries.get((max(i, j), min(i, j)), 0) for j in range(n)], like) for i in range(n)])
+    still = _still(tree, inertial, q)
+    return _mass(tree, still, _up(tree, still.body), _like(tree, inertial, q))
 
 
 def bias_force(tree: Tree, inertial: Array, q: Array, v: Array, gravity: Array) -> jax.Array:
@@ -91,10 +96,10 @@ def inverse_dynamics(
 ) -> jax.Array:
     """`[n, ...]`: generalized forces that make `q, v, a: [n, ...]` come about, without armature; `v` or `a` None stands for 0."""
     q = jnp.asarray(q)
-    poses = _poses(tree, q)
-    bodies = _bodies(tree, poses, inertial, q.dtype)
-    forces = _inverse(tree, poses, bodies, _rows(v, tree.n), _rows(a, tree.n), _vector(gravity, q.dtype))
-    return stacked(forces, _like(tree, inertial, q, v, a, gravity))
+    still = _still(tree, inertial, q)
+    wrench = _up(tree, _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype)).wrench)
+    like = _like(tree, inertial, q, v, a, gravity)
+    return jnp.broadcast_to(_filled(dot_pair(still.screw, wrench), tree.n, like), (tree.n, *like.shape))
 
 
 def acceleration(
@@ -102,110 +107,97 @@ def acceleration(
 ) -> jax.Array:
     """`[n, ...]`: of the joints at `q, v: [n, ...]` under the generalized `force: [n, ...]` (all but gravity and inertia)."""
     q = jnp.asarray(q)
-    poses = _poses(tree, q)
-    bodies = _bodies(tree, poses, inertial, q.dtype)
-    bias = _inverse(tree, poses, bodies, _rows(v, tree.n), _rows(None, tree.n), _vector(gravity, q.dtype))
-    mass = _mass(tree, poses, bodies)
-    armature = jnp.asarray(armature, q.dtype)
-    for i in range(tree.n):
-        mass[i, i] = add(mass[i, i], armature[i])
-    before = [ancestors(tree, i) for i in range(tree.n)]
-    out = _solved(mass, [force[i] - bias[i] for i in range(tree.n)], before)
-    return stacked(out, _like(tree, inertial, q, v, force, armature, gravity))
+    like = _like(tree, inertial, q, v, force, armature, gravity)
+    wide = lambda x: jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+    return _acceleration(tree, inertial, wide(q), wide(v), wide(force), wide(armature), gravity)
 
 
-def regressor(tree: Tree, q: Array, v: Array, a: Array, gravity: Array) -> jax.Array:
+def inverse_mass(tree: Tree, inertial: Array, q: Array, armature: Array) -> jax.Array:
+    """`[n, n, ...]`: of the mass matrix with armature; column j is the acceleration that a unit force at joint j brings."""
+    q = jnp.asarray(q)
+    like = _like(tree, inertial, q, armature)
+    wide = lambda x: jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+    return _inverse_mass(tree, inertial, wide(q), wide(armature))
+
+
+def derivatives(
+    tree: Tree, inertial: Array, q: Array, v: Array, a: Array, gravity: Array
+) -> tuple[jax.Array, jax.Array]:
+    """Of the generalized forces of `inverse_dynamics` by `q` and by `v`: `[n, n, ...]` each, the force first."""
+    q = jnp.asarray(q)
+    return _derivatives(tree, _still(tree, inertial, q), q, v, a, gravity, _like(tree, inertial, q, v, a, gravity))
+
+
+def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: Array) -> jax.Array:
     """`[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()` (Atkeson, An and Hollerbach, 1986)."""
     q = jnp.asarray(q)
-    poses = _poses(tree, q)
-    motion = _motion(tree, poses, _rows(v, tree.n), _rows(a, tree.n), _vector(gravity, q.dtype))
     like = _like(tree, None, q, v, a, gravity)
-    rows: list[list[Entry]] = [[0] * (10 * tree.n) for _ in range(tree.n)]
-    for j in range(tree.n):
-        if tree.shapes[j].massless:
-            continue
-        wrench = _body_regressor(poses[j].rotation, *motion[j])
-        way: Vector = ZERO
-        for i in (j, *ancestors(tree, j)):
-            axis = poses[i].axis
-            turn, push = (axis, cross(axis, way)) if tree.kinds[i] == "hinge" else (ZERO, axis)
-            turn, push = (apply_transposed(poses[j].rotation, x) for x in (turn, push))
-            rows[i][10 * j : 10 * j + 10] = [add(dot(push, force), dot(turn, moment)) for force, moment in wrench]
-            way = plus(way, poses[i].way)
-    return jnp.stack([stacked(row, like) for row in rows])
+    still = _still(tree, None, q)
+    moving = _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype))
+    rotation, origin = still.pose
+    omega, u = (apply_transposed(rotation, x) for x in _about(moving.velocity, origin))
+    alpha, linear = (apply_transposed(rotation, x) for x in _about(moving.acceleration, origin))
+    linear = plus(linear, cross(omega, u))  # of the point of the body, where the spatial one is of the place
+    pair = lambda x: tuple(y if known(y) else y[None] for y in x)  # of body j, for each joint i
+    axes = tuple(pair(row) for row in rotation)
+    screw = tuple(tuple(y if known(y) else y[:, None] for y in x) for x in still.screw)
+    turn, push = (apply_transposed(axes, x) for x in _about(screw, pair(origin)))
+    columns = []
+    for force, moment in _body_regressor(pair(omega), pair(alpha), pair(linear)):
+        columns.append(_table(add(dot(push, force), dot(turn, moment)), tree.n, like))
+    carried = _ancestry(tree) & ~np.array(tree.massless)[None]
+    out = jnp.stack(columns, 2) * _mask(carried, like)[:, :, None]  # [i, j, 10, ...]
+    return out.reshape(tree.n, 10 * tree.n, *like.shape)
 
 
-def solve(mass: Array, rhs: Array, parent: Sequence[int] | None = None) -> jax.Array:
-    """`[n, ...]`: `mass [n, n, ...]`, symmetric and positive definite, into `rhs [n, ...]`. With a tree's `parent` the zeros
-    between its branches cost nothing; the matrix must have them."""
-    n = rhs.shape[0]
+def solve(mass: Array, rhs: Array) -> jax.Array:
+    """`[n, ...]`: `mass [n, n, ...]`, symmetric and positive definite, into `rhs [n, ...]`."""
     mass, rhs = jnp.asarray(mass), jnp.asarray(rhs)
-    before = [tuple(range(i - 1, -1, -1)) if parent is None else _before(parent, i) for i in range(n)]
-    entries = {(i, j): mass[i, j] for i in range(n) for j in (i, *before[i])}
-    return stacked(
-        _solved(entries, list(rhs), before), jnp.zeros(jnp.broadcast_shapes(mass.shape[2:], rhs.shape[1:]), rhs.dtype)
-    )
+    return _solved(_factored(mass), rhs[:, None])[:, 0]
 
 
 def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
     """`[n, ...]`: of the declared springs and dampers, MuJoCo's `qfrc_passive`. Dry friction is not among them."""
     q, v = jnp.asarray(q), jnp.asarray(v)
-    out = []
-    for i in range(tree.n):
-        damping, stiffness, rest, higher, harder = (
-            jnp.asarray(x[i], q.dtype)
-            for x in (tree.damping, tree.stiffness, tree.springref, tree.damping_poly, tree.stiffness_poly)
-        )
-        x = q[i] - rest
-        fast, far = jnp.abs(v[i]), jnp.abs(x)
-        out.append(
-            -(damping + higher[0] * fast + higher[1] * fast**2) * v[i]
-            - (stiffness + harder[0] * far + harder[1] * far**2) * x
-        )
-    return stacked(out, _like(tree, None, q, v))
+    of = lambda x: lifted(x, 1, q.ndim - 1, q.dtype)
+    x = q - of(tree.springref)
+    fast, far = jnp.abs(v), jnp.abs(x)
+    drag = of(tree.damping) + of(tree.damping_poly[:, 0]) * fast + of(tree.damping_poly[:, 1]) * fast**2
+    pull = of(tree.stiffness) + of(tree.stiffness_poly[:, 0]) * far + of(tree.stiffness_poly[:, 1]) * far**2
+    return -drag * v - pull * x
 
 
 def body_position(tree: Tree, q: Array, body: int, point: Array = (0.0, 0.0, 0.0)) -> jax.Array:
     """`[3, ...]` m, in the world: a point given in the frame of joint `body`, which sits on the body that it moves."""
     q = jnp.asarray(q)
-    poses = _poses(tree, q)
-    chain = (body, *ancestors(tree, body))
-    out = apply(poses[body].rotation, _vector(point, q.dtype))
-    for i in chain:
-        out = plus(out, poses[i].way)
+    poses = chain(tree, q)
+    root = (body, *ancestors(tree, body))[-1]
+    base = tuple(lifted(tree.place, 2, q.ndim - 1, q.dtype)[root])
+    out = plus(
+        plus(base, poses[body].origin), apply(poses[body].rotation, tuple(lifted(point, 1, q.ndim - 1, q.dtype)))
+    )
     return stacked(out, _like(tree, None, q))
 
 
 def tip_height(tree: Tree, q: Array, body: int, point: Array = (0.0, 0.0, 0.0)) -> jax.Array:
     """`[...]` m: of a point as in `body_position`, against gravity and from the world's origin."""
     at = body_position(tree, q, body, point)
-    up = -jnp.asarray(tree.gravity, at.dtype)
-    up = up / jnp.sqrt(jnp.sum(up**2))
-    return at[0] * up[0] + at[1] * up[1] + at[2] * up[2]
+    up = -lifted(tree.gravity, 1, at.ndim - 1, at.dtype)
+    return jnp.sum(at * up, axis=0) / jnp.sqrt(jnp.sum(up**2, axis=0))
 
 
 def energy(tree: Tree, inertial: Array, q: Array, v: Array, armature: Array, gravity: Array) -> jax.Array:
-    """`[...]` J: kinetic (with armature) and potential (zero where all centres of mass are at the world's origin)."""
+    """`[...]` J: kinetic (with armature) and potential (zero where all centres of mass are at their branch's first joint)."""
     q, v = jnp.asarray(q), jnp.asarray(v)
-    poses = _poses(tree, q)
-    bodies = _bodies(tree, poses, inertial, q.dtype)
-    mass = _mass(tree, poses, bodies)
-    armature, down = jnp.asarray(armature, q.dtype), _vector(gravity, q.dtype)
-    parts = [mul(0.5 * v[i] * v[i], add(mass[i, i], armature[i])) for i in range(tree.n)]
-    parts += [mul(v[i] * v[j], m) for (i, j), m in mass.items() if i != j]
-    origin: list[Vector] = []
-    for i, p in enumerate(tree.parent):
-        origin.append(poses[i].way if p < 0 else plus(origin[p], poses[i].way))
-        parts.append(neg(dot(down, plus(bodies[i].moment, times(bodies[i].mass, origin[i])))))
-    return stacked([total(parts)], _like(tree, inertial, q, v, armature, gravity))[0]
-
-
-def _vector(x: Any, dtype: Any) -> Vector:
-    return tuple(jnp.asarray(x, dtype))
-
-
-def _rows(x: Any, n: int) -> list[Entry]:
-    return [0] * n if x is None else [x[i] for i in range(n)]
+    like = _like(tree, inertial, q, v, armature, gravity)
+    still = _still(tree, inertial, q)
+    mass = _mass(tree, still, _up(tree, still.body), like)
+    down = tuple(x[None] for x in lifted(gravity, 1, q.ndim - 1, q.dtype))
+    height = _filled(dot(down, still.body.moment), tree.n, like)
+    moving = jnp.sum(mass * v[:, None] * v[None], axis=(0, 1)) + jnp.sum(
+        lifted(armature, 1, q.ndim - 1, q.dtype) * v**2, 0
+    )
+    return 0.5 * moving - jnp.sum(height, axis=0)
 
 
 def _like(tree: Tree, inertial: Any, q: jax.Array, *others: Any) -> jax.Array:
@@ -215,160 +207,326 @@ def _like(tree: Tree, inertial: Any, q: jax.Array, *others: Any) -> jax.Array:
     return jnp.zeros(jnp.broadcast_shapes(*shapes), q.dtype)
 
 
-def _poses(tree: Tree, q: jax.Array) -> list[Pose]:
-    sines, cosines = sin_cos(q) if "hinge" in tree.kinds else (q, q)
-    place, rotation = jnp.asarray(tree.place, q.dtype), jnp.asarray(tree.rotation, q.dtype)
-    poses: list[Pose] = []
-    for i, (kind, p) in enumerate(zip(tree.kinds, tree.parent, strict=True)):
-        before = IDENTITY if p < 0 else poses[p].rotation
-        shape = tree.shapes[i]
-        still = tuple(
-            tuple(rotation[i, r, c] if x is None else x for c, x in enumerate(row))
-            for r, row in enumerate(shape.rotation)
+def _mask(mask: np.ndarray, like: jax.Array) -> jax.Array:
+    """Ones and zeros, with an axis of one for each of the batch's."""
+    return jnp.asarray(mask, like.dtype).reshape(*mask.shape, *(1,) * like.ndim)
+
+
+def _filled(x: Entry, n: int, like: jax.Array) -> jax.Array:
+    """An entry as an array `[n, ...]`."""
+    return jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, *like.shape))
+
+
+def _table(x: Entry, n: int, like: jax.Array) -> jax.Array:
+    """An entry as an array `[n, n, ...]`."""
+    return jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, *like.shape))
+
+
+def _ancestry(tree: Tree) -> np.ndarray:
+    """[n, n]: whether joint i carries body j, which it does its own."""
+    out = np.eye(tree.n, dtype=bool)
+    for j in range(tree.n):
+        out[list(ancestors(tree, j)), j] = True
+    return out
+
+
+def _about(motion: Pair, point: Vector) -> Pair:
+    """The same motion, about another point."""
+    return motion[0], plus(motion[1], cross(motion[0], point))
+
+
+def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
+    """inertial None: bodies that weigh nothing."""
+    pose = together(chain(tree, q), _like(tree, None, q))
+    pose = _computed(pose, q)
+    hinge = np.array([kind == "hinge" for kind in tree.kinds])
+    axis = pose.axis
+    if hinge.all():
+        screw = axis, cross(pose.origin, axis)
+    elif not hinge.any():
+        screw = ZERO, axis
+    else:
+        turns = _mask(hinge, _like(tree, None, q))
+        moment = cross(pose.origin, axis)
+        screw = (
+            times(turns, axis),
+            tuple(add(mul(turns, m), mul(1.0 - turns, z)) for m, z in zip(moment, axis, strict=True)),
         )
-        way = apply(before, [place[i, k] if x is None else x for k, x in enumerate(shape.place)])
-        turned = product(before, still)
-        if kind == "slide":
-            poses.append(Pose(turned, plus(way, times(q[i], [row[2] for row in turned]))))
-        else:
-            s, c = sines[i], cosines[i]
-            rows = [(add(mul(c, x), mul(s, y)), sub(mul(c, y), mul(s, x)), z) for x, y, z in turned]
-            poses.append(Pose(tuple(rows), way))
-    return poses
+    if inertial is None:
+        return Still(pose, screw, Body(0, ZERO, (ZERO, ZERO, ZERO)))
+    rows = lifted(inertial, 2, q.ndim - 1, q.dtype)
+    if any(tree.massless):
+        rows = rows * _mask(~np.array(tree.massless), rows[0])
+    mass, x, y, z, *six = (rows[:, k] for k in range(10))
+    return Still(pose, screw, moved(turned(pose.rotation, mass, (x, y, z), symmetric(*six)), pose.origin))
 
 
-def _bodies(tree: Tree, poses: list[Pose], inertial: Any, dtype: Any) -> list[Body]:
-    inertial = jnp.asarray(inertial, dtype)
-    bodies = []
-    for i, pose in enumerate(poses):
-        if tree.shapes[i].massless:
-            bodies.append(NOTHING)
-            continue
-        mass, x, y, z, *six = inertial[i]
-        half = product(pose.rotation, symmetric(*six))
-        entry = lambda r, c, half=half, pose=pose: dot(half[r], pose.rotation[c])
-        inertia = symmetric(entry(0, 0), entry(0, 1), entry(0, 2), entry(1, 1), entry(1, 2), entry(2, 2))
-        bodies.append(Body(mass, apply(pose.rotation, (x, y, z)), inertia))
-    return bodies
+def _moving(tree: Tree, still: Still, v: Array | None, a: Array | None, gravity: jax.Array) -> Moving:
+    """gravity [3, ...]."""
+    nothing: Pair = (ZERO, ZERO)
+    batch = gravity.ndim - 1
+    along = nothing if v is None else times_pair(lifted(v, 1, batch, gravity.dtype), still.screw)
+    velocity = _down(tree, along)
+    rate = cross_motion(velocity, along)
+    if a is not None:
+        rate = plus_pair(rate, times_pair(lifted(a, 1, batch, gravity.dtype), still.screw))
+    acceleration = _down(tree, rate)
+    acceleration = acceleration[0], tuple(sub(x, g[None]) for x, g in zip(acceleration[1], gravity, strict=True))
+    wrench = plus_pair(momentum(still.body, acceleration), cross_wrench(velocity, momentum(still.body, velocity)))
+    without = lambda pair, own: (minus(pair[0], own[0]), minus(pair[1], own[1]))
+    return Moving(velocity, acceleration, without(velocity, along), without(acceleration, rate), wrench)
 
 
-def _motion(
-    tree: Tree, poses: list[Pose], v: list[Entry], a: list[Entry], gravity: Vector
-) -> list[tuple[Vector, Vector, Vector]]:
-    """For each body its angular velocity, its angular acceleration, and the acceleration of its origin less gravity."""
-    out: list[tuple[Vector, Vector, Vector]] = []
-    for i, pose in enumerate(poses):
-        p = tree.parent[i]
-        omega, alpha, linear = out[p] if p >= 0 else (ZERO, ZERO, tuple(neg(g) for g in gravity))
-        linear = plus(linear, plus(cross(alpha, pose.way), cross(omega, cross(omega, pose.way)))) if p >= 0 else linear
-        along = times(v[i], pose.axis)
-        sideways = cross(omega, along)
-        push = times(a[i], pose.axis)
-        if tree.kinds[i] == "hinge":
-            omega, alpha = plus(omega, along), plus(alpha, plus(sideways, push))
-        else:
-            linear = plus(linear, plus(plus(sideways, sideways), push))
-        out.append((omega, alpha, linear))
+def _computed(values: Any, asked: jax.Array) -> Any:
+    """Arrays among the entries are computed here, once, and not in each place that uses them (see `once`)."""
+    leaves, kind = jax.tree.flatten(values)
+    arrays = [x for x in leaves if not known(x)]
+    if not arrays or asked.size == 0:
+        return values
+    done = iter(once(arrays, asked))
+    return jax.tree.unflatten(kind, [x if known(x) else next(done) for x in leaves])
+
+
+def _down(tree: Tree, values: Any) -> Any:
+    """For each joint the sum over the joints that carry it and itself."""
+
+    def run(rows: list[jax.Array]) -> list[jax.Array]:
+        for i, p in enumerate(tree.parent):
+            rows[i] = rows[i] if p < 0 else rows[i] + rows[p]
+        return rows
+
+    return _accumulated(tree, values, run)
+
+
+def _up(tree: Tree, values: Any) -> Any:
+    """For each joint the sum over the bodies that it carries."""
+
+    def run(rows: list[jax.Array]) -> list[jax.Array]:
+        for i in reversed(range(tree.n)):
+            if (p := tree.parent[i]) >= 0:
+                rows[p] = rows[p] + rows[i]
+        return rows
+
+    return _accumulated(tree, values, run)
+
+
+def _accumulated(tree: Tree, values: Any, run: Any) -> Any:
+    leaves, kind = jax.tree.flatten(values)
+    arrays = [x for x in leaves if not known(x)]  # a known entry of what is summed is a zero
+    if not arrays:
+        return values
+    shape = (tree.n, *jnp.broadcast_shapes(*(x.shape for x in arrays))[1:])
+    whole = jnp.stack([jnp.broadcast_to(x, shape) for x in arrays])
+    summed = jnp.stack(run([whole[:, i] for i in range(tree.n)]), 1)
+    done = iter(list(summed))
+    return jax.tree.unflatten(kind, [x if known(x) else next(done) for x in leaves])
+
+
+def _outer(a: Pair, b: Pair) -> Entry:
+    """`[n, n, ...]`: of wrenches or motions `a` of joints i with `b` of joints j."""
+    out: Entry = 0
+    for x, y in zip((*a[0], *a[1]), (*b[0], *b[1]), strict=True):
+        out = add(out, mul(x if known(x) else x[:, None], y if known(y) else y[None]))
     return out
 
 
-def _inverse(
-    tree: Tree, poses: list[Pose], bodies: list[Body], v: list[Entry], a: list[Entry], gravity: Vector
-) -> list[Entry]:
-    motion = _motion(tree, poses, v, a, gravity)
-    wrenches = [_wrench(body, *m) for body, m in zip(bodies, motion, strict=True)]
-    out: list[Entry] = [0] * tree.n
-    for i in reversed(range(tree.n)):
-        force, moment = wrenches[i]
-        out[i] = dot(poses[i].axis, moment if tree.kinds[i] == "hinge" else force)
-        if (p := tree.parent[i]) >= 0:
-            there = plus(moment, cross(poses[i].way, force))
-            wrenches[p] = plus(wrenches[p][0], force), plus(wrenches[p][1], there)
-    return out
+def _mass(tree: Tree, still: Still, whole: Body, like: jax.Array) -> jax.Array:
+    """whole: for each joint all that it carries, as one body."""
+    lower = _table(
+        _outer(momentum(whole, still.screw), still.screw), tree.n, like
+    )  # right where joint j carries joint i
+    carries = _ancestry(tree)
+    return lower * _mask(carries.T, like) + jnp.swapaxes(lower, 0, 1) * _mask(
+        carries & ~np.eye(tree.n, dtype=bool), like
+    )
 
 
-def _wrench(body: Body, omega: Vector, alpha: Vector, linear: Vector) -> tuple[Vector, Vector]:
-    """Force, and moment about the origin, that move a body so."""
-    swing = plus(cross(alpha, body.moment), cross(omega, cross(omega, body.moment)))
-    turn = plus(apply(body.inertia, alpha), cross(omega, apply(body.inertia, omega)))
-    return plus(times(body.mass, linear), swing), plus(turn, cross(body.moment, linear))
+def _derivatives(
+    tree: Tree, still: Still, q: jax.Array, v: Any, a: Any, gravity: Any, like: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    moving = _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype))
+    screw = still.screw
+    swing = cross_motion(moving.velocity_before, screw)
+    surge = plus_pair(cross_motion(moving.acceleration_before, screw), cross_motion(moving.velocity_before, swing))
+    whole, wrench, (spin, push) = _up(tree, (still.body, moving.wrench, swirl(still.body, moving.velocity)))
+
+    def swirled(m: Pair) -> Pair:
+        return apply(spin, m[0]), times(2.0, cross(m[0], push))
+
+    above = plus_pair(plus_pair(momentum(whole, surge), swirled(swing)), cross_wrench(screw, wrench))
+    above_v = plus_pair(times_pair(2.0, momentum(whole, swing)), swirled(screw))
+    own = momentum(whole, screw)
+    back = plus(apply_transposed(spin, screw[0]), times(2.0, cross(push, screw[1]))), ZERO
+    carries = _ancestry(tree)
+    upper, lower = _mask(carries, like), _mask((carries & ~np.eye(tree.n, dtype=bool)).T, like)
+    table = lambda x: _table(x, tree.n, like)
+    by_q = upper * table(_outer(screw, above)) + lower * table(add(_outer(own, surge), _outer(back, swing)))
+    by_v = upper * table(_outer(screw, above_v)) + lower * table(add(mul(2.0, _outer(own, swing)), _outer(back, screw)))
+    return by_q, by_v
 
 
-def _body_regressor(rotation: Rows, omega: Vector, alpha: Vector, linear: Vector) -> list[tuple[Vector, Vector]]:
-    """Force and moment, in the body's own axes, for one unit of each inertial parameter."""
-    w, dw, a = (apply_transposed(rotation, x) for x in (omega, alpha, linear))
+def _body_regressor(w: Vector, dw: Vector, a: Vector) -> list[tuple[Vector, Vector]]:
+    """Force and moment about the origin, in the body's own axes, for one unit of each inertial parameter; `a`: of the origin."""
     out: list[tuple[Vector, Vector]] = [(a, ZERO)]
     for unit in IDENTITY:
         out.append((plus(cross(dw, unit), cross(w, cross(w, unit))), cross(unit, a)))
     for r, c in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        spun, sped = list(ZERO), list(ZERO)
+        spun: list[Entry] = list(ZERO)
+        sped: list[Entry] = list(ZERO)
         for i, j in {(r, c), (c, r)}:
             spun[i], sped[i] = w[j], dw[j]
         out.append((ZERO, plus(sped, cross(w, spun))))
     return out
 
 
-def _mass(tree: Tree, poses: list[Pose], bodies: list[Body]) -> dict[tuple[int, int], Entry]:
-    """Entries `(i, j)` for i and j = i or an ancestor of i; all others are zero, or the same mirrored."""
-    whole = list(bodies)
-    out: dict[tuple[int, int], Entry] = {}
-    for i in reversed(range(tree.n)):
-        axis, body = poses[i].axis, whole[i]
-        if tree.kinds[i] == "hinge":
-            force, moment = cross(axis, body.moment), apply(body.inertia, axis)
-        else:
-            force, moment = times(body.mass, axis), cross(body.moment, axis)
-        at = i
-        for j in (i, *ancestors(tree, i)):
-            if j != i:
-                moment = plus(moment, cross(poses[at].way, force))
-                at = j
-            out[i, j] = dot(poses[j].axis, moment if tree.kinds[j] == "hinge" else force)
-        if (p := tree.parent[i]) >= 0:
-            whole[p] = _together(whole[p], _moved(body, poses[i].way))
-    return out
+Factor = tuple[list[jax.Array], list[jax.Array]]
 
 
-def _moved(body: Body, d: Vector) -> Body:
-    """The same body about a point from which its origin is `d` away."""
-    h, inertia = body.moment, body.inertia
-    much = add(dot(h, d), dot(plus(h, times(body.mass, d)), d))  # 2 h.d + m d.d
-    md = plus(h, times(body.mass, d))  # so that h d' + d h' + m d d' = h d' + d md'
-    entry = lambda r, c: sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
-    six = [add(entry(r, c), much) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)]
-    return Body(body.mass, md, symmetric(*six))
+def _factored(mass: jax.Array) -> Factor:
+    """Of M = L' D L with L unit lower triangular: rows of L `[k, ...]`, and 1 / D."""
+    rows, inverse = [], []
+    for k in reversed(range(mass.shape[0])):
+        inverse.append(1.0 / mass[k, k])
+        rows.append(mass[k, :k] * inverse[-1][None])
+        mass = mass[:k, :k] - rows[-1][:, None] * mass[k, :k][None]
+    return rows[::-1], inverse[::-1]
 
 
-def _together(a: Body, b: Body) -> Body:
-    return Body(
-        add(a.mass, b.mass),
-        plus(a.moment, b.moment),
-        tuple(plus(x, y) for x, y in zip(a.inertia, b.inertia, strict=True)),
-    )
-
-
-def _before(parent: Sequence[int], i: int) -> tuple[int, ...]:
-    out = []
-    while (i := parent[i]) >= 0:
-        out.append(i)
-    return tuple(out)
-
-
-def _solved(mass: dict[tuple[int, int], Entry], rhs: list[Entry], before: list[tuple[int, ...]]) -> list[Entry]:
-    """By M = L' D L with L unit lower triangular, which has no entries that M has not (Featherstone, 2005)."""
-    m, x = dict(mass), list(rhs)
-    n = len(x)
-    inverse: list[Entry] = [0] * n
+def _solved(factor: Factor, rhs: jax.Array) -> jax.Array:
+    """`[n, m, ...]` of right-hand sides `[n, m, ...]`."""
+    rows, inverse = factor
+    n = len(rows)
+    scaled: list[Any] = [None] * n
     for k in reversed(range(n)):
-        inverse[k] = 1.0 / m[k, k]
-        for i in before[k]:
-            factor = mul(m[k, i], inverse[k])
-            for j in (i, *before[i]):
-                m[i, j] = sub(m[i, j], mul(factor, m[k, j]))
-            x[i] = sub(x[i], mul(factor, x[k]))
-            m[k, i] = factor
+        scaled[k] = rhs[k] * inverse[k][None]
+        rhs = rhs[:k] - rows[k][:, None] * rhs[k][None]
+    out: list[jax.Array] = []
     for k in range(n):
-        x[k] = mul(x[k], inverse[k])
-        for i in before[k]:
-            x[k] = sub(x[k], mul(m[k, i], x[i]))
-    return x
+        out.append(scaled[k] - sum(rows[k][i][None] * out[i] for i in range(k)) if k else scaled[k])
+    return jnp.stack(out)
+
+
+def _inverted(mass: jax.Array) -> jax.Array:
+    n = mass.shape[0]
+    eye = jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2))
+    return _solved(_factored(mass), jnp.broadcast_to(eye, mass.shape))
+
+
+def _with_armature(mass: jax.Array, armature: jax.Array) -> jax.Array:
+    n = mass.shape[0]
+    return mass + jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2)) * armature[None]
+
+
+def _times_rows(m: jax.Array, x: jax.Array) -> jax.Array:
+    """`[n, k, ...] @ [k, ...]`."""
+    return sum(m[:, j] * x[j][None] for j in range(m.shape[1]))  # type: ignore[return-value]
+
+
+@jax.custom_jvp
+def _acceleration(tree, inertial, q, v, force, armature, gravity):
+    return _accelerated(tree, inertial, q, v, force, armature, gravity)
+
+
+def _accelerated(tree, inertial, q, v, force, armature, gravity):
+    still = _still(tree, inertial, q)
+    moving = _moving(tree, still, v, None, lifted(gravity, 1, q.ndim - 1, q.dtype))
+    whole, wrench = _up(tree, (still.body, moving.wrench))
+    mass = _with_armature(_mass(tree, still, whole, q[0]), armature)
+    return solve(mass, force - _filled(dot_pair(still.screw, wrench), tree.n, q[0]))
+
+
+def _acceleration_jvp(primals, tangents):
+    """From M a + bias = force: da = M^-1 (dforce - d(inverse dynamics at a) - darmature a). The partial derivatives do not depend
+    on the direction, so under `vmap` over directions they are computed once."""
+    tree, inertial, q, v, force, armature, gravity = primals
+    d_tree, d_inertial, d_q, d_v, d_force, d_armature, d_gravity = tangents
+    still = _still(tree, inertial, q)
+    moving = _moving(tree, still, v, None, lifted(gravity, 1, q.ndim - 1, q.dtype))
+    whole, wrench = _up(tree, (still.body, moving.wrench))
+    inverse = _inverted(_with_armature(_mass(tree, still, whole, q[0]), armature))
+    a = _times_rows(inverse, force - _filled(dot_pair(still.screw, wrench), tree.n, q[0]))
+    by_q, by_v = _derivatives(tree, still, q, v, a, gravity, q[0])
+    a, inverse, by_q, by_v = _computed((a, inverse, by_q, by_v), q)
+    missing = [
+        d_force,
+        None if _zero(d_q) else -_times_rows(by_q, d_q),
+        None if _zero(d_v) else -_times_rows(by_v, d_v),
+        None if _zero(d_armature) else -d_armature * a,
+        None if _zero(d_inertial) else -inverse_dynamics(tree, d_inertial, q, v, a, gravity),
+        None if _zero(d_gravity) else gravity_force(tree, inertial, q, d_gravity),
+    ]
+    missing = [x for x in missing if x is not None and not _zero(x)]
+    change = _times_rows(inverse, sum(missing)) if missing else jnp.zeros_like(a)  # type: ignore[arg-type]
+    if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
+        along = lambda tree: _accelerated(tree, inertial, q, v, force, armature, gravity)
+        change = change + jax.jvp(along, (tree,), (_made(d_tree),))[1]
+    return a, change
+
+
+def _zero(tangent: Any) -> bool:
+    return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
+
+
+def _made(tangents: Any) -> Any:
+    fill = lambda x: jnp.zeros(x.shape, x.dtype) if _zero(x) else x
+    return jax.tree.map(fill, tangents, is_leaf=_zero)
+
+
+_acceleration.defjvp(_acceleration_jvp, symbolic_zeros=True)
+
+
+@jax.custom_jvp
+def _inverse_mass(tree, inertial, q, armature):
+    still = _still(tree, inertial, q)
+    return _inverted(_with_armature(_mass(tree, still, _up(tree, still.body), q[0]), armature))
+
+
+def _inverse_mass_jvp(primals, tangents):
+    tree, inertial, q, armature = primals
+    d_tree, d_inertial, d_q, d_armature = tangents
+    still = _still(tree, inertial, q)
+    whole = _up(tree, still.body)
+    inverse = _inverted(_with_armature(_mass(tree, still, whole, q[0]), armature))
+    by_q = None if _zero(d_q) else _mass_by_q(tree, still, whole, q[0])
+    inverse, by_q = _computed((inverse, by_q), q)
+    change = jnp.zeros_like(inverse)
+    if by_q is not None:
+        change = change + sum(by_q[:, :, k] * d_q[k][None, None] for k in range(tree.n))
+    if not _zero(d_armature):
+        change = _with_armature(change, d_armature)
+    if not _zero(d_inertial):
+        change = change + mass_matrix(tree, d_inertial, q)
+    if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
+        change = change + jax.jvp(lambda tree: mass_matrix(tree, inertial, q), (tree,), (_made(d_tree),))[1]
+    product = lambda a, b: sum(a[:, k][:, None] * b[k][None] for k in range(tree.n))
+    return inverse, -product(inverse, product(change, inverse))
+
+
+_inverse_mass.defjvp(_inverse_mass_jvp, symbolic_zeros=True)
+
+
+def _mass_by_q(tree: Tree, still: Still, whole: Body, like: jax.Array) -> jax.Array:
+    """`[n, n, n, ...]`: derivative of the mass matrix's entry i, j by the angle k. Only what lies between two joints, or is carried
+    by both, changes it: with j carrying i, either k is between (then joint j's screw turns against the rest), or i carries k."""
+    n, carries, eye = tree.n, _ancestry(tree), np.eye(tree.n, dtype=bool)
+
+    def at(pair: Pair, own: str) -> Pair:
+        """Entries with the axes `own`, in that order, on the axes i, j, k."""
+        missing = [axis for axis in "ijk" if axis not in own]
+        order = [(own + "".join(missing)).index(axis) for axis in "ijk"]
+        spread = lambda x: x.reshape(*x.shape[: len(own)], *(1,) * len(missing), *x.shape[len(own) :])
+        place = lambda x: x if known(x) else jnp.transpose(spread(x), (*order, *range(3, spread(x).ndim)))
+        return jax.tree.map(place, pair)
+
+    first = lambda x: jax.tree.map(lambda y: y if known(y) else y[:, None], x)
+    second = lambda x: jax.tree.map(lambda y: y if known(y) else y[None], x)
+    turns = cross_motion(first(still.screw), second(still.screw))  # [j, k]: screw j turned by joint k, less its sign
+    pull = momentum(first(whole), second(still.screw))  # [k, i]: what joint k carries, moved by joint i
+    between = dot_pair(at(momentum(whole, still.screw), "i"), at(turns, "jk"))
+    carried = add(dot_pair(at(turns, "jk"), at(pull, "ki")), dot_pair(at(pull, "kj"), at(turns, "ik")))
+    below, strictly = carries.T, carries.T & ~eye  # [i, j]: joint j carries joint i
+    in_between = below[:, :, None] & strictly.T[None] & below[:, None, :]  # j above k, and k carries i
+    further = below[:, :, None] & strictly.T[:, None, :]  # i above k
+    cube = lambda x, mask: jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape)) * _mask(mask, like)
+    lower = cube(between, in_between) + cube(carried, further)
+    return lower + jnp.swapaxes(lower, 0, 1) * _mask(~eye, like)[:, :, None]

@@ -105,6 +105,6 @@ def symmetric(xx: Entry, xy: Entry, xz: Entry, yy: Entry, yz: Entry, zz: Entry) 
 
 
 def stacked(entries: Sequence[Entry], like: jax.Array) -> jax.Array:
-    """`[k, ...batch]` of `k` entries, where the batch is the common shape of them and of the lanes `like`."""
+    """`[k, ...]` of `k` entries, of the common shape of them and of `like`."""
     shape = jnp.broadcast_shapes(like.shape, *(jnp.shape(x) for x in entries))
     return jnp.stack([jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in entries])

@@ -35,7 +35,7 @@ class Windows:
     time [N, T] s, torque [N, T, U] N m, motion_q, motion_v [N, T, n]: trials, padded at the end;
     trial [W], rows, times [W, L+1]: where the windows' boundaries lie, `rows` being the row that holds at that time;
     measured, weight [W, L+1, Y] (weight in 1 / standard deviation); start [W, S]: initial states from the data;
-    clock [N]: s to add to a trial's time for what goes on between trials (zero until `sysid/nuisance/phase.py` finds it);
+    clock [N]: s to add to a trial's time for what goes on between trials (zero until `nuisance/phase.py` finds it);
     substeps: `[]` integration steps in a step of a window.
     """
 

@@ -47,7 +47,7 @@ class Recording:
     torque_source: str
     notes: tuple[str, ...] = ()
     model_file: str | None = None
-    smoothing: float = 0.0  # s^2 of a filter whose curvature was taken off the angles (`sysid/nuisance/prefilter.py`)
+    smoothing: float = 0.0  # s^2 of a filter whose curvature was taken off the angles (`nuisance/prefilter.py`)
 
     @property
     def samples(self) -> int:

@@ -53,6 +53,8 @@ def test_every_command_takes_a_seed():
         "diagnose": ["d", "--out", "o"],
         "robot": ["next", "--dir", "d"],
         "parity": ["pendulum"],
+        "replay": ["m", "d"],
+        "sweep": ["show", "d"],
     }
     for name in SUMMARIES:
         args = parse([name, *least.get(name, []), "--seed", "7"])

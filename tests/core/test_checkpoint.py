@@ -250,7 +250,7 @@ def test_a_folder_below_a_file_is_refused(tmp_path):
 
 WRITER = """
 import sys, jax.numpy as jnp
-from adaptsim_jax import store
+from adaptsim_jax.core import store
 step = 0
 while True:
     step += 1

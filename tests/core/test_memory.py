@@ -12,7 +12,7 @@ from adaptsim_jax.core import memory
 GLIBC = sys.platform.startswith("linux") and platform.libc_ver()[0] == "glibc"
 LOOP = """
 import resource
-from adaptsim_jax import memory
+from adaptsim_jax.core import memory
 print(memory.keep_freed() if {keep} else False)
 bytearray(60_000_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -47,6 +47,6 @@ def test_other_systems_are_left_alone(monkeypatch):
 
 
 def test_garbage_is_looked_for_rarely():
-    code = "import gc; from adaptsim_jax import memory; memory.collect_rarely(); print(gc.get_threshold()[0])"
+    code = "import gc; from adaptsim_jax.core import memory; memory.collect_rarely(); print(gc.get_threshold()[0])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(done.stdout) == memory.YOUNG

@@ -4,10 +4,10 @@ import shlex
 import shutil
 from pathlib import Path
 
-import adaptsim_jax.sysid
 import numpy as np
 import pytest
 
+import adaptsim_jax.sysid
 from adaptsim_jax import cli
 from adaptsim_jax.commands.diagnose import diagnose
 from adaptsim_jax.sysid.io.recording import read_recording

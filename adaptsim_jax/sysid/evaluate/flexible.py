@@ -1,8 +1,8 @@
 """The ceiling: the held-out error that a flexible model reaches, which names nothing.
 
-The flexible model is the declared one with smooth forces of `sysid/estimate/generic_forces.py` at every joint: of angle, speed, command, past and
+The flexible model is the declared one with smooth forces of `generic_forces` at every joint: of angle, speed, command, past and
 time, along the motion that was measured. It is linear in its coefficients, so it is fitted by the linear algebra of
-`sysid/score/scorer.py`, but about the right trajectory: first the force that each window asks for (`variance.unexplained_force`) is
+`score/scorer.py`, but about the right trajectory: first the force that each window asks for (`variance.unexplained_force`) is
 fed to the declared model until that follows the measurements, and only then is everything linearised. Held out as in
 `crossval.py`: the declared parameters and the coefficients come from the other folds, initial states from the fold itself,
 by least squares.

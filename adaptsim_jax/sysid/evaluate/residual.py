@@ -21,7 +21,7 @@ class ResidualDiagnosis:
     """The generic dictionary about one model. p_value is corrected for the groups tried; share is the held-out fall of
     the whitened sum of squares; places: `(joint, variable, share, p_value)`, first those at the joint where it likeliest sits, the
     surest of them first; line: a sharp line in the spectrum of the unexplained force, one of the places; answered: whether the
-    commands answer to the motion, so that chance follows it a little (`sysid/nuisance/feedback.py`); doubt: another joint that it may sit
+    commands answer to the motion, so that chance follows it a little (`nuisance/feedback.py`); doubt: another joint that it may sit
     at, with the reason."""
 
     p_value: float

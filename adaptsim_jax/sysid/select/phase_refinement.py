@@ -1,6 +1,6 @@
 """Phases of trials found again with the periodic force in the model.
 
-The first clocks (`sysid/nuisance/phase.py`) come from linear scores about a model that lacks the force. Once it is in, each trial's clock
+The first clocks (`nuisance/phase.py`) come from linear scores about a model that lacks the force. Once it is in, each trial's clock
 is one more parameter whose derivative is at hand, and Gauss-Newton steps make it as sharp as the rest: once before the search,
 so that rivals are compared with phases that are right, and once for the final model.
 """

@@ -18,6 +18,11 @@ from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 from adaptsim_jax.tasks.pushing.visits import make_aims
 
+SIMULATORS = {
+    "planar": "planar model of the push (JAX)",
+    "native": "MuJoCo scene (native)",
+    "mjx": "MuJoCo scene (MJX)",
+}
 BOTTLES = {"paper": model.PAPER, "heavy": model.HEAVY, "light": model.LIGHT}
 
 
@@ -56,7 +61,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         world=world,
         oracle=oracle,
         engine=config.simulator,
-        simulator="planar model of the push (JAX)" if config.simulator == "planar" else "MuJoCo scene (native)",
+        simulator=SIMULATORS[config.simulator],
         reward_unit=f"1 - distance / {task.WORST} m, at least 0, mean over {config.tests} goals",
         oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",

@@ -1,10 +1,12 @@
 """Which engine the push is simulated in where E is tried: in Phase 1, where actions are refined, and where pushes are corrected."""
 
+import functools
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 
-from adaptsim_jax.tasks.pushing import planar
+from adaptsim_jax.tasks.pushing import model, planar
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.model import PushOptions
 
@@ -19,14 +21,33 @@ def make_simulator(config: PushingConfig) -> Push:
     gives, the six observed points at least, and the last is the end."""
     if config.simulator == "planar":
         return _twin(config)
+    options = PushOptions(friction=config.friction, duration=config.duration)
+    if config.simulator == "mjx":
+        return _in_mjx(options)
     from adaptsim_jax.tasks.pushing.engines.served import make_served
 
-    return make_served(PushOptions(friction=config.friction, duration=config.duration), POINTS)
+    return make_served(options, POINTS)
 
 
 def make_guide(config: PushingConfig) -> Push | None:
-    """A cheaper simulator to take slopes from, where there is one: the native scene's planar twin."""
+    """A cheaper simulator to take slopes from, where there is one: the MuJoCo scene's planar twin."""
     return None if config.simulator == "planar" else _twin(config)
+
+
+@functools.cache
+def _in_mjx(options: PushOptions) -> Push:
+    """The scene in MJX, from where bottles start."""
+    from adaptsim_jax.tasks.pushing.engines.mjx import make_push
+
+    with jax.ensure_compile_time_eval():  # the model is kept, and must hold no tracers of a caller's program
+        simulate = make_push(model.check_options(options), model.ELASTICITY)
+
+    def push(params, action):
+        # MJX relies on rank promotion, which a strict caller may have forbidden
+        with jax.numpy_rank_promotion("allow"):
+            return simulate(params, action, jnp.asarray(model.START, params.dtype))[:, :2]
+
+    return push
 
 
 def _twin(config: PushingConfig) -> Push:

@@ -15,6 +15,7 @@ from adaptsim_jax.tasks.scooping.trial import (
     CONTEXT,
     draw_context,
     executed,
+    make_mjx_trial,
     make_trial,
     seen_place,
     success,
@@ -33,8 +34,8 @@ def training_problem(
     checks = config.checks if checks is None else checks
     place = lambda key: draw_context(key)[:2]
     reward = lambda outcome, goal: outcome[0]
-    if config.source == "simulator":
-        simulate = make_trial(options, config.numerics)
+    if not config.trains_in_bank:
+        simulate = make_mjx_trial(options) if config.simulator == "mjx" else make_trial(options, config.numerics)
 
         def real(key, context, action):
             draw_key, luck_key = jax.random.split(key)

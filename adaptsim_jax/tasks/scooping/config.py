@@ -32,6 +32,8 @@ class ScoopingConfig:
     trajectories: trials an iteration; tests: places and errors that the reward of a simulated target is averaged over; fresh: more
     of them, in which `compare` scores each policy once more, none being chosen by them.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included (`wide`).
+    simulator: where policies are trained and Phase 1 runs: the `bank` of the hydroelastic engine's trials, as far as `source` and
+    `rehearsal` say; `hydro`, that engine itself, without the bank; or `mjx`, the MuJoCo scene in MJX (without correct, both).
     source: of the trials that policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase 1
     learns from, likewise. lucks: execution errors that a trial of the bank is averaged over. checks: places and errors that the
     best of a training's policies is chosen by, in the bank; 0 keeps the last one. correct: what is deployed is the best action by
@@ -46,6 +48,7 @@ class ScoopingConfig:
     tests: int = 6
     fresh: int = 0
     targets: Literal["omega", "wide"] = "wide"
+    simulator: Literal["bank", "hydro", "mjx"] = "bank"
     source: Literal["bank", "simulator"] = "bank"
     rehearsal: Literal["bank", "simulator"] = "bank"
     lucks: int = 4
@@ -66,6 +69,14 @@ class ScoopingConfig:
     mu: tuple[float, float] = (model.LOW[0], model.HIGH[0])
     e: tuple[float, float] = (model.LOW[1], model.HIGH[1])
     h: tuple[float, float] = (model.LOW[3], model.HIGH[3])
+
+    @property
+    def trains_in_bank(self) -> bool:
+        return self.simulator == self.source == "bank"
+
+    @property
+    def rehearses_in_bank(self) -> bool:
+        return self.simulator == self.rehearsal == "bank"
 
 
 class ScoopingPolicy(NamedTuple):
@@ -135,6 +146,11 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
         raise BadInput(f"scooping, learning_rate = {config.learning_rate}: give a positive one, such as 3e-3")
     if len(config.camera) != 2 or config.camera[1] < 0:
         raise BadInput(f"scooping, camera = {config.camera}: give a mean and a standard deviation of at least 0, in m")
+    if config.correct and config.simulator != "bank":
+        raise BadInput(
+            f"scooping, correct: what is deployed is corrected by the bank, and simulator = '{config.simulator}' does without; set "
+            "correct = false"
+        )
     hydro.check_numerics(config.numerics)
     _check_covered(config)
     return model.check_options(ScoopOptions(clearance=config.clearance, noise=config.noise))
@@ -142,12 +158,12 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
 
 def _check_covered(config: ScoopingConfig) -> None:
     """BadInput where Omega reaches beyond the pieces that the bank was made of: its networks know nothing there."""
-    if "bank" not in (config.source, config.rehearsal) and not config.correct:
+    if not (config.trains_in_bank or config.rehearses_in_bank or config.correct):
         return
     for name, low, high in zip(model.PARAMETERS, *BANK_BOXES["wide"], strict=True):
         given = getattr(config, name, (low, high))  # the shapes are no option
         if given[0] < low or given[1] > high:
             raise BadInput(
                 f"scooping, {name} = {list(given)}: the bank holds pieces of {low:g} to {high:g}; stay within, or use "
-                "source = rehearsal = 'simulator', correct = false"
+                "simulator = 'hydro', correct = false"
             )

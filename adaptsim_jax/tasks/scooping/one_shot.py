@@ -54,8 +54,8 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         worth=lambda seen, context: seen[0],
         world=lambda backend, /, **settings: scooping_world(backend, options, config.numerics, **settings),
         oracle=lambda world, params: best_shared_action(world, params, tests),
-        engine="hydro",
-        simulator="hydroelastic engine (JAX)",
+        engine="mjx" if config.simulator == "mjx" else "hydro",
+        simulator="MuJoCo scene (MJX)" if config.simulator == "mjx" else "hydroelastic engine (JAX)",
         reward_unit=f"share of pieces on the spatula at the end, over {config.tests} places and execution errors",
         oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the target: all are tried in one test "
         f"context, the {FINALISTS} that are best there and around in all",

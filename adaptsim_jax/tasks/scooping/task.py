@@ -38,6 +38,7 @@ from adaptsim_jax.tasks.scooping.trial import (
     camera_view,
     draw_context,
     executed,
+    make_mjx_trial,
     make_trial,
     measured,
     observed,
@@ -48,10 +49,36 @@ from adaptsim_jax.tasks.scooping.trial import (
 
 # what of the task lies in other files, so that users have it all from here
 __all__ = [
-    "CONTEXT", "PLACES", "POINTS", "SETTINGS", "ScoopingConfig", "ScoopingPolicy", "ScoopingTrajectory",
-    "bank_chance", "bank_outcome", "camera_view", "checked", "draw_context", "executed", "expected_odds", "make_choice",
-    "make_policy", "make_rollouts", "make_scooping", "make_scooping_naf", "make_trial", "measured", "naf_rates", "observed",
-    "scooping_space", "seen_place", "success", "test_contexts", "training_problem", "wide_space",
+    "CONTEXT",
+    "PLACES",
+    "POINTS",
+    "SETTINGS",
+    "ScoopingConfig",
+    "ScoopingPolicy",
+    "ScoopingTrajectory",
+    "bank_chance",
+    "bank_outcome",
+    "camera_view",
+    "checked",
+    "draw_context",
+    "executed",
+    "expected_odds",
+    "make_choice",
+    "make_mjx_trial",
+    "make_policy",
+    "make_rollouts",
+    "make_scooping",
+    "make_scooping_naf",
+    "make_trial",
+    "measured",
+    "naf_rates",
+    "observed",
+    "scooping_space",
+    "seen_place",
+    "success",
+    "test_contexts",
+    "training_problem",
+    "wide_space",
 ]  # fmt: skip
 
 
@@ -62,7 +89,7 @@ def make_policy(config: ScoopingConfig = ScoopingConfig()) -> Callable[[Scooping
 
 
 def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:  # noqa: B008
-    """Scooping as a `Task`, simulated with the hydroelastic engine."""
+    """Scooping as a `Task`, simulated with the hydroelastic engine, or in MJX."""
     space, naf = scooping_space(config), make_scooping_naf(config)
     if config.correct:
         load_bank(
@@ -106,7 +133,7 @@ def make_rollouts(config: ScoopingConfig, naf: NAF) -> tuple[Callable, Callable 
     """`rollout` of the task in the engine, and `rehearse` in the bank; None where Phase 1 is to run in the engine, too."""
     options, N = checked(config), config.trajectories
     tests = jnp.asarray(test_contexts(config.tests))
-    trial = make_trial(options, config.numerics)
+    trial = make_mjx_trial(options) if config.simulator == "mjx" else make_trial(options, config.numerics)
 
     def run(key, policy, params, outcome_of):
         contexts = jax.vmap(draw_context)(jax.random.split(key, N))
@@ -120,7 +147,7 @@ def make_rollouts(config: ScoopingConfig, naf: NAF) -> tuple[Callable, Callable 
         contexts, outcomes = run(key, policy, params, trial)
         return measured(contexts, outcomes[:N], config.camera, success(outcomes[N:]).mean())
 
-    if config.rehearsal == "simulator":
+    if not config.rehearses_in_bank:
         return rollout, None
     bank = load_bank(options, config.numerics)
 

@@ -3,6 +3,7 @@
 Given its context a trial is a function, in Drake as in ours, so that all methods can be scored on the same luck.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax
@@ -52,6 +53,33 @@ def make_trial(options: ScoopOptions, numerics: Numerics) -> Callable[[jax.Array
         places = jnp.stack([x, jnp.zeros_like(x)], -1)
         found = jnp.concatenate([places, jnp.stack([out.success, out.above])[None]])
         return jnp.where((out.code == model.DIVERGED) | (out.code == model.UNFIT), jnp.nan, found)
+
+    return trial
+
+
+@functools.cache
+def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+    """The same in the MuJoCo scene, in MJX. Not-a-number for pieces and actions that the scene is not made for, too."""
+    from adaptsim_jax.tasks.scooping.engines.mjx import make_scoop
+    from adaptsim_jax.tasks.scooping.interface import ROW
+
+    with jax.ensure_compile_time_eval():  # the model is kept, and must hold no tracers of a caller's program
+        scoop = make_scoop(options)
+    rows = np.maximum(np.round(np.array(model.SEEN_AT) / ROW).astype(int) - 1, 0)
+
+    def trial(params, action, context):
+        done = executed(action, context, options)
+        # MJX relies on rank promotion, which a strict caller may have forbidden
+        with jax.numpy_rank_promotion("allow"):
+            q = scoop(params, done)
+        x = q[rows, 0].at[0].set(0.0)  # seen before it moves
+        (dx, dz), (c, s) = q[-1, :2] - q[-1, 3:5], (jnp.cos(q[-1, 5]), jnp.sin(q[-1, 5]))
+        ahead, above = c * dx - s * dz, s * dx + c * dz  # in the tip's frame
+        end = jnp.stack([model.on_blade(ahead, above), above])
+        found = jnp.concatenate([jnp.stack([x, jnp.zeros_like(x)], -1), end[None]])
+        lasts = jnp.all(jnp.isfinite(q)) & jnp.all(jnp.abs(q[:, 0]) < 2.0) & jnp.all(jnp.abs(q[:, 1]) < 1.0)
+        inside = jnp.all((params >= jnp.array(model.PHYSICAL_LOW)) & (params <= jnp.array(model.PHYSICAL_HIGH)))
+        return jnp.where(lasts & inside, found, jnp.nan)
 
     return trial
 

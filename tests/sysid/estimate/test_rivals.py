@@ -25,7 +25,7 @@ def settle(monkeypatch, totals, rounds=3):
     judged = lambda problem, candidate, parts, response: SimpleNamespace(
         candidate=candidate, total=candidate.total, parts=1.0
     )
-    monkeypatch.setattr(fit.disturbance, "whitener", lambda lin, parts, kernels: parts)
+    monkeypatch.setattr(fit.variance, "whitener", lambda lin, parts, kernels: parts)
     monkeypatch.setattr(fit, "refit_more", refit_more)
     monkeypatch.setattr(fit, "_judged", judged)
     model = SimpleNamespace(candidate=SimpleNamespace(total=100.0, variance=9.0), total=100.0, parts=1.0)
@@ -55,7 +55,7 @@ def test_a_model_seen_anew_takes_the_likelihood_alone(monkeypatch, away):
         assert (factor, response, iterations) == ("here", RESPONSE, 0)
         return None if away else other
 
-    monkeypatch.setattr(fit.disturbance, "whitener", lambda lin, parts, kernels: parts)
+    monkeypatch.setattr(fit.variance, "whitener", lambda lin, parts, kernels: parts)
     monkeypatch.setattr(fit, "_again", again)
     model = Fit(None, "here", np.array([-5.0]), None)
     seen = seen_anew(None, model, RESPONSE)

@@ -3,10 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
-import adaptsim_jax.sysid
 import numpy as np
 import pytest
 
+import adaptsim_jax.sysid
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict

@@ -4,12 +4,12 @@ import sys
 
 import numpy as np
 import pytest
-from tests.sysid.io.log_files import motion
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io import ros
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames
 from adaptsim_jax.sysid.io.read import read_log
+from tests.sysid.io.log_files import motion
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="extra 'ros' is not installed")
 rosbag2 = pytest.importorskip("rosbags.rosbag2")

@@ -4,10 +4,10 @@ import shutil
 
 import numpy as np
 import pytest
-from tests.sysid.io.log_files import folder, motion, numbered
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.read import read_log
+from tests.sysid.io.log_files import folder, motion, numbered
 
 ARM = ("shoulder", "elbow")
 M = motion(2)

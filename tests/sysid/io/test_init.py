@@ -4,12 +4,12 @@ import tomllib
 
 import numpy as np
 import pytest
-from tests.sysid.io.log_files import motion, named, numbered, write_csv
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.sysid.io.guess import guess, guess_units
 from adaptsim_jax.sysid.io.log import ModelNames
 from adaptsim_jax.sysid.io.read import read_log, read_with_model
+from tests.sysid.io.log_files import motion, named, numbered, write_csv
 
 ARM = ("shoulder", "elbow")
 M = motion(2, rows=200)

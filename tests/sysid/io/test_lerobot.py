@@ -5,10 +5,10 @@ import sys
 
 import numpy as np
 import pytest
-from tests.sysid.io.log_files import motion
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.read import read_log
+from tests.sysid.io.log_files import motion
 
 pa = pytest.importorskip("pyarrow", reason="extra 'lerobot' is not installed")
 parquet = pytest.importorskip("pyarrow.parquet")

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.sysid.io.log_files import folder, motion, named, numbered, write_csv
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames, blocks
 from adaptsim_jax.sysid.io.read import read_log
+from tests.sysid.io.log_files import folder, motion, named, numbered, write_csv
 
 ARM = ("shoulder", "elbow")
 M = motion(2)

@@ -5,6 +5,7 @@ from scipy.stats import kstest
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.score import scorer as score
+from adaptsim_jax.sysid.segments import folds
 from tests.sysid.linear_world import make
 
 COULOMB = score.Atom("coulomb", "joint1", {}, (0,), sign=1)
@@ -13,7 +14,7 @@ WAVE = score.Atom("wave", "joint1", {}, (1,))
 
 def scorer(lin):
     white = variance.whiten(lin, variance.whitener(lin, variance.estimate(lin)))
-    return score.Scorer(white, score.folds(white.trial, white.rows))
+    return score.Scorer(white, folds(white.trial, white.rows))
 
 
 def test_p_values_are_uniform_without_effect():
@@ -50,5 +51,5 @@ def test_duplicated_windows_do_not_change_amplitudes():
 
 def test_folds_are_trials_or_blocks():
     trial, rows = np.repeat(np.arange(4), 5), np.ones(20)
-    assert len(np.unique(score.folds(trial, rows))) == 4
-    assert len(np.unique(score.folds(np.zeros(20, int), rows))) == 6
+    assert len(np.unique(folds(trial, rows))) == 4
+    assert len(np.unique(folds(np.zeros(20, int), rows))) == 6

@@ -1,0 +1,222 @@
+"""One batch of a sweep: members that share a program, trained and adapted side by side; killed and taken up to the same bits."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.adaptation import sweep_devices as devices
+from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
+from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
+from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
+from adaptsim_jax.adaptation.training import archive_size
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
+from adaptsim_jax.tasks.registry import make_task
+
+
+class Programs(NamedTuple):
+    """What a group of members is run with, compiled for `width` of them at once. States hold their keys as plain numbers.
+
+    `init(seeds) -> state`, `advance(state, hyper, numbers [n]) -> (state, (reward [n], finite [n]))`,
+    `finish(state, hyper, seeds, targets [T, D]) -> Found`; all but `numbers` and `targets` with leading axis `[width]`.
+    """
+
+    phase1: Phase1
+    mesh: Any
+    width: int
+    init: Callable
+    advance: Callable
+    finish: Callable
+
+
+class Found(NamedTuple):
+    """Of a member: whole `[]`, whether its weights are finite; for each of `T` targets the best visit's reward `[T]` and mean of E
+    `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`."""
+
+    whole: jax.Array
+    best: jax.Array
+    params: jax.Array
+    rewards: jax.Array
+
+
+def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Split) -> Programs:
+    """Programs for members alike to `member` in all that is static, `width` at a time."""
+    config = member.config
+    task = make_task(spec.task, config.task, "task")
+    phase1 = make_phase1(task, config.phase1, devices.spread(split))
+    mesh = devices.make_mesh(split)
+    used = archive_size(phase1, phase1.config.rounds)
+    judge = _judge(spec.task, config.task)
+
+    def init(seed):
+        state = phase1.init(jax.random.key(seed))
+        return state._replace(key=jax.random.key_data(state.key))
+
+    def advance(state, hyper, numbers):
+        state, info = phase1.run(state._replace(key=jax.random.wrap_key_data(state.key)), hyper, numbers)
+        return state._replace(key=jax.random.key_data(state.key)), (info.final_reward, jnp.isfinite(info.loss))
+
+    def finish(state, hyper, seed, targets):
+        weights = state.learner.target
+        start_key, run_key = jax.random.split(jax.random.key(seed))  # as `adaptsim adapt --seed` does
+        starts = draw_starts(start_key, state.archive, used, spec.starts)
+
+        def one(target):
+            result = adapt(
+                run_key, task, phase1.bdq, weights, starts, target,
+                iterations=spec.iterations, delta=hyper.delta, shrink=hyper.shrink,
+            )  # fmt: skip
+            best, rewards = judge(result, target)
+            return best, task.space.physical(result.mean), rewards
+
+        whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(weights)]))
+        return Found(whole, *jax.lax.map(one, targets))
+
+    over = lambda f, *batched: devices.over_members(f, mesh, batched)
+    return Programs(
+        phase1,
+        mesh,
+        width,
+        over(init, True),
+        over(advance, True, True, False),
+        over(finish, True, True, True, False),
+    )
+
+
+def _judge(task: str, options: dict[str, Any]) -> Callable:
+    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`: of the push as it is deployed, corrected."""
+    plain = lambda result, target: (result.reward, result.history.reward)
+    if task != "pushing":
+        return plain
+    from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.pushing import deployed as after
+    from adaptsim_jax.tasks.pushing.config import PushingConfig
+
+    made = config.from_table(PushingConfig, options, "task")
+    if not made.correct or not made.show_goal:
+        return plain
+
+    def judge(result, target):
+        policies, every = after.deployed(result.history, target, made)
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
+        best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
+        rewards = after.tested(jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best), target, made)
+        return rewards[-1], rewards[:-1].reshape(result.history.reward.shape)
+
+    return judge
+
+
+def run_batch(
+    programs: Programs,
+    spec: SweepSpec,
+    members: list[Member],
+    folder: Path,
+    *,
+    progress: Callable[[int, str], None],
+    save_after: float = 30.0,
+) -> tuple[list[dict[str, Any]], Any]:
+    """`(rows, state)` of at most `width` members, from the checkpoint in `folder` if there is one. A row is plain data:
+    reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where all were; whole, best, params,
+    rewards: see `Found`. state: host arrays of the last state, leaves `[width, ...]`.
+
+    `progress(rounds done, note)` is called between chunks; a checkpoint is written when the last one is `save_after` s old.
+    """
+    width, phase1, mesh = programs.width, programs.phase1, programs.mesh
+    padded = [*members, *[members[-1]] * (width - len(members))]
+    seeds = devices.put(np.array([m.config.seed for m in padded], np.uint32), mesh)
+    hyper = devices.put(_stacked(padded), mesh)
+    state, curves, done = programs.init(seeds), _Curves(), 0
+    like = {"state": jax.eval_shape(lambda x: x, state), "curves": _Curves().shapes(width, phase1.config.rounds)}
+    if (folder / MANIFEST).exists():
+        kept, done = load_checkpoint(folder, like, task=spec.task)
+        state, curves = devices.put(kept["state"], mesh), _Curves.of(kept["curves"], done)
+    total, saved = phase1.config.rounds, time.monotonic()
+    every = members[0].config.every
+    size = max(n for n in range(1, max(1, min(every, total)) + 1) if total % n == 0 and done % n == 0)
+    while done < total:
+        numbers = devices.put(np.arange(done, done + size), mesh, batched=False)
+        state, found = programs.advance(state, hyper, numbers)
+        curves.add(devices.fetch(found))
+        done += size
+        progress(done, f"reward {np.nanmean(curves.reward[-1][:, -1]):.2f}")
+        if devices.agreed(done < total and time.monotonic() - saved >= save_after):
+            whole = devices.fetch(state)
+            if devices.first():
+                tree = {"state": whole, "curves": curves.arrays(total)}
+                save_checkpoint(folder, tree, task=spec.task, step=done, config_hash="")
+            saved = time.monotonic()
+    targets = devices.put(_targets(phase1, spec), mesh, batched=False)
+    last = devices.fetch(programs.finish(state, hyper, seeds, targets))
+    return [_row(curves, last, i) for i in range(len(members))], devices.fetch(state) if spec.keep else None
+
+
+class _Curves:
+    """Rewards and whether losses were finite, `[S, n]` for each chunk so far."""
+
+    def __init__(self):
+        self.reward: list[np.ndarray] = []
+        self.finite: list[np.ndarray] = []
+
+    def add(self, found: Any) -> None:
+        self.reward.append(found[0])
+        self.finite.append(found[1])
+
+    @staticmethod
+    def shapes(width: int, rounds: int) -> Any:
+        return tuple(jax.ShapeDtypeStruct((width, rounds), t) for t in (np.float32, np.bool_))
+
+    def arrays(self, rounds: int) -> Any:
+        """Whole arrays `[S, rounds]`, what is still to come as zeros."""
+        fill = lambda x: np.pad(x, ((0, 0), (0, rounds - x.shape[1])))
+        return tuple(fill(np.concatenate(x, 1)) for x in (self.reward, self.finite))
+
+    @classmethod
+    def of(cls, arrays: Any, done: int) -> "_Curves":
+        made = cls()
+        made.add(tuple(np.asarray(x)[:, :done] for x in arrays))
+        return made
+
+
+def _row(curves: _Curves, found: Found, i: int) -> dict[str, Any]:
+    finite = np.concatenate([x[i] for x in curves.finite])
+    return {
+        "reward": np.concatenate([x[i] for x in curves.reward]).astype(float).tolist(),
+        "faulty": -1 if finite.all() else int(np.argmin(finite)),
+        "whole": bool(found.whole[i]),
+        "best": found.best[i].astype(float).tolist(),
+        "params": found.params[i].astype(float).tolist(),
+        "rewards": found.rewards[i].astype(float).tolist(),
+    }
+
+
+def _stacked(members: list[Member]) -> Phase1Hyper:
+    return jax.tree.map(lambda *x: np.asarray(x, np.float32), *[m.config.hyper for m in members])
+
+
+def _targets(phase1: Phase1, spec: SweepSpec) -> np.ndarray:
+    task = phase1.task
+    rows = [task.space.values(task.settings[name], name) for name in spec.targets]
+    return np.array(rows, np.float32).reshape(len(rows), task.space.dim)
+
+
+def halved(
+    members: list[Member], run: Callable[[list[Member]], Any], failed: Callable[[Member, str], Any]
+) -> list[Any]:
+    """`run` on all members, or on halves where it raises, down to the ones that fail alone: `failed(member, reason)` for these.
+    Bad input and interrupts are no member's fault and are raised."""
+    try:
+        return run(members)
+    except (BadInput, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        if jax.process_count() > 1:
+            raise  # the other programs wait for this one
+        if len(members) == 1:
+            return [failed(members[0], " ".join(f"{type(error).__name__}: {error}".split())[:300])]
+    middle = len(members) // 2
+    return [*halved(members[:middle], run, failed), *halved(members[middle:], run, failed)]

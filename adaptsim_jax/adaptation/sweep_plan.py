@@ -1,0 +1,165 @@
+"""How a sweep is cut up: groups that share a program, batches of them that fit into memory, devices that a batch is split over."""
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.adaptation.phase1 import make_phase1
+from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
+from adaptsim_jax.adaptation.sweep_devices import Split, choose_split
+from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.registry import make_task
+
+SHARE = 0.5  # of the free memory that a batch may take: the estimate leaves out what the compiler keeps besides
+PER_CORE = 8  # members at once on a core: more gain nothing there, and checkpoints and progress are rarer
+
+
+class Batch(NamedTuple):
+    """Members `first` to `last` (not included) of group `group`, in the group's order; number: of the batch in the sweep."""
+
+    number: int
+    group: int
+    first: int
+    last: int
+
+    @property
+    def name(self) -> str:
+        return f"part-{self.number:05d}"
+
+
+class Group(NamedTuple):
+    """Members (their indices) that differ in seeds and traced values alone; width: how many at once; member_bytes: of memory that one
+    takes, as estimated; split: of the devices."""
+
+    members: tuple[int, ...]
+    width: int
+    member_bytes: int
+    split: Split
+
+
+class Plan(NamedTuple):
+    groups: tuple[Group, ...]
+    batches: tuple[Batch, ...]
+
+
+def grouped(sweep: Sweep) -> list[list[Member]]:
+    """Members that share a program, groups in the order of their first member."""
+    groups: dict[str, list[Member]] = {}
+    for member in sweep.members:
+        static = replace(member.config, seed=0, hyper=Phase1Hyper())
+        groups.setdefault(configs.digest(configs.to_table(static)), []).append(member)
+    return list(groups.values())
+
+
+def make_plan(sweep: Sweep, *, devices: int, at_once: int | None = None, memory: int | None = None) -> Plan:
+    """Batches for `devices` devices of this machine (of all machines together); at_once: members a batch, where given; memory: bytes
+    free on each machine, by default as found. BadInput where not even one member fits."""
+    memory = free_memory() if memory is None else memory
+    groups, batches = [], []
+    for members in grouped(sweep):
+        config = members[0].config
+        task = make_task(sweep.spec.task, config.task, "task")
+        each = member_bytes(task, config.phase1)
+        fits = int(SHARE * memory // each) * max(1, jax.process_count())
+        if fits < 1:
+            raise BadInput(
+                f"a member of this sweep takes about {each / 1e9:.1f} GB and {memory / 1e9:.1f} GB are free; give a smaller "
+                "phase1.capacity, phase1.archive or phase1.parallel"
+            )
+        apart = 0 if config.phase1.reuse.threshold > 0 else config.phase1.parallel
+        limit = at_once or min(fits, _useful(devices))
+        split = choose_split(devices, min(limit, len(members)), apart)
+        width = _width(len(members), limit, split.members)
+        groups.append(Group(tuple(m.index for m in members), width, each, split))
+        for first in range(0, len(members), width):
+            last = min(first + width, len(members))
+            batches.append(Batch(len(batches), len(groups) - 1, first, last))
+    return Plan(tuple(groups), tuple(batches))
+
+
+def _useful(devices: int) -> int:
+    if jax.default_backend() != "cpu":
+        return 10**9
+    return PER_CORE * max(devices, os.cpu_count() or 1)
+
+
+def _width(count: int, limit: int, along: int) -> int:
+    """Even batches of at most `limit`, rounded up to a multiple of the devices along them."""
+    batches = math.ceil(count / min(limit, count))
+    return math.ceil(math.ceil(count / batches) / along) * along
+
+
+def member_bytes(task: Task, config: Phase1Config) -> int:
+    """Bytes that a member takes while it is trained, by the shapes of what it holds: its state twice (before and after a round), a
+    round's trajectories, and the batches that a round learns from."""
+    phase1 = make_phase1(task, config)
+    state = jax.eval_shape(phase1.init, jax.random.key(0))
+    item = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), state.replay)
+    policy = jax.eval_shape(task.init_policy, jax.random.key(0))
+    visits = config.parallel * (config.horizon + 1)
+    return 2 * _bytes(state) + config.updates * config.batch * _bytes(item) + visits * (_bytes(policy) + _bytes(item))
+
+
+def _bytes(tree: Any) -> int:
+    return sum(int(x.size) * jnp.dtype(_plain(x.dtype)).itemsize for x in jax.tree.leaves(tree))
+
+
+def _plain(dtype: Any) -> Any:
+    return jnp.uint64 if jnp.issubdtype(dtype, jax.dtypes.prng_key) else dtype
+
+
+def free_memory() -> int:
+    """Bytes that a batch could have: of the accelerators that this program drives, else of the machine."""
+    stats = [d.memory_stats() for d in jax.local_devices()] if jax.default_backend() != "cpu" else []
+    limits = [s["bytes_limit"] - s.get("bytes_in_use", 0) for s in stats if s and "bytes_limit" in s]
+    if limits:
+        return sum(limits)
+    found = Path("/proc/meminfo")
+    for line in found.read_text().splitlines() if found.exists() else ():
+        if line.startswith("MemAvailable:"):
+            return min(int(line.split()[1]) * 1024, _limit_of_container())
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+
+
+def _limit_of_container() -> int:
+    try:
+        return int(Path("/sys/fs/cgroup/memory.max").read_text())
+    except (OSError, ValueError):
+        return 2**62
+
+
+def to_table(plan: Plan) -> dict[str, Any]:
+    """The plan as JSON has it."""
+    return {
+        "groups": [
+            {"members": list(g.members), "width": g.width, "member_bytes": g.member_bytes, "split": list(g.split)}
+            for g in plan.groups
+        ],
+        "batches": [list(b) for b in plan.batches],
+    }
+
+
+def from_table(table: dict[str, Any]) -> Plan:
+    groups = [Group(tuple(g["members"]), g["width"], g["member_bytes"], Split(*g["split"])) for g in table["groups"]]
+    return Plan(tuple(groups), tuple(Batch(*b) for b in table["batches"]))
+
+
+def described(plan: Plan) -> Iterator[str]:
+    """A line for each group, for a person."""
+    for i, group in enumerate(plan.groups):
+        size = group.member_bytes / 1e6
+        batches = sum(b.group == i for b in plan.batches)
+        over = f", over {group.split.members} x {group.split.trajectories} devices" if max(group.split) > 1 else ""
+        yield (
+            f"program {i + 1}: {len(group.members)} members, {batches} batch{'es' * (batches != 1)} of {group.width}{over}; about "
+            f"{size:.0f} MB a member, {size * group.width / 1e3:.2f} GB a batch"
+        )

@@ -1,0 +1,177 @@
+"""`adaptsim sweep`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from pathlib import Path
+from typing import Any
+
+EXAMPLES = """
+  adaptsim sweep SPEC.toml --out sweeps/a
+  adaptsim sweep SPEC.toml --out sweeps/a --resume       go on after a kill, to the same bits
+  adaptsim sweep SPEC.toml --estimate                    members, programs and memory; nothing is run
+  adaptsim sweep show sweeps/a                           table and figures of what is done so far
+  adaptsim sweep SPEC.toml --out sweeps/a --ray          members shared out by Ray, here or on its cluster
+  srun adaptsim sweep SPEC.toml --out sweeps/a --hosts slurm
+SPEC.toml, for instance:
+  task = "pendulum"
+  preset = "paper-pendulum"
+  seeds = 16
+  targets = ["wd", "ood-1"]
+  [set]
+  phase1.trajectories = 2000
+  [grid]
+  hyper.delta = [0.1, 0.15]
+  hyper.learner.learning_rate = [3e-4, 1e-3]
+"""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    from adaptsim_jax.commands.common import positive
+
+    parser.add_argument("words", nargs="+", metavar="SPEC.toml | show DIR", help="what to run, or the sweep to show")
+    parser.add_argument("--out", metavar="DIR", help="the folder to write")
+    parser.add_argument("--resume", action="store_true", help="go on with a sweep that was stopped")
+    parser.add_argument("--estimate", action="store_true", help="say what would be run and the memory it takes")
+    parser.add_argument("--at-once", type=positive, metavar="N", help="members side by side (default: what fits)")
+    parser.add_argument(
+        "--devices",
+        type=positive,
+        metavar="N",
+        help="devices of this machine; on CPUs N groups of cores (default: a core each)",
+    )
+    parser.add_argument("--save-every", type=float, default=30.0, metavar="S", help="seconds between checkpoints (30)")
+    many = parser.add_argument_group("many machines (docs/sweeps.md)")
+    many.add_argument(
+        "--ray", nargs="?", const="", metavar="ADDRESS", help="share batches out by Ray (extra [cluster])"
+    )
+    many.add_argument(
+        "--hosts", metavar="slurm | HOST:PORT", help="one program over hosts; HOST:PORT is the first one's"
+    )
+    many.add_argument("--processes", type=positive, metavar="N", help="with HOST:PORT: how many programs")
+    many.add_argument("--process", type=int, metavar="I", help="with HOST:PORT: which of them this is, from 0")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run, resume or show a sweep."""
+    from adaptsim_jax.core.errors import BadInput
+
+    if args.words[0] == "show":
+        if len(args.words) != 2:
+            raise BadInput("show: write `adaptsim sweep show DIR`")
+        return _show(Path(args.words[1]))
+    if len(args.words) != 1:
+        raise BadInput(f"'{args.words[1]}': one SPEC.toml at a time; or write `adaptsim sweep show DIR`")
+    if not args.out and not args.estimate:
+        raise BadInput("--out is missing; name the folder to write, or add --estimate to run nothing")
+    _set_up_devices(args)
+    return _sweep(args)
+
+
+def _set_up_devices(args: argparse.Namespace) -> None:
+    """Before JAX is there: a device for each core of a CPU, which members of a batch run on without waiting for each other."""
+    from adaptsim_jax.core.errors import BadInput
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    flags = os.environ.get("XLA_FLAGS", "")
+    if "xla_force_host_platform_device_count" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={args.devices or cores}".strip()
+    if args.hosts and args.ray is not None:
+        raise BadInput("--hosts and --ray: one program over hosts, or members shared out; leave one out")
+    if args.hosts in (None, "slurm"):
+        if args.processes is not None or args.process is not None:
+            raise BadInput("--processes, --process: go with --hosts HOST:PORT; add it")
+        return
+    if args.processes is None or args.process is None or not 0 <= args.process < args.processes:
+        raise BadInput(f"--hosts {args.hosts}: give --processes N and --process I, from 0 to N - 1")
+
+
+def _sweep(args: argparse.Namespace) -> int:
+    import jax
+
+    from adaptsim_jax.adaptation import sweep_devices, sweep_plan
+    from adaptsim_jax.adaptation.sweep_folder import locked
+    from adaptsim_jax.adaptation.sweep_spec import read_sweep
+    from adaptsim_jax.commands.common import output
+
+    spec = args.words[0]
+    sweep = read_sweep(spec)
+    if args.hosts:
+        where = None if args.hosts == "slurm" else args.hosts
+        sweep_devices.join(where, args.processes, args.process)
+    first = sweep_devices.first()
+    devices, at_once = len(jax.devices()), args.at_once
+    if args.ray is not None:  # a batch goes to a worker, which has a device of its own
+        devices, at_once = 1, at_once or sweep_plan.PER_CORE
+    plan = sweep_plan.make_plan(sweep, devices=devices, at_once=at_once)
+    if first:
+        print(f"{len(sweep.members)} members of {sweep.spec.task}, {len(sweep.spec.targets)} targets each")
+        print("\n".join(sweep_plan.described(plan)), flush=True)
+    if args.estimate:
+        return 0
+    args.resume_hint = f"go on with: adaptsim sweep {shlex.quote(spec)} --out {shlex.quote(args.out)} --resume"
+    if not first:
+        return _work(args, sweep, plan, Path(args.out))
+    with output(args.out) as out, locked(out):
+        return _work(args, sweep, plan, out)
+
+
+def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
+    from adaptsim_jax.adaptation import sweep_devices
+    from adaptsim_jax.adaptation.sweep_run import run_sweep
+    from adaptsim_jax.core.progress import progress
+
+    folder = _folder(args, sweep, plan, out)
+    with progress("sweep") as report:
+        if args.ray is not None:
+            from adaptsim_jax.adaptation.sweep_cluster import run_on_ray
+
+            run_on_ray(sweep, folder, args.ray or None, progress=report, save_after=args.save_every)
+        else:
+            run_sweep(sweep, folder, progress=report, save_after=args.save_every)
+    return _finish(folder) if sweep_devices.first() else 0
+
+
+def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
+    from adaptsim_jax.adaptation.sweep_devices import agreed, first
+    from adaptsim_jax.adaptation.sweep_folder import HEAD, SweepFolder
+    from adaptsim_jax.core.errors import BadInput
+
+    there = first() and (out / HEAD).exists()
+    if there and not args.resume:
+        raise BadInput(f"{out}: holds a sweep already; add --resume, or name another folder")
+    if first() and not there:
+        SweepFolder.create(out, sweep, plan)
+    agreed(True)  # the first program has written it when the others read
+    return SweepFolder.reopen(out, sweep)
+
+
+def _finish(folder: Any) -> int:
+    from adaptsim_jax.adaptation.sweep_results import write_results
+    from adaptsim_jax.report.figures_sweep import draw
+
+    found = write_results(folder)
+    draw(found, folder.path)
+    _print(found)
+    print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures")
+    return 0
+
+
+def _show(path: Path) -> int:
+    from adaptsim_jax.adaptation.sweep_folder import SweepFolder
+
+    return _finish(SweepFolder.load(path))
+
+
+def _print(found: dict[str, Any]) -> None:
+    left = found["members"] - found["done"] - found["failed"]
+    print(f"{found['done']} members done, {found['failed']} failed, {left} left")
+    for row in [r for r in found["rows"] if r["status"] == "failed"][:5]:
+        print(f"  failed: member {row['member']}, seed {row['seed']}: {row['reason']}")
+    for line in found["summary"]:
+        if line["mean"] is not None:
+            name = f"{line['key']} = {line['value']}" if line["key"] else "all"
+            half = f" +- {line['half']:.3f}" if line["half"] is not None else ""
+            print(f"  {name}, {line['reward']}: {line['mean']:.3f}{half} ({line['count']})")

@@ -1,0 +1,48 @@
+"""The whole of `adaptsim diagnose` on a mechanism, from files to a model file."""
+
+import json
+
+import mujoco
+import pytest
+
+from adaptsim_jax import cli
+from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.attribution.replay import replay_files
+from adaptsim_jax.sysid.report.schema import read_report
+from tests.attribution.pendulum import record
+
+
+@pytest.mark.slow
+def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
+    data, out = record(tmp_path / "rub", friction=0.15), tmp_path / "out"
+    assert cli.main(["diagnose", str(data), "--out", str(out)]) == 0
+    report = read_report(out / "report.json")
+    assert report["verdict"] in ("explained", "explained_class")
+    (effect,) = report["effects"]
+    assert effect["name"] == "coulomb" and effect["joints"] == ["hinge"]
+    assert effect["parameters"]["level"]["value"] == pytest.approx(0.15, rel=0.05)
+    assert report["error"]["after"] < 0.2 * report["error"]["before"]
+    assert report["remaining"]["times_floor"] < 1.5
+    model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert model.dof_frictionloss[0] == pytest.approx(0.15, rel=0.05)
+    assert replay_files(out / "model.xml", data).told()["median"] == pytest.approx(report["error"]["after"], rel=0.15)
+    assert (out / "report.html").exists()
+
+
+@pytest.mark.slow
+def test_where_nothing_is_hidden_nothing_is_named(tmp_path):
+    report = diagnose(record(tmp_path / "null", friction=0.0, seed=3))
+    assert report["verdict"] == "within_noise" and report["effects"] == []
+
+
+def test_the_folder_of_the_recordings_is_no_place_for_results(tmp_path, capsys):
+    data = record(tmp_path / "rub", friction=0.1, trials=1, seconds=1.0)
+    assert cli.main(["diagnose", str(data), "--out", str(data)]) == 2
+    assert "is the folder of the recordings" in capsys.readouterr().err
+
+
+def test_a_trial_that_is_not_there_cannot_be_left_out(tmp_path, capsys):
+    data = record(tmp_path / "rub", friction=0.1, trials=1, seconds=1.0)
+    assert cli.main(["diagnose", str(data), "--out", str(tmp_path / "out"), "--without", "nine"]) == 2
+    assert "no trial is named 'nine'" in capsys.readouterr().err
+    assert json.dumps(sorted(p.name for p in tmp_path.iterdir())) == '["rub"]'

@@ -1,0 +1,72 @@
+"""Stretches, parameters and tests by themselves."""
+
+import jax
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.parameters import ETA, inertial_of, inertias, pseudo_inertia
+from adaptsim_jax.attribution.select import sign_flip
+from adaptsim_jax.attribution.stretches import Track, cut
+from adaptsim_jax.core.errors import BadInput
+
+ROD = np.array([0.6, 0.0, 0.0, -0.09, 0.02, 0.0, 0.0, 0.02, 0.0, 1e-4])
+
+
+def track(rows=600, rate=250.0, gap=None):
+    time = np.arange(rows) / rate
+    if gap is not None:
+        time[gap:] += 1.0
+    q = np.stack([np.sin(3.0 * time), np.cos(2.0 * time)], 1)
+    return Track("a", time, q, None, np.stack([time, -time], 1))
+
+
+def test_pseudo_inertia_and_back():
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(np.asarray(inertial_of(pseudo_inertia(ROD))), ROD, atol=1e-12)
+
+
+def test_inertias_are_the_declared_ones_at_zero_and_admissible_anywhere():
+    of = inertias(ROD[None])
+    np.testing.assert_allclose(of.at(np.zeros((1, 10)))[0][0], ROD)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        value, _ = of.at(rng.normal(size=(1, 10)))
+        assert np.linalg.eigvalsh(np.asarray(pseudo_inertia(value[0])))[0] > 0.0
+
+
+def test_the_derivative_of_inertias_is_that_of_differences():
+    of = inertias(ROD[None])
+    eta = 0.1 * np.random.default_rng(1).normal(size=(1, 10))
+    _, slope = of.at(eta)
+    for k in range(len(ETA)):
+        step = 1e-6 * np.eye(10)[k][None]
+        change = (of.at(eta + step)[0] - of.at(eta - step)[0])[0] / 2e-6
+        np.testing.assert_allclose(slope[0, :, k], change, atol=1e-7)
+
+
+def test_stretches_cover_a_trial_and_hold_its_command():
+    s = cut([track()], 0.5)
+    assert (s.count, s.rows, s.joints) == (4, 125, 2)
+    np.testing.assert_allclose(s.time[0], [0.0, 0.5, 1.0, 1.5])
+    np.testing.assert_allclose(s.q[:, 0, 1], np.sin(3.0 * s.time[:, 1]))
+    rows = s.command[s.past : s.past + s.rows]
+    np.testing.assert_allclose(rows[:, 0], s.time[:-1], atol=1e-9)  # held from its row to the next
+    np.testing.assert_allclose(s.start[0], np.sin(3.0 * s.time[0]), atol=1e-4)
+
+
+def test_no_stretch_spans_a_gap():
+    s = cut([track(gap=200)], 0.5)
+    assert np.diff(s.time, axis=0).max() < 0.01
+
+
+def test_a_trial_too_short_is_refused():
+    with pytest.raises(BadInput, match=r"unbroken stretch of 5 s"):
+        cut([track()], 5.0)
+
+
+def test_the_sign_flip_test_is_exact_for_few_units():
+    assert sign_flip(np.ones(5)) == pytest.approx(1 / 32)
+    assert sign_flip(np.array([1.0, -1.0])) == pytest.approx(0.75)
+    rng = np.random.default_rng(0)
+    low = [sign_flip(rng.normal(size=8)) < 0.05 for _ in range(400)]
+    assert 0.01 < np.mean(low) < 0.1

@@ -1,0 +1,36 @@
+"""Replay of a model over data that another engine made."""
+
+import json
+
+import numpy as np
+import pytest
+
+from adaptsim_jax import cli
+from adaptsim_jax.attribution.replay import replay_files
+from tests.attribution.pendulum import XML, record
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("rub"), friction=0.15, trials=2, seconds=2.5)
+
+
+def test_the_true_model_errs_by_the_noise_and_the_declared_one_by_more(data):
+    true = data.parent / "true.xml"
+    true.write_text(XML.format(damping=0.02, friction=0.15, mass=1.0))
+    right, declared = replay_files(true, data).told(), replay_files(None, data).told()
+    assert right["median"] < 4e-4  # the noise is 2e-4
+    assert declared["median"] > 10.0 * right["median"]
+    assert right["unit"] == "rad" and right["horizon"] == 0.5 and set(right["trials"]) == {"trial_00", "trial_01"}
+
+
+def test_the_command_prints_json_and_draws(data, tmp_path, capsys):
+    assert cli.main(["replay", str(data / "model.xml"), str(data), "--json", "--out", str(tmp_path / "out")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {"median", "rms", "unit", "horizon", "joints", "trials"} <= set(told)
+    assert np.isfinite(told["median"]) and (tmp_path / "out" / "replay.png").stat().st_size > 10_000
+
+
+def test_a_horizon_that_is_none_is_refused(data, capsys):
+    assert cli.main(["replay", str(data / "model.xml"), str(data), "--horizon", "-1"]) == 2
+    assert "seconds" in capsys.readouterr().err

@@ -1,0 +1,51 @@
+"""A model file with fitted numbers in it reads back to those numbers."""
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.mechanisms.mjcf import read_mechanism
+from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf, write_mjcf
+
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
+<inertial pos="0 0.01 -0.2" mass="1" diaginertia="0.01 0.01 0.002"/>
+  <body name="lower" pos="0 0 -0.4" quat="0.9 0.1 0.2 0"><joint name="elbow" axis="1 1 0"/>
+    <inertial pos="0 0 -0.1" mass="0.5" diaginertia="0.004 0.004 0.001"/>
+    <body name="tool" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></body></body>
+</worldbody><actuator><position name="drive" joint="shoulder" kp="20" kv="1"/></actuator></mujoco>"""
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    arm = read_mechanism(path)
+    inertial = np.array(arm.tree.inertial) * np.array([[1.3], [0.8]])
+    changes = Changes(
+        inertial,
+        {"damping": {"shoulder": 0.2, "elbow": 0.3}, "frictionloss": {"elbow": 0.5}, "armature": {"shoulder": 0.01}},
+        np.array([0.1, 0.0, -9.8]),
+        {"kp": {"drive": 1.1}, "delay": {"drive": 0.006}, "limit": {"drive": 3.0}},
+        ("not held: cogging at elbow",),
+    )
+    out = tmp_path / "model.xml"
+    write_mjcf(arm, out, changes)
+    new = read_mechanism(out)
+    np.testing.assert_allclose(new.tree.inertial, inertial, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(new.tree.damping, [0.2, 0.3])
+    np.testing.assert_allclose(new.tree.frictionloss, [0.0, 0.5])
+    np.testing.assert_allclose(new.tree.armature, [0.01, 0.0])
+    np.testing.assert_allclose(new.tree.gravity, [0.1, 0.0, -9.8])
+    (drive,) = new.actuators
+    np.testing.assert_allclose([drive.gain, drive.kp, drive.kv, drive.delay], [22.0, 22.0, 1.0, 0.006])
+    np.testing.assert_allclose(drive.forcerange, [-3.0, 3.0])
+    assert "cogging at elbow" in out.read_text()
+    assert mujoco.MjModel.from_xml_path(str(out)).nv == 2
+
+
+def test_nothing_changed_is_the_same_machine(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    arm = read_mechanism(path)
+    out = tmp_path / "same.xml"
+    out.write_text(mended_mjcf(arm, Changes(np.array(arm.tree.inertial))))
+    np.testing.assert_allclose(read_mechanism(out).tree.inertial, arm.tree.inertial, rtol=1e-6, atol=1e-9)
