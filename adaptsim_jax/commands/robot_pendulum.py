@@ -78,4 +78,4 @@ def _digits(value: Any) -> str:
     return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
 
 
-PART = RobotPart(TURN, opened, policy_file, show, read, remember, told)
+PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, again=False)
