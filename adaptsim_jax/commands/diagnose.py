@@ -40,6 +40,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out (of a mechanism)"
     )
     parser.add_argument(
+        "--as-declared",
+        action="store_true",
+        help="take columns and lengths as declared, though the motion contradicts them",
+    )
+    parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects pendulum` lists them all",
     )  # fmt: skip
@@ -60,7 +65,14 @@ def run(args: argparse.Namespace) -> int:
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
-        result = diagnose(recording, out=out, seed=args.seed, exclude=args.exclude, progress=paced(report))
+        result = diagnose(
+            recording,
+            out=out,
+            seed=args.seed,
+            exclude=args.exclude,
+            progress=paced(report),
+            as_declared=args.as_declared,
+        )
     from rich.console import Console
 
     from adaptsim_jax.report.diagnosis import print_summary

@@ -4,6 +4,7 @@ import csv
 import io
 import re
 from codecs import BOM_UTF8
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,17 +35,25 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def read_table(path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS) -> Table:
+def read_table(
+    path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS, ours: Mapping[str, str] | None = None
+) -> Table:
     """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
 
-    Optional columns that hold nothing count as not there. Raises `BadInput`.
+    ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there.
+    Raises `BadInput`.
     """
     path = Path(path)
     table, empty = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    return checked(path, table, least, ours or {}, empty)
+
+
+def checked(path: Path, table: Table, least: int, ours: Mapping[str, str], empty: Mapping[str, np.ndarray]) -> Table:
+    """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number."""
     n = len(table.lines)
     if n < least:
         raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
-    columns, notes = without_blank(path, table.columns, least)
+    columns, notes = without_blank(path, table.columns, least, ours)
     check_missing(path, columns, table.lines, table.row_word, empty)
     return replace(table, columns=columns, notes=notes)
 

@@ -26,15 +26,16 @@ JOINED = 0.3
 
 
 def without_blank(
-    path: str | Path, columns: Mapping[str, np.ndarray], least: int
+    path: str | Path, columns: Mapping[str, np.ndarray], least: int, ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a note on each of these.
+    """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a note on these.
 
+    ours: what a column is to us where the file names it otherwise.
     BadInput where a column that is needed holds nothing.
     """
     blank = [name for name, values in columns.items() if len(values) >= least and np.isnan(values).all()]
     for name in blank:
-        if not _is_optional(name):
+        if not _is_optional(ours.get(name, name)):
             raise BadInput(f"{path}: column {name} holds no number in any row; record it, or take the column out")
     kept = {name: values for name, values in columns.items() if name not in blank}
     notes = (f"{', '.join(blank)} held no number in {Path(path).name}: taken as not recorded",) if blank else ()
@@ -47,7 +48,11 @@ def _is_optional(name: str) -> bool:
 
 
 def check_missing(
-    path: str | Path, columns: Mapping[str, np.ndarray], lines: np.ndarray, row_word: str, empty: Mapping[str, np.ndarray]
+    path: str | Path,
+    columns: Mapping[str, np.ndarray],
+    lines: np.ndarray,
+    row_word: str,
+    empty: Mapping[str, np.ndarray],
 ) -> None:
     """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all."""
     bad = {name: ~np.isfinite(values) for name, values in columns.items()}
@@ -104,7 +109,9 @@ def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word:
     pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
     if time[i] == time[i - 1]:
         raise BadInput(f"{where}: time repeats ({pair}); sort or remove such rows")
-    raise BadInput(f"{where}: time runs backwards ({pair}); sort or remove such rows, or cut the file there if the clock was set")
+    raise BadInput(
+        f"{where}: time runs backwards ({pair}); sort or remove such rows, or cut the file there if the clock was set"
+    )
 
 
 def single_precision(time: np.ndarray) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.columns import TIME, TRIAL, is_ignored, role
-from adaptsim_jax.sysid.io.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
+from adaptsim_jax.sysid.io.table import DELIMITERS, MIN_ROWS, Table, check_time, checked, read_table
 
 ENDINGS = (".csv", ".npz")
 __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
@@ -100,7 +100,7 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     archive = read_archive(path) if path.suffix.lower() == ".npz" else {}
     arrays = {name: archive[name] for name in named} if archive else {}
     if all(array.ndim == 1 for array in arrays.values()):
-        table = read_table(path, tuple(named))
+        table = read_table(path, tuple(named), ours=named)
         columns = {named[name]: values for name, values in table.columns.items()}
         return replace(table, columns=columns)
     columns = {}
@@ -117,10 +117,8 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
         sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
         raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
     count = next(iter(lengths.values()))
-    if count < MIN_ROWS:
-        raise BadInput(f"{path}: has {count} data rows; a trial needs at least {MIN_ROWS}, leave this file out")
     others = tuple(name for name in archive if name not in named)
-    return Table(columns, np.arange(1, count + 1), others, row_word="row")
+    return checked(path, Table(columns, np.arange(1, count + 1), others, row_word="row"), MIN_ROWS, {}, {})
 
 
 def read_archive(path: Path) -> dict[str, np.ndarray]:
