@@ -1,7 +1,7 @@
 """Attribution over short trials that each begin anew from a known state: pushes, scoops, tosses.
 
-One flat vector holds the declared parameters and those of every effect (at the value where it does nothing); a model is a subset of
-it that is fitted. Everything else is as for mechanisms (`docs/attribution.md`): score tests over clusters, here trials; an effect stays
+One flat vector holds the declared parameters and those of every effect (at the value where it does nothing); a model is a part of it
+that is fitted. Everything else is as for mechanisms (`docs/attribution.md`): score tests over clusters, here trials; an effect stays
 if without it left-out trials are predicted worse; look-alikes are told as a class.
 """
 
@@ -70,7 +70,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Model:
-    """A subset fitted. vector [P]; free: indices; residual [N, R] and slopes [N, R, free] there; held [N]: left-out loss of each trial,
+    """A subset fitted. vector [P]; free: indices; residual [N, R] and slopes [N, R, free] there; held [N]: left-out loss by trial,
     folds [N, P]: vectors without it; weight [N]: trials that run away count less."""
 
     added: tuple[Candidate, ...]
@@ -264,7 +264,9 @@ def without(problem: Problem, model: Model, c: Candidate) -> Model:
 
 def declared_fit(problem: Problem, most: int = 3) -> Model:
     """The declared model fitted from the best few of the problem's starts, the best of these."""
-    typical = [float(np.median(np.sqrt(np.square(problem.residuals(problem.everywhere(v))).mean(1)))) for v in problem.starts]
+    typical = [
+        float(np.median(np.sqrt(np.square(problem.residuals(problem.everywhere(v))).mean(1)))) for v in problem.starts
+    ]
     made = [fit(problem, (), problem.starts[k]) for k in np.argsort(typical)[:most]]
     return min(made, key=lambda m: float(np.median(np.square(m.residual).mean(1))))
 
@@ -278,20 +280,13 @@ def select(problem: Problem, criteria: Criteria, say: Callable[[str], None] = la
         opening = rows if opening is None else opening
         hopeful = [s for s in rows if s[2] * len(rows) < criteria.alpha and s[1] > 0.5 * criteria.size]
         tries = []
-        for c, _, _ in hopeful[: criteria.tried]:
+        for c, _, _ in hopeful[: criteria.tried_short]:
             say(c.name)
             tries.append(added(problem, base, c))
-        better = None
-        for made in sorted(tries, key=lambda m: m.held.sum()):
-            test = paired(base, made)
-            if (
-                test.gain > criteria.size
-                and test.p < criteria.confidence
-                and (better is None or _beats(made, better, criteria))
-            ):
-                better = made
-        if better is None:
+        good = [m for m in tries if _holds(paired(base, m), criteria)]
+        if not good:
             break
+        better = _simplest(good, criteria)
         base = fit(problem, better.added, better.vector)
         stages.append(base)
     while base.added:
@@ -316,10 +311,19 @@ def select(problem: Problem, criteria: Criteria, say: Callable[[str], None] = la
     return Selection(null, base, tuple(stages), (), tuple(opening or ()), tuple(dropped))
 
 
-def _beats(one: Model, other: Model, criteria: Criteria) -> bool:
-    small, large = sorted((other, one), key=lambda m: len(m.free))
-    test = paired(small, large)
-    return (large if test.gain > criteria.size and test.p < criteria.confidence else small) is one
+def _holds(test: Test, criteria: Criteria) -> bool:
+    return test.gain > criteria.size and test.p < criteria.confidence
+
+
+def _simplest(models: Sequence[Model], criteria: Criteria) -> Model:
+    """Of models of one size the one that predicts best; a larger one only where it holds out beside the smaller."""
+    chosen = None
+    for size in sorted({len(m.free) for m in models}):
+        best = min((m for m in models if len(m.free) == size), key=lambda m: m.held.sum())
+        if chosen is None or _holds(paired(chosen, best), criteria):
+            chosen = best
+    assert chosen is not None
+    return chosen
 
 
 def _steady(problem: Problem, model: Model, c: Candidate) -> float:

@@ -41,7 +41,8 @@ def sizes(rng: np.random.Generator, name: str) -> dict[str, float]:
         "grain": lambda: {"ratio": float(rng.uniform(1.4, 2.2)), "angle": float(rng.uniform(-1.4, 1.4))},
         "patch_place": lambda: {"x": either(0.03, 0.06)}, "patch_size": lambda: {"side": either(0.03, 0.05)},
         "second_patch": lambda: {"mu": float(rng.uniform(0.3, 0.6)), "x": float(rng.uniform(0.88, 1.0)), "y": either(0.0, 0.08)},
-        "camera_shift": lambda: {"x": either(0.004, 0.015), "y": either(0.004, 0.015)}, "camera_scale": lambda: {"share": either(0.02, 0.07)},
+        "camera_shift": lambda: {"x": either(0.004, 0.015), "y": either(0.004, 0.015)},
+        "camera_scale": lambda: {"share": either(0.02, 0.07)},
         "camera_rotation": lambda: {"angle": either(0.03, 0.1)}, "camera_latency": lambda: {"time": float(rng.uniform(0.02, 0.08))},
         "clock_scale": lambda: {"share": either(0.03, 0.1)},
         "gust": lambda: {"push": either(0.25, 0.5), "from": 0.45, "to": 0.9}, "curling": lambda: {"rate": either(0.25, 0.5)},
@@ -117,7 +118,7 @@ def simulate(
         rub = np.clip(-vt / H, -0.3 * force, 0.3 * force)
         a = force[:, None] * along + rub[:, None] * aside + pull
         if is_("gust") and size["from"] < time[i] < size["to"]:
-            a = a + [0.0, size["push"]]
+            a = a + np.array([0.0, size["push"]])
         if is_("curling"):
             a = a + size["rate"] * np.stack([-v[:, 1], v[:, 0]], 1)
         v = v + H * a

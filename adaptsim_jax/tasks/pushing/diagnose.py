@@ -22,7 +22,7 @@ from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.effects import CATALOGUE, DECLARED
 from adaptsim_jax.tasks.pushing.slide import ROW, STEP
-from adaptsim_jax.tasks.pushing.tracks import Tracks, predicted, problem_of, read_tracks
+from adaptsim_jax.tasks.pushing.tracks import Tracks, errors, predicted, problem_of, read_tracks
 
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 NEXT = "next_experiment.csv"
@@ -88,12 +88,6 @@ def diagnose(
     return report
 
 
-def errors(tracks: Tracks, problem: Problem, vectors: np.ndarray) -> np.ndarray:
-    """Error of each push [N] m: root mean square over its rows, at vectors [N, P]."""
-    r = problem.residuals(vectors) * tracks.noise
-    return np.sqrt(np.square(r).sum(1) / np.maximum(tracks.seen.sum(1), 1))
-
-
 def reported(
     tracks: Tracks, problem: Problem, found: Selection, criteria: Criteria
 ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -110,7 +104,8 @@ def reported(
         "metric": "median over left-out pushes of the RMS distance between track and simulation", "unit": "m", **pair(lambda e: e),
         "noise_floor": float(floor), "noise_floor_source": "third differences of the tracks",
         "per_channel": {"place": {"unit": "m", **pair(lambda e: e), "noise_floor": float(floor)}},
-        "per_trial": [{"trial": t, "before": float(b), "after": float(a)} for t, b, a in zip(tracks.trials, before, after, strict=True)],
+        "per_trial": [{"trial": t, "before": float(b), "after": float(a)}
+                      for t, b, a in zip(tracks.trials, before, after, strict=True)],
         "intervals": {"before": interval(before), "after": interval(after)},
     }  # fmt: skip
     odd = [t for t, a in zip(tracks.trials, after, strict=True) if a > 6.0 * np.median(after) and a > 3.0 * floor]
@@ -155,7 +150,8 @@ def _message(found: Selection, before: np.ndarray, after: np.ndarray, over: floa
             f"{n.candidate.name.replace('_', ' ')}{others} holds out in {n.test.better} of {n.test.folds} pushes (p {n.test.p:.2g})"
         )
     told = "; ".join(parts)
-    return f"{told[:1].upper()}{told[1:]}. Left-out error {size(before)} to {size(after)}; what remains is {over:.1f} times the noise floor."
+    rest = f"what remains is {over:.1f} times the noise floor"
+    return f"{told[:1].upper()}{told[1:]}. Left-out error {size(before)} to {size(after)}; {rest}."
 
 
 def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
@@ -174,7 +170,8 @@ def _candidates(found: Selection) -> list[dict[str, Any]]:
     names = {n.candidate.name for n in found.named}
     alike = {a.name for n in found.named for a in n.alternatives}
     return [
-        {"name": c.name, "where": c.place, "held_out_gain": float(np.clip(gain, -1, 1)), "p_value": float(min(1.0, p * len(found.first))),
+        {"name": c.name, "where": c.place, "held_out_gain": float(np.clip(gain, -1, 1)),
+         "p_value": float(min(1.0, p * len(found.first))),
          "accepted": c.name in names, "status": "accepted" if c.name in names else "look-alike" if c.name in alike else "rejected",
          "why": "named" if c.name in names else "does as well" if c.name in alike else "gains less than what was taken"}
         for c, gain, p in found.first

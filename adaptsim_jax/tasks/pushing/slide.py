@@ -86,7 +86,7 @@ def slide(
         share = jnp.clip(at - low, 0.0, 1.0)
         rows = table[low] * (1.0 - share) + table[low + 1] * share
         edge, edge_v, edge_a = (speed * rows[i] + rows[i + 1] for i in (0, 2, 4))
-        feet = x + points
+        feet = x[None] + points
         covered = (_inside(feet[:, 0] - pushing.PATCH_X - push.patch_x, pushing.PATCH_SIDE + push.patch_side)
                    * _inside(feet[:, 1] - push.y_p, pushing.PATCH_SIDE + push.patch_side)).mean()  # fmt: skip
         spot = (_inside(feet[:, 0] - push.spot_x, SPOT) * _inside(feet[:, 1] - push.spot_y, SPOT)).mean()

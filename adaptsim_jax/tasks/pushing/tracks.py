@@ -1,8 +1,6 @@
 """Pushes and the tracks that a camera saw of them, read from a folder, and the identification problem that they make."""
 
-import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +18,7 @@ from adaptsim_jax.tasks.pushing.slide import ROW, Push, slide
 LEAST_ROWS, LEAST_RATE, LEAST_TRIALS = 10, 20.0, 5
 MOVED = 0.01  # m: a bottle that moved less was not hit
 FAR = 3.0  # m from the arm's base
+SESSION, SESSION_NOISE = "robot.toml", 1e-3  # of `adaptsim robot`; m
 ROWS = 160  # of a track that are kept, evenly
 
 
@@ -49,14 +48,16 @@ class Tracks:
             )
         keep = [k for k, t in enumerate(self.trials) if t not in set(names)]
         pick = lambda z: z[keep]
-        return Tracks(self.path, tuple(self.trials[k] for k in keep), pick(self.actions), pick(self.time), pick(self.place),
-                      pick(self.seen), self.noise, self.notes)  # fmt: skip
+        return replace(self, trials=tuple(self.trials[k] for k in keep), actions=pick(self.actions), time=pick(self.time),
+                       place=pick(self.place), seen=pick(self.seen))  # fmt: skip
 
 
 def read_tracks(folder: str | Path) -> Tracks:
     """A folder with `actions.csv` (trial, speed, angle) and tracks in other CSV files (trial, time, x, y), or the folder of an
     `adaptsim robot` session. Raises BadInput that names the file, the trial and the mend."""
     folder = Path(folder)
+    if (folder / SESSION).exists():
+        return _of_session(folder)
     actions = _actions(folder)
     columns = [_file(f) for f in _track_files(folder)]
     if not columns:
@@ -70,6 +71,24 @@ def read_tracks(folder: str | Path) -> Tracks:
                 raise BadInput(f"{path}: trial {key} is in another file too; number the trials of all files apart")
             rows[key] = _checked(path, key, time[mine], xy[mine])
     return _assembled(folder, actions, rows)
+
+
+def _of_session(folder: Path) -> Tracks:
+    """The pushes that were recorded in a session of `adaptsim robot`: six places of each."""
+    from adaptsim_jax.core import store
+    from adaptsim_jax.tasks.pushing.task import observed_rows
+
+    history = store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]
+    actions, rows = {}, {}
+    when = 0.01 * (observed_rows(pushing.rows(pushing.PAPER)) + 1)
+    for push in (p for visit in history for p in visit.get("pushes", [])):
+        points = np.array(push["points"], float)
+        if points.shape == (len(when), 2) and np.isfinite(points).all():
+            name = f"{push['trial']:g}"
+            actions[name], rows[name] = np.array(push["action"], float), (when, points)
+    tracks = _assembled(folder, actions, rows)
+    note = f"six places of each push are kept in a session; their noise is taken to be {1e3 * SESSION_NOISE:g} mm"
+    return replace(tracks, noise=SESSION_NOISE, notes=(*tracks.notes, note))
 
 
 def _track_files(folder: Path) -> list[Path]:
@@ -244,6 +263,12 @@ def _residual(vector, action, time, place, scale, *, duration):
     return off.reshape(-1)
 
 
+def errors(tracks: Tracks, problem: Problem, vectors: np.ndarray) -> np.ndarray:
+    """Error of each push [N] m: root mean square over its rows, at vectors [N, P]."""
+    r = problem.residuals(vectors) * tracks.noise
+    return np.sqrt(np.square(r).sum(1) / np.maximum(tracks.seen.sum(1), 1))
+
+
 def predicted(vector, action, time, duration: float):
     """Where the camera says that the bottle is [M, 2] m at `time [M]`, of one push at the parameters of `NAMES`."""
     p = dict(zip(NAMES, vector, strict=True))
@@ -253,21 +278,19 @@ def predicted(vector, action, time, duration: float):
     low = jnp.clip(jnp.floor(at).astype(jnp.int32), 0, len(rows) - 2)
     share = jnp.clip(at - low, 0.0, 1.0)[:, None]
     x = rows[low] * (1.0 - share) + rows[low + 1] * share
-    pivot = jnp.asarray(pushing.START)
+    pivot = jnp.asarray(pushing.START)[None]
     c, s = jnp.cos(p["camera_turn"]), jnp.sin(p["camera_turn"])
     away = (1.0 + p["camera_scale"]) * (x - pivot)
     turned = jnp.stack([c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]], 1)
-    return pivot + turned + jnp.stack([p["camera_x"], p["camera_y"]])
+    return pivot + turned + jnp.stack([p["camera_x"], p["camera_y"]])[None]
 
 
-def is_push(folder: str | Path) -> bool:
-    """Whether a folder's meta.toml says task = "pushing", or it is a session of `adaptsim robot` with pushes."""
+def is_session(folder: str | Path) -> bool:
+    """Whether a folder is a session of `adaptsim robot` with pushes told."""
+    from adaptsim_jax.core import store
+
     folder = Path(folder)
-    try:
-        return tomllib.loads((folder / "meta.toml").read_text(encoding="utf-8")).get("task") == "pushing"
-    except (OSError, ValueError):
-        pass
-    return (folder / "actions.csv").exists() and (folder / "session.toml").exists()
-
-
-Say = Callable[[str], None]
+    if not (folder / SESSION).exists() or not (folder / store.CHECKPOINT).exists():
+        return False
+    history = store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]
+    return any("pushes" in visit for visit in history)

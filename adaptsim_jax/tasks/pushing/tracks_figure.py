@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.trials import Problem, Selection
-from adaptsim_jax.tasks.pushing.tracks import Tracks, predicted
+from adaptsim_jax.tasks.pushing.tracks import Tracks, errors, predicted
 
 MOST = 24
 
@@ -18,8 +18,6 @@ def save(path: Path, tracks: Tracks, problem: Problem, found: Selection) -> None
 
     matplotlib.use("Agg", force=False)
     import matplotlib.pyplot as plt
-
-    from adaptsim_jax.tasks.pushing.diagnose import errors
 
     count = min(MOST, len(tracks.trials))
     duration = min(max(tracks.duration, 0.9), 6.0)
