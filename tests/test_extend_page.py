@@ -62,7 +62,7 @@ def test_the_page_runs(installed):
     first, second, third, fourth = output(installed, "use.py").splitlines()
     assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
     assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
-    assert fourth == "['random_search', 'random_search']"
+    assert re.fullmatch(r"random search earns -?\d+\.\d+ of 1", fourth)
 
 
 @pytest.mark.slow

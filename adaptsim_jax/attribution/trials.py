@@ -1,8 +1,8 @@
 """Attribution over short trials that each begin anew from a known state: pushes, scoops, tosses.
 
 One flat vector holds the declared parameters and those of every effect (at the value where it does nothing); a model is a subset of
-it that is fitted. Everything else is as for mechanisms (`docs/attribution.md`): score tests over clusters, here trials; an effect stays
-if without it left-out trials are predicted worse; look-alikes are told as a class.
+it that is fitted. Everything else is as for mechanisms (`docs/attribution.md`): score tests over clusters, here trials; an effect
+stays if without it left-out trials are predicted worse; look-alikes are told as a class.
 """
 
 from collections.abc import Callable, Sequence
