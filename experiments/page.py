@@ -15,7 +15,7 @@ from adaptsim_jax.baselines.summary import normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 
-RESULTS = Path("docs/results")
+RESULTS = Path("results")
 START = time.monotonic()
 
 

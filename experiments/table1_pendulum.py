@@ -63,7 +63,9 @@ def failures(results) -> str:
     )
 
 
-VISITED = ("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state")
+VISITED = (
+    "adaptsim", "adaptsim_state", "adaptsim_analytic", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state",
+)  # fmt: skip
 
 if __name__ == "__main__":
     main()

@@ -17,7 +17,7 @@ ROOMS = (
 )  # fmt: skip
 WITHIN = {
     "core": (
-        "lazy", "errors", "given", "files", "progress", "config", "registry", "constants", "once", "trig", "parallel",
+        "lazy", "errors", "given", "files", "lock", "progress", "config", "registry", "constants", "once", "trig", "parallel",
         "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store", "store",
     ),
     "effects": (

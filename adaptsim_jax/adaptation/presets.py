@@ -93,7 +93,7 @@ def pushing_sweep() -> TrainConfig:
     which an iteration's two goals are drawn anew, one on each side: with the same two each time the adaptation policy does
     better, and what is deployed worse. Half of the trajectories are led towards their targets, which the others seldom come near.
     Steps shrink from 0.3 of the range to 0.025: with steps of one size the grid that a start can reach misses WD's parameters
-    by too much (docs/results/table1_pushing.md).
+    by too much (docs/results/pushing.md).
     """
     base = paper_pushing()
     return replace(

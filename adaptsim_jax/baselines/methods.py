@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.adaptation.analytic import AnalyticConfig, make_analytic
 from adaptsim_jax.baselines import gradient
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
 from adaptsim_jax.baselines.config import CompareConfig
@@ -60,6 +61,34 @@ def adaptsim(run: Run, late: bool = False) -> Visits:
         report=run.report,
     )
     return Visits(means[0], config.starts * (config.iterations + 1))
+
+
+def adaptsim_analytic(run: Run) -> Visits:
+    """AdaptSim with steps of any size, whose policy is trained by the gradient of the logarithm of the cost through simulated
+    adaptation; as many trajectories of it as Phase 1 has, as many target trials. Starts are drawn from Omega, as those in S_E are."""
+    config, made = run.config, make_task(run.task_name, run.task_options)
+    N, I, sizes = config.starts, config.iterations, config.train.phase1
+    analytic = make_analytic(
+        made,
+        lambda trajectory: jnp.log(trajectory.cost),
+        AnalyticConfig(
+            sizes.trajectories, sizes.parallel, sizes.horizon, sizes.hidden, inside=config.train.hyper.inside
+        ),
+    )
+    targets = jnp.asarray(run.targets, jnp.float32)
+
+    @jax.jit
+    def one(seed):
+        key = jax.random.key(seed)
+        state, _ = analytic.run(analytic.init(key), jnp.arange(analytic.config.updates))
+        starts = made.space.sample(jax.random.fold_in(key, 1), (N,))
+        return jax.vmap(lambda target: analytic.adapt(state.weights, starts, target, I))(targets)
+
+    means = []
+    for i, seed in enumerate(run.seeds):
+        means.append(np.asarray(one(seed)))
+        run.report(i + 1, len(run.seeds))
+    return Visits(np.stack(means, 1), N * (I + 1))
 
 
 def sysid(run: Run, make: Callable, late: bool = False) -> Visits:

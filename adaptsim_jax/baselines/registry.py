@@ -26,6 +26,7 @@ EXACT: Registry[Callable[[Run], Visits]] = Registry(
     {
         "adaptsim": f"{HERE}.methods:adaptsim",
         "adaptsim_state": f"{HERE}.methods:adaptsim_state",
+        "adaptsim_analytic": f"{HERE}.methods:adaptsim_analytic",
         "sysid_bayes": f"{HERE}.methods:sysid_bayes",
         "sysid_bayes_state": f"{HERE}.methods:sysid_bayes_state",
         "sysid_point": f"{HERE}.methods:sysid_point",

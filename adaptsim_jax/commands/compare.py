@@ -15,8 +15,9 @@ EXAMPLES = """
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 """
 METHODS = (
-    "pendulum: adaptsim, adaptsim-state, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, gradient, udr, "
-    "best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle"
+    "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, "
+    "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, "
+    "learn-in-target, oracle"
 )
 ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
 

@@ -47,7 +47,8 @@ class RobotPart:
     """Of `robot`. turn: what one ask and tell is called. `history`: of the turns told so far, as `remember` made them.
 
     deployed: the policy as it is deployed now, mended by what was told; tried: as the coming turn makes its trials with it.
-    Both are the policy itself by default.
+    Both are the policy itself by default. again: a turn that the robot could not finish is asked again; else its start is given up,
+    since the policy asked of it would fail again.
     """
 
     turn: str
@@ -59,6 +60,7 @@ class RobotPart:
     told: Callable[[Any, Any, Any, Any, bool], None]  # (session, state as tried, state after, trajectory, done)
     deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
     tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
+    again: bool = True
 
 
 def adapt_part(task: str) -> AdaptPart:

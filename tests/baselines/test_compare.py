@@ -142,5 +142,5 @@ def test_the_command_is_what_the_caller_says(monkeypatch):
 def test_every_method_is_reachable_by_name():
     assert set(exact_methods()) == {
         *("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state"),
-        *("gradient", "udr", "best_in_omega"),
+        *("adaptsim_analytic", "gradient", "udr", "best_in_omega"),
     }

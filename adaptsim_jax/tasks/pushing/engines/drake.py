@@ -23,7 +23,7 @@ GRIPPY = 1e6  # a friction that leaves a pair its partner's: 2ab/(a+b) -> 2b, so
 
 @dataclass(frozen=True)
 class DrakeContact:
-    """Numerics of Drake; the release uses tamsi at 10 ms, where the bounce depends on the step (docs/pushing.md)."""
+    """Numerics of Drake; the release uses tamsi at 10 ms, where the bounce depends on the step."""
 
     solver: str = "lagged"
     dt: float = 0.002  # s
