@@ -83,7 +83,7 @@ def test_there_are_few_public_names():
 
 def test_documents_import_what_there_is():
     """Every `from adaptsim_jax import ...` of a page, from the public list or from a module that has the name."""
-    for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         for module, names in re.findall(r"^ *from (adaptsim_jax[\w.]*) import ([\w, ]+)", page.read_text(), flags=re.M):
             for name in (n.split(" as ")[0].strip() for n in names.split(",")):
                 there = importlib.import_module(module)
