@@ -9,6 +9,7 @@ import numpy as np
 
 import adaptsim_jax
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import run
 from adaptsim_jax.attribution.load import Machine, load
@@ -40,11 +41,13 @@ def diagnose(
     without: tuple[str, ...] = (),
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
+    as_declared: bool = False,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
-    writes it with `model.xml`. exclude: effects that are not considered; without: trials left out.
+    writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
+    as_declared: conventions that the motion contradicts are taken all the same.
 
-    Raises BadInput where the data or the model cannot be read.
+    Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
@@ -55,6 +58,8 @@ def diagnose(
         if unknown := sorted(set(without) - known):
             raise BadInput(f"{data}: no trial is named {unknown[0]!r}; --without takes of {', '.join(sorted(known))}")
         machine = machine.only(known - set(without))
+    say(0.03, 1.0, "conventions")
+    warned = () if as_declared else check_conventions(machine)
     folder = None if out is None else output_folder(out)
     names = {e.name for e in MACHINE}
     if strange := sorted(set(exclude) - names):
@@ -72,6 +77,8 @@ def diagnose(
     say(0.05, 1.0, "declared model")
     found = select(problem, declared_vector(machine, problem), criteria or Criteria(), step)
     report, evidence = reported(machine, problem, found, criteria or Criteria(), horizon)
+    report["warnings"] = [f.message for f in warned]
+    evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence["audit"]
     report["run"] = evidence["run"] = {
         "version": adaptsim_jax.__version__, "seed": 0, "command": f"adaptsim diagnose {data} --out again",
         "seconds": round(time.monotonic() - began, 1),
