@@ -153,7 +153,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
             args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(args.without),
-            progress=report, page=write_diagnosis,
+            progress=report, page=write_diagnosis, as_declared=args.as_declared,
         )  # fmt: skip
     from rich.console import Console
 
