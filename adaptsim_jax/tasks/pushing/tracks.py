@@ -19,6 +19,7 @@ LEAST_ROWS, LEAST_RATE, LEAST_TRIALS = 10, 20.0, 5
 MOVED = 0.01  # m: a bottle that moved less was not hit
 FAR = 3.0  # m from the arm's base
 SESSION, SESSION_NOISE = "robot.toml", 1e-3  # of `adaptsim robot`; m
+WAYS = 8  # directions of a derivative are a multiple of it
 ROWS = 160  # of a track that are kept, evenly
 
 
@@ -235,7 +236,7 @@ def problem_of(tracks: Tracks) -> Problem:
             return np.asarray(over(jnp.asarray(vectors), action, time, place, scale))
 
     def slopes(vector, which):
-        ways = np.zeros((len(which), len(vector)))
+        ways = np.zeros((-(-len(which) // WAYS) * WAYS, len(vector)))  # few sizes, so that few programs are compiled
         ways[np.arange(len(which)), which] = 1.0
         with jax.enable_x64(True):
             return tuple(
