@@ -134,7 +134,7 @@ def engines(task: str, engine: str, peer_python: str) -> dict[str, Any]:
     """Trials a second of an engine, beside Drake on 4 of the same trials."""
     import numpy as np
 
-    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax import BadInput
 
     if task == "pushing":
         from adaptsim_jax.tasks.pushing import model

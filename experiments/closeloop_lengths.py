@@ -1,6 +1,6 @@
 """What `adaptsim diagnose` says of recordings whose first link is declared too long or too short.
 
-    python -m experiments.closeloop_lengths --out DIR                                     the cases of docs/results/closeloop.md
+    python -m experiments.closeloop_lengths --out DIR                                     the cases of docs/results/closing_the_loop.md
     python -m experiments.closeloop_lengths --case null:9503:1.006 single:9665:1 --out DIR
 
 A case is SUITE:SEED:FACTOR: the suites' recording of that seed, its `meta.toml` declaring `l1` times the factor. Nothing else is

@@ -1,6 +1,6 @@
 """What a mended model is worth for the task: policies before and after, both run in the world that made the data.
 
-    python -m experiments.closeloop_task --out docs/results/closeloop_task.md
+    python -m experiments.closeloop_task --out closeloop_task.md
 
 For each hidden effect: a linear-world recording is generated, written as files and diagnosed; the task policy is
 trained on the fitted declared model and on `model.toml`, and both control the generator's own simulator, which shares
@@ -17,10 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.commands.diagnose import diagnose
+from adaptsim_jax import diagnose
 from adaptsim_jax.commands.task_reward import REWARD_GAIN, Trained, trained_policy
 from adaptsim_jax.mechanisms.double_pendulum.linear import SAMPLES
-from adaptsim_jax.mechanisms.model_file import ModelFile, Value, read_model
+from adaptsim_jax.mechanisms.model_file import Value
+from adaptsim_jax.sysid import ModelFile, read_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import DT, ROWS
 from tests.generators import effects as hidden_effects
 from tests.generators import forces
@@ -129,7 +130,7 @@ def table_of(rows: list[dict], command: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("docs/results/closeloop_task.md"))
+    parser.add_argument("--out", type=Path, default=Path("closeloop_task.md"))
     parser.add_argument("--seed", type=int, default=12)
     parser.add_argument("--cases", type=int, default=len(CASES), help="how many of the effects, from the first")
     args = parser.parse_args()

@@ -23,18 +23,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, Trials, lanes
 from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
 from adaptsim_jax.baselines.memory import Memory
-from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.core.files import output_folder, write_json
-from adaptsim_jax.tasks.registry import make_one_shot
 from adaptsim_jax.tasks.scooping.corrections import Doubt
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy
-from experiments.scooping_choices import targets
 
 CONFIG = default_comparison("scooping")
 OPTIONS = dict(CONFIG.train.task) | {"tests": 12, "correct": True}
@@ -57,6 +55,26 @@ class Recorder(Arena):
 
     def score(self, where, policies) -> np.ndarray:
         return np.zeros(len(where))
+
+
+def targets() -> np.ndarray:
+    """`[17, 4]`: friction, modulus, shape, height of pieces drawn at random: six slippery cylinders, four of Omega, four boxes, three
+    ellipsoids."""
+    rng = np.random.default_rng(777)
+    between = lambda low, high: rng.uniform(low, high)
+    softness = lambda low, high: float(np.exp(between(np.log(low), np.log(high))))
+    draw = lambda mu, e, g, h: [between(*mu), softness(*e), g, between(*h)]
+    first = [draw((0.15, 0.25), (2e4, 2e5), 1, (0.016, 0.027)) for _ in range(7)]
+    first.pop(4)  # the best action there wins but 0.83
+    ellipsoid, box = draw((0.36, 0.5), (8e3, 3e4), 0, (0.013, 0.018)), draw((0.3, 0.48), (5e4, 3e5), 2, (0.016, 0.024))
+    cylinder = draw((0.26, 0.38), (2e4, 1e5), 1, (0.016, 0.024))
+    rng = np.random.default_rng(778)
+    for _ in range(12):
+        draw((0.15, 0.25), (2e4, 2e5), 1, (0.016, 0.027))
+    cylinders = [draw((0.25, 0.4), (1.5e4, 2e5), 1, (0.015, 0.025)) for _ in range(6)]
+    boxes = [draw((0.3, 0.48), (5e4, 3e5), 2, (0.016, 0.024)) for _ in range(6)]
+    ellipsoids = [draw((0.36, 0.5), (8e3, 3e4), 0, (0.013, 0.018)) for _ in range(3)]
+    return np.array([*first, cylinder, *cylinders[:3], box, *boxes[:3], ellipsoid, *ellipsoids[:2]])
 
 
 def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> list[tuple]:

@@ -7,8 +7,8 @@ python experiments/table1_pendulum.py --seeds 2 --trajectories 500 --simulations
 import numpy as np
 from page import parser, sysid_config, train_config, write_page
 
-from adaptsim_jax.baselines.compare import compare
-from adaptsim_jax.baselines.methods import CompareConfig
+from adaptsim_jax import compare
+from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw

@@ -1,4 +1,4 @@
-"""Which UDR makes a lower bound: mean cost from the task's own start, or over starts (see docs/differences.md).
+"""Which UDR makes a lower bound: mean cost from the task's own start, or over starts (see docs/explanation/differences.md).
 
 python experiments/udr_bound.py
 """

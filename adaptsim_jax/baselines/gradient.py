@@ -2,7 +2,7 @@
 
 For one target this descends the outer problem of the paper (eq. 1) itself. It needs the derivative of the target's cost,
 so the target must be differentiable: a simulated one, or a model of the real one. It is no method for a robot, but it
-says what the parameterization allows with as many target evaluations as the others use. See `docs/differentiable.md`.
+says what the parameterization allows with as many target evaluations as the others use. See `docs/howto/differentiable.md`.
 """
 
 from collections.abc import Callable

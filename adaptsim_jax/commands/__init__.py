@@ -14,4 +14,3 @@ SUMMARIES = {
     "parity": "physics backends against each other over random samples",
     "doctor": "versions, devices, backends that work here, compile-cache folder",
 }
-TASKS = ("pendulum", "pushing", "scooping")  # of `tasks.registry`, which loads JAX

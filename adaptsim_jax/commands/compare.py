@@ -77,7 +77,7 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
 def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
     from adaptsim_jax.adaptation.phase1 import make_phase1
-    from adaptsim_jax.baselines.methods import CompareConfig, default_comparison
+    from adaptsim_jax.baselines.config import CompareConfig, default_comparison
     from adaptsim_jax.core import config
     from adaptsim_jax.tasks.registry import make_task
 

@@ -23,6 +23,7 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out2 --seed 1
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
+  adaptsim diagnose logs/pushes --out out6      pushes: actions.csv and tracks, or the folder of an `adaptsim robot` session
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -42,6 +43,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
     )
     parser.add_argument(
+        "--as-declared",
+        action="store_true",
+        help="take columns and lengths as declared, though the motion contradicts them",
+    )
+    parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects pendulum` lists them all",
     )  # fmt: skip
@@ -54,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.recording import read_recording
 
+    if args.model is None and of_pushes(Path(args.data)):
+        return run_pushes(args)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     recording = without(read_recording(args.data), args.without)  # refused within a second, and before JAX is loaded
@@ -61,7 +69,13 @@ def run(args: argparse.Namespace) -> int:
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
         result = diagnose(
-            recording, out=out, seed=args.seed, exclude=args.exclude, strict=args.strict, progress=paced(report)
+            recording,
+            out=out,
+            seed=args.seed,
+            exclude=args.exclude,
+            progress=paced(report),
+            as_declared=args.as_declared,
+            strict=args.strict,
         )
     from rich.console import Console
 
@@ -71,15 +85,55 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def of_a_mechanism(data: Path) -> bool:
-    """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so (or which has none)."""
-    meta = data / "meta.toml"
-    if not data.is_dir():
-        return data.exists()
+def declared_task(data: Path) -> str | None:
+    """The task that a folder's meta.toml declares; None where it does not, or cannot be read (its reader says why)."""
     try:
-        return tomllib.loads(meta.read_text(encoding="utf-8")).get("task") == "mechanism"
-    except (OSError, ValueError):  # the reader of the declared task says what is wrong
+        return tomllib.loads((data / "meta.toml").read_text(encoding="utf-8")).get("task")
+    except (OSError, ValueError):
+        return None
+
+
+def of_a_mechanism(data: Path) -> bool:
+    """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
+    return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
+
+
+def of_pushes(data: Path) -> bool:
+    """Whether DATA holds pushes: meta.toml says so, or it is the folder of a session with a robot that pushes."""
+    if declared_task(data) is not None:
+        return declared_task(data) == "pushing"
+    if not (data / "robot.toml").exists():
         return False
+    from adaptsim_jax.tasks.pushing.tracks import is_session
+
+    return is_session(data)
+
+
+def run_pushes(args: argparse.Namespace) -> int:
+    """Pushes: what the simulator gets wrong about a robot's, and the push that would tell a class apart."""
+    from rich.console import Console
+
+    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+    from adaptsim_jax.tasks.pushing import diagnose as pushes
+
+    apart(args)
+    pushes.checked(args.data)
+    with output(args.out) as folder, progress("diagnose") as report:
+        result = pushes.diagnose(
+            args.data, out=folder, exclude=tuple(args.exclude), without=tuple(args.without), progress=report,
+            page=write_diagnosis,
+        )  # fmt: skip
+    print_summary(result, Console(), folder)
+    return 0
+
+
+def apart(args: argparse.Namespace) -> None:
+    """Refuses to write into the folder of the recordings."""
+    out, data = Path(args.out), Path(args.data)
+    if out.exists() and data.exists() and out.resolve() == data.resolve():
+        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
 
 
 def run_mechanism(args: argparse.Namespace) -> int:
@@ -89,9 +143,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.read import read_with_model
 
-    out = Path(args.out)
-    if out.exists() and Path(args.data).exists() and out.resolve() == Path(args.data).resolve():
-        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
+    apart(args)
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     read_with_model(args.data, args.model)  # refused before anything is written

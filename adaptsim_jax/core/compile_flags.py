@@ -2,7 +2,7 @@
 
 By default XLA runs a loop's body as one small kernel after another, and asking for each takes longer than running it. Loops
 compiled into one kernel each, and kernels by the older emitters, take a quarter to a third of the time off
-`adaptsim diagnose`, and a third off its compiling (docs/results/closeloop.md). Programs on large arrays gain nothing: such
+`adaptsim diagnose`, and a third off its compiling. Programs on large arrays gain nothing: such
 loops run on one core.
 """
 

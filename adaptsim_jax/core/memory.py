@@ -2,8 +2,8 @@
 rare searches for garbage.
 
 XLA on a CPU asks the C library for every array and gives it back after use. Large ones go back to the system at once,
-and the next one is paid for page by page again: a fifth of the processor time of `adaptsim diagnose`
-(docs/results/closeloop.md). One arena that keeps what it has is faster, and smaller at its peak.
+and the next one is paid for page by page again: a fifth of the processor time of `adaptsim diagnose`.
+One arena that keeps what it has is faster, and smaller at its peak.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The blocks of docs/differentiable.md run, in order, as a reader would paste them; and the gradient is the slope."""
+"""The blocks of docs/howto/differentiable.md run, in order, as a reader would paste them; and the gradient is the slope."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ import pytest
 from adaptsim_jax.baselines.problem import pendulum_problem
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, pendulum_space
 
-PAGE = Path(__file__).parents[2] / "docs" / "differentiable.md"
+PAGE = Path(__file__).parents[2] / "docs" / "howto" / "differentiable.md"
 
 
 @pytest.mark.slow

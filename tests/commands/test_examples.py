@@ -1,4 +1,4 @@
-"""Every command line that the README, `docs/*.md` and the `--help` texts show is one that the program takes."""
+"""Every command line that the README, the pages of `docs/` and the `--help` texts show is one that the program takes."""
 
 import importlib
 import re
@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.adaptation.presets import PRESETS
-from adaptsim_jax.baselines.methods import LEARNED_METHODS, METHODS
+from adaptsim_jax.baselines.registry import exact_methods, learned_methods
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.tasks.pushing.engines import registry as pushing
 from adaptsim_jax.tasks.scooping.engines import registry as scooping
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def lines(text):
@@ -34,8 +34,8 @@ def examples():
         yield from ((name, line) for line in lines(module.EXAMPLES))
 
 
-@pytest.mark.parametrize("where, line", sorted(set(examples())))
-def test_an_example_is_taken(where, line):
+@pytest.mark.parametrize("line, where", sorted({line: where for where, line in examples()}.items()))
+def test_an_example_is_taken(line, where):
     args = parse(shlex.split(line))
     assert callable(args.run)
     command = shlex.split(line)[0]
@@ -54,8 +54,9 @@ def check_config(command, args):
 
 
 def test_there_are_examples_of_every_command():
-    shown = [line.split()[0] for where, line in examples() if where == "README.md"]
-    assert set(SUMMARIES) - {"demo"} <= set(shown)  # the demo is `make demo` there
+    readme = (ROOT / "README.md").read_text()
+    shown = {line.split()[0] for line in lines(readme)} | set(re.findall(r"`adaptsim ([a-z]+)`", readme))
+    assert set(SUMMARIES) - {"demo"} <= shown  # the demo is `make demo` there
     for name in SUMMARIES:
         own = [line.split()[0] for where, line in examples() if where == name]
         assert own and set(own) == {name}
@@ -75,7 +76,7 @@ def test_presets_that_documents_name_exist_and_are_no_files():
 
 
 def test_commands_in_documents_exist():
-    for path in [*(ROOT / "docs").rglob("*.md"), ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]:
+    for path in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]:
         for name in re.findall(r"`adaptsim ([a-z]+)", path.read_text()):
             assert name in SUMMARIES, f"{path}: adaptsim {name}"
 
@@ -83,7 +84,7 @@ def test_commands_in_documents_exist():
 def test_files_that_documents_name_exist():
     """Paths with a folder and a suffix; what a person would make (`out/`, `runs/`, `logs/`) is no file of ours."""
     folders = "adaptsim_jax|benchmarks|docs|experiments|tests"
-    for path in [*(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+    for path in [*PAGES, ROOT / "CONTRIBUTING.md"]:
         for name in re.findall(rf'[`("]((?:{folders})/[\w./-]+\.(?:py|md|png))\b', path.read_text()):
             assert (ROOT / name).exists(), f"{path.name} names {name}"
 
@@ -109,8 +110,8 @@ def test_help_names_every_method_and_engine_of_each_task(help_of):
     """The lists stand in the command as text, because its module must not import JAX."""
     shown = help_of("compare")
     spelled = lambda names: ", ".join(name.replace("_", "-") for name in names)
-    assert f"pendulum: {spelled(METHODS)};" in shown
-    assert f"pushing and scooping: {spelled(LEARNED_METHODS)}" in shown
-    for task, engines in (("pushing", pushing.NAMES), ("scooping", scooping.NAMES)):
+    assert f"pendulum: {spelled(exact_methods())};" in shown
+    assert f"pushing and scooping: {spelled(learned_methods())}" in shown
+    for task, engines in (("pushing", pushing.BACKENDS), ("scooping", scooping.BACKENDS)):
         listed = re.search(rf"{task}: ([a-z, ]+ or [a-z]+)", shown)
         assert listed and set(re.split(", | or ", listed[1])) == set(engines)

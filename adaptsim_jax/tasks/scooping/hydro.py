@@ -28,7 +28,7 @@ Array = Any
 
 @dataclass(frozen=True)
 class Numerics:
-    """What makes up *the* simulator besides physics; static under jit. See docs/scooping.md for how much each matters.
+    """What makes up *the* simulator besides physics; static under jit. See docs/explanation/scooping.md for how much each matters.
 
     dt: s. relaxation: tau of the damping, s, of the pair. slip: sigma of SAP's friction. near_rigid: beta of SAP, 0 for none.
     iterations: of Newton's method in a step, at most. grid: columns along and points across each of table, blade, its front, neck.

@@ -1,6 +1,6 @@
 """The engines of the push: physics that must hold, and agreement between them.
 
-MJX and native MuJoCo solve the same scene; float32 moves a bottle by hundredths of a millimetre (docs/results/pushing_parity.md).
+MJX and native MuJoCo solve the same scene; float32 moves a bottle by hundredths of a millimetre (docs/results/pushing.md).
 The planar model leaves out pitch and yaw, which costs some millimetres; Drake has another law of contact, which costs
 centimetres.
 """
@@ -177,7 +177,7 @@ def test_mjx_agrees_with_native_and_is_traced_once(batch, reference, monkeypatch
 
 @pytest.mark.slow
 def test_drake_is_near_native(native, batch):
-    """Three pushes; another contact law and no fit to them: see docs/results/pushing_parity.md for two hundred."""
+    """Three pushes; another contact law and no fit to them: see docs/results/pushing.md for two hundred."""
     pytest.importorskip("pydrake")
     few = tuple(a[:3] for a in batch)
     out = make_backend("drake").simulate(*few)

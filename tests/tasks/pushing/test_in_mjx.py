@@ -23,7 +23,7 @@ def test_the_simulator_is_the_backend_of_that_name():
     )
     expected = make_backend("native").simulate(params, actions, starts).state[..., :2]
     assert found.shape == (4, 130, 2) and make_guide(config) is not None
-    assert np.abs(np.asarray(found) - expected).max() < 0.002  # m; MJX in float32, docs/results/pushing_parity.md
+    assert np.abs(np.asarray(found) - expected).max() < 0.002  # m; MJX in float32, docs/results/pushing.md
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import PushOptions
@@ -22,7 +23,7 @@ GRIPPY = 1e6  # a friction that leaves a pair its partner's: 2ab/(a+b) -> 2b, so
 
 @dataclass(frozen=True)
 class DrakeContact:
-    """Numerics of Drake; the release uses tamsi at 10 ms, where the bounce depends on the step (docs/pushing.md)."""
+    """Numerics of Drake; the release uses tamsi at 10 ms, where the bounce depends on the step."""
 
     solver: str = "lagged"
     dt: float = 0.002  # s
@@ -206,3 +207,6 @@ def _sheet(drake: Any, inner: float, outer: float):
         ]
     text = "\n".join([f"v {x} {y} 0" for x, y in points] + [f"f {a} {b} {c}" for a, b, c in faces]) + "\n"
     return drake.Mesh(drake.InMemoryMesh(mesh_file=drake.MemoryFile(text, ".obj", "sheet.obj")), 1.0)
+
+
+ENGINE = EngineKind(Settings, make_drake)
