@@ -191,7 +191,7 @@ def _check_key(task: str, base: dict[str, Any], key: str, value: Any, where: str
     table = configs.over(base, _nested(key, value))
     made = configs.from_table(TrainConfig, table, where)
     if head == "task" and option and "model" not in made.task:
-        kind = TASKS[task][0]
+        kind = TASKS[task].config
         default = configs.to_table(kind())
         configs.from_table(kind, configs.over(default, made.task), where, "task.")
     elif head == "task" and not option:
