@@ -1,3 +1,72 @@
-"""Task-driven simulation adaptation (AdaptSim) and closing the loop with measured data, in JAX."""
+"""Task-driven simulation adaptation (AdaptSim) and closing the loop with measured data, in JAX.
+
+`__all__` here and in `adaptsim_jax.sysid` is what other programs may rely on; all else may change. A name is imported when it is
+asked for: importing the package loads neither JAX nor NumPy.
+"""
+
+from typing import TYPE_CHECKING
+
+from adaptsim_jax.core.lazy import lazily
+
+if TYPE_CHECKING:
+    from adaptsim_jax.adaptation.phase1 import make_phase1 as make_phase1
+    from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
+    from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
+    from adaptsim_jax.adaptation.presets import default_config as default_config
+    from adaptsim_jax.adaptation.training import TrainConfig as TrainConfig
+    from adaptsim_jax.adaptation.training import Trained as Trained
+    from adaptsim_jax.adaptation.training import adapt_run as adapt_run
+    from adaptsim_jax.attribution.replay import replay_files as replay_files
+    from adaptsim_jax.baselines.compare import compare as compare
+    from adaptsim_jax.baselines.config import default_comparison as default_comparison
+    from adaptsim_jax.commands.diagnose import diagnose as diagnose
+    from adaptsim_jax.core.errors import BadInput as BadInput
+    from adaptsim_jax.space import Gaussian as Gaussian
+    from adaptsim_jax.space import Parameter as Parameter
+    from adaptsim_jax.space import Space as Space
+    from adaptsim_jax.space import gaussian as gaussian
+    from adaptsim_jax.tasks.base import Task as Task
+    from adaptsim_jax.tasks.base import TaskKind as TaskKind
+    from adaptsim_jax.tasks.engine import EngineKind as EngineKind
+    from adaptsim_jax.tasks.registry import make_backend as make_backend
+    from adaptsim_jax.tasks.registry import make_one_shot as make_one_shot
+    from adaptsim_jax.tasks.registry import make_task as make_task
 
 __version__ = "0.1.0"
+__all__ = [
+    "BadInput", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Space", "Task", "TaskKind",
+    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "gaussian",
+    "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
+]  # fmt: skip
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "BadInput": "core.errors",
+        "EngineKind": "tasks.engine",
+        "Gaussian": "space",
+        "Parameter": "space",
+        "Phase1Config": "adaptation.phase1_config",
+        "Phase1Hyper": "adaptation.phase1_config",
+        "Space": "space",
+        "Task": "tasks.base",
+        "TaskKind": "tasks.base",
+        "TrainConfig": "adaptation.training",
+        "Trained": "adaptation.training",
+        "adapt_run": "adaptation.training",
+        "compare": "baselines.compare",
+        "default_comparison": "baselines.config",
+        "default_config": "adaptation.presets",
+        "diagnose": "commands.diagnose",
+        "gaussian": "space",
+        "make_backend": "tasks.registry",
+        "make_one_shot": "tasks.registry",
+        "make_phase1": "adaptation.phase1",
+        "make_task": "tasks.registry",
+        "replay_files": "attribution.replay",
+    },
+)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -16,13 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.phase1 import make_phase1
+from adaptsim_jax import make_phase1, make_task
 from adaptsim_jax.adaptation.presets import PRESETS
 from adaptsim_jax.adaptation.training import traced
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.simulator import make_simulator
-from adaptsim_jax.tasks.registry import make_task
 
 
 def phase1(engine: str, trajectories: int = 40, seed: int = 0) -> dict:

@@ -2,7 +2,7 @@
 
     python benchmarks/table.py --out bench             bench/table.json and bench/table.md
     python benchmarks/table.py --only phase1 engines   some of the parts
-    python benchmarks/table.py --peer-python PYTHON    a Python that has torch (the extra [bench])
+    python benchmarks/table.py --peer-python PYTHON    a Python that has torch and mujoco[sysid]
 
 Each row is a process of its own, which has a number of XLA's host devices of its own; parts are run in the order below, and what the
 time does not suffice for is said in the table. Rates are without compile, which has a column of its own.
@@ -14,6 +14,7 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,6 +36,7 @@ def rows() -> Iterator[tuple[str, str, dict[str, Any]]]:
     for task, engines in {"pushing": ("planar", "native", "mjx"), "scooping": ("hydro", "native")}.items():
         for engine in engines:
             yield "engines", f"{task} in {engine}", {"task": task, "engine": engine}
+    yield "diagnose", "effects of a hinge beside a fit of its mass and damping", {}
 
 
 # ---------------------------------------------------------------- in a process of its own
@@ -42,7 +44,9 @@ def rows() -> Iterator[tuple[str, str, dict[str, Any]]]:
 
 def measure(part: str, given: dict[str, Any], peer_python: str) -> dict[str, Any]:
     """unit, ours, compile_s, and where there is a peer: peer, peer_name, ratio."""
-    found = {"learners": learners, "phase1": phase1, "engines": engines}[part](peer_python=peer_python, **given)
+    found = {"learners": learners, "phase1": phase1, "engines": engines, "diagnose": diagnosis}[part](
+        peer_python=peer_python, **given
+    )
     if found.get("peer"):
         found["ratio"] = found["ours"] / found["peer"]
     return found
@@ -58,13 +62,15 @@ def learners(learner: str, policies: int, peer_python: str, batch: int = 64) -> 
     else:
         run, took = _bdq(policies, batch)
         script = ["bdq_torch.py", "--policies", str(min(policies, 64))]
-    found = {"unit": "updates/s", "ours": run()[0], "compile_s": took}
-    done = subprocess.run(
-        [peer_python, str(HERE / script[0]), *script[1:]], capture_output=True, text=True, check=False
-    )
+    return {"unit": "updates/s", "ours": run()[0], "compile_s": took} | beside("PyTorch, a loop", peer_python, *script)
+
+
+def beside(name: str, python: str, *script: str) -> dict[str, Any]:
+    """The peer's rate, the first number of the last line that its script prints; or why there is none."""
+    done = subprocess.run([python, str(HERE / script[0]), *script[1:]], capture_output=True, text=True, check=False)
     if done.returncode:
-        return found | {"note": f"no peer: {done.stderr.strip().splitlines()[-1][:80]}"}
-    return found | {"peer": float(done.stdout.split()[0]), "peer_name": "PyTorch, a loop"}
+        return {"note": f"no peer ({name}): {(done.stderr.strip().splitlines() or ['?'])[-1][:80]}"}
+    return {"peer": float(done.stdout.strip().splitlines()[-1].split()[0]), "peer_name": name}
 
 
 def _bdq(policies: int, batch: int):
@@ -128,7 +134,7 @@ def engines(task: str, engine: str, peer_python: str) -> dict[str, Any]:
     """Trials a second of an engine, beside Drake on 4 of the same trials."""
     import numpy as np
 
-    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax import BadInput
 
     if task == "pushing":
         from adaptsim_jax.tasks.pushing import model
@@ -154,6 +160,23 @@ def engines(task: str, engine: str, peer_python: str) -> dict[str, Any]:
     except BadInput as error:
         return found | {"note": f"no peer: {str(error)[:80]}"}
     return found | {"peer": 4 / (time.perf_counter() - begin), "peer_name": "Drake"}
+
+
+def diagnosis(peer_python: str) -> dict[str, Any]:
+    """Diagnoses a minute of 4 trials of 3 s of a hinge with dry friction, beside MuJoCo's fits of its mass and damping."""
+    sys.path.insert(0, str(HERE.parent))
+    from adaptsim_jax.attribution.diagnose import diagnose
+    from tests.attribution.pendulum import record
+
+    with tempfile.TemporaryDirectory() as folder:
+        record(Path(folder), 0.1, trials=4, seconds=3.0)
+        begin = time.perf_counter()
+        diagnose(folder, out=None)
+        again = time.perf_counter()
+        diagnose(folder, out=None)
+        wall = time.perf_counter() - again
+        found = {"unit": "a minute", "ours": 60 / wall, "compile_s": again - begin - wall}
+        return found | beside("mujoco.sysid, fits", peer_python, "mujoco_sysid.py", folder)
 
 
 # ---------------------------------------------------------------- the table
@@ -193,7 +216,7 @@ def markdown(table: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench"))
-    parser.add_argument("--only", nargs="+", choices=["learners", "phase1", "engines"])
+    parser.add_argument("--only", nargs="+", choices=["learners", "phase1", "engines", "diagnose"])
     parser.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="seconds in all (600)")
     parser.add_argument("--peer-python", default=sys.executable)
     parser.add_argument("--row", help=argparse.SUPPRESS)

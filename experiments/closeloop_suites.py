@@ -33,7 +33,7 @@ _diagnosed = itertools.count()
 
 def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tuple[dict, float]:
     """The report of one folder (without its follow-up) and the seconds it took; a crash is a report, verdict `error`."""
-    from adaptsim_jax.commands.diagnose import diagnose
+    from adaptsim_jax import diagnose
 
     options: dict = {"follow_up": False} | ({"exclude": exclude} if exclude else {})
     if variant == "irrelevant":

@@ -17,10 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.commands.diagnose import diagnose
+from adaptsim_jax import diagnose
 from adaptsim_jax.commands.task_reward import REWARD_GAIN, Trained, trained_policy
 from adaptsim_jax.mechanisms.double_pendulum.linear import SAMPLES
-from adaptsim_jax.mechanisms.model_file import ModelFile, Value, read_model
+from adaptsim_jax.mechanisms.model_file import Value
+from adaptsim_jax.sysid import ModelFile, read_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import DT, ROWS
 from tests.generators import effects as hidden_effects
 from tests.generators import forces

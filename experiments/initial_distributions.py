@@ -8,13 +8,13 @@ python experiments/initial_distributions.py
 import numpy as np
 from page import parser, rows_table, scored_row, train_config, write_page
 
+from adaptsim_jax import make_task
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
 from adaptsim_jax.baselines.compare import find_bounds
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
-from adaptsim_jax.tasks.registry import make_task
 
 MOST, ITERATIONS = 4, 10
 

@@ -24,8 +24,7 @@ from adaptsim_jax.attribution.diagnose import HORIZON, diagnose, examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.pendulum import DECLARED, declared_machine, in_the_plane
 from adaptsim_jax.attribution.replay import Replay, replay
-from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.io.recording import read_recording
+from adaptsim_jax.sysid import catalogue, read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
 from adaptsim_jax.sysid.quality.audit import audit, usable

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.space import gaussian
+from adaptsim_jax import gaussian
 from adaptsim_jax.tasks.pushing import model, planar
 from adaptsim_jax.tasks.pushing.task import PushingConfig, draw_goal, make_policy, make_pushing, push_reward
 

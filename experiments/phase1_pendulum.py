@@ -14,14 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.phase1 import Archive, make_phase1
+from adaptsim_jax import TrainConfig, make_phase1, make_task
+from adaptsim_jax.adaptation.phase1 import Archive
 from adaptsim_jax.adaptation.presets import PRESETS
 from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many
-from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.core.progress import progress
-from adaptsim_jax.tasks.registry import make_task
 
 STARTS, ITERATIONS = 2, 10
 

@@ -14,19 +14,19 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax import BadInput
 from adaptsim_jax.core import config, files
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.tasks.pushing import model_fit as pushing_fit
 from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
-from adaptsim_jax.tasks.pushing.engines.registry import NAMES, make_backend
+from adaptsim_jax.tasks.pushing.engines.registry import BACKENDS, make_backend
 from adaptsim_jax.tasks.pushing.model import PushOptions, check_options
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fit", choices=("native", "planar"), required=True, help="whose coefficients")
-    parser.add_argument("--against", choices=NAMES, default="drake", help="whose bottles are right (drake)")
+    parser.add_argument("--against", choices=BACKENDS, default="drake", help="whose bottles are right (drake)")
     parser.add_argument("--friction", choices=("clean", "coupled"), default="clean")
     parser.add_argument("--samples", type=int, default=200, help="random pushes (200)")
     parser.add_argument("--seed", type=int, default=11)

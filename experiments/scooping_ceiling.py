@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from adaptsim_jax.baselines.methods import default_comparison
+from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.tasks.one_shot import World, action_grid
-from adaptsim_jax.tasks.registry import make_one_shot
 from adaptsim_jax.tasks.scooping.one_shot import GRID
 from adaptsim_jax.tasks.scooping.task import SETTINGS
 from adaptsim_jax.tasks.scooping.trial import success, test_contexts

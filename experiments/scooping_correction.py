@@ -23,14 +23,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, Trials, lanes
 from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
 from adaptsim_jax.baselines.memory import Memory
-from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.core.files import output_folder, write_json
-from adaptsim_jax.tasks.registry import make_one_shot
 from adaptsim_jax.tasks.scooping.corrections import Doubt
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy

@@ -21,11 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
-from adaptsim_jax.adaptation.presets import default_config
+from adaptsim_jax import default_config, make_phase1, make_task
+from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import write_json
-from adaptsim_jax.tasks.registry import make_task
 
 WAYS = {"bank": ("bank", "bank"), "rehearsed": ("bank", "simulator"), "direct": ("simulator", "simulator")}
 DRAWS = 2000  # of the bootstrap

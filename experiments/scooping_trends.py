@@ -93,7 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=256, help="pairs for each trend (256)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--backend", default="hydro", choices=backends.NAMES)
+    parser.add_argument("--backend", default="hydro", choices=backends.BACKENDS)
     parser.add_argument("--shapes", nargs="+", default=["ellipsoid", "cylinder"], choices=model.SHAPES)
     parser.add_argument("--quantities", nargs="+", default=list(QUANTITIES), choices=QUANTITIES)
     parser.add_argument("--out", type=Path)

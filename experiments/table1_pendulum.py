@@ -7,8 +7,8 @@ python experiments/table1_pendulum.py --seeds 2 --trajectories 500 --simulations
 import numpy as np
 from page import parser, sysid_config, train_config, write_page
 
-from adaptsim_jax.baselines.compare import compare
-from adaptsim_jax.baselines.methods import CompareConfig
+from adaptsim_jax import compare
+from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
@@ -63,7 +63,9 @@ def failures(results) -> str:
     )
 
 
-VISITED = ("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state")
+VISITED = (
+    "adaptsim", "adaptsim_state", "adaptsim_analytic", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state",
+)  # fmt: skip
 
 if __name__ == "__main__":
     main()

@@ -20,17 +20,16 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.adaptation.presets import pushing_native
 from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.compare import stamped
 from adaptsim_jax.baselines.compare_learned import about, travelled, trip_rows
 from adaptsim_jax.baselines.learned import Bout, Trip
-from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import atomic_file, output_folder, without_nan
 from adaptsim_jax.report.comparison import table, write_comparison
 from adaptsim_jax.tasks.pushing.engines.served import served_seconds
-from adaptsim_jax.tasks.registry import make_one_shot
 
 METHODS = ("udr", "learn_in_target", "udr_target", "sysid_point", "adaptsim", "sysid_bayes", "bayesopt")
 

@@ -17,14 +17,16 @@ ROOMS = (
 )  # fmt: skip
 WITHIN = {
     "core": (
-        "errors", "given", "files", "progress", "config", "constants", "once", "trig", "parallel", "compile_cache",
-        "compile_flags", "memory", "kept_programs", "tree_store", "store",
+        "lazy", "errors", "given", "files", "lock", "progress", "config", "registry", "constants", "once", "trig", "parallel",
+        "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store", "store",
     ),
-    "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),
+    "effects": (
+        "base", "grids", "friction", "elastic", "disturbance", "inertia", "actuator", "sensor", "base_motion", "layout",
+        "registry",
+    ),
     "mechanisms": (
         "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write",
-        "plant", "double_pendulum",
-        "dry_friction", "stepping", "closed_loop", "model_file",
+        "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop", "model_file",
     ),
     "sysid": (
         "types", "criteria", "quality", "io", "noise", "segments", "forward", "dictionary", "estimate", "score", "nuisance",

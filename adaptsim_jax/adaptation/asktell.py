@@ -44,11 +44,15 @@ class TellInfo(NamedTuple):
 
 
 class AskTell(NamedTuple):
-    """`init(key, starts) -> state`; `tell(state, trajectory) -> (state, info)`; `trials(state) -> int`."""
+    """`init(key, starts) -> state`; `tell(state, trajectory) -> (state, info)`; `trials(state) -> int`.
+
+    `skip(state) -> state`: the robot cannot run this policy, so its start is given up and the next one is asked for.
+    """
 
     init: Callable[[jax.Array, Archive], AskState]
     tell: Callable[[AskState, Any], tuple[AskState, TellInfo]]
     trials: Callable[[AskState], int]
+    skip: Callable[[AskState], AskState]
 
 
 def make_ask_tell(
@@ -79,6 +83,12 @@ def make_ask_tell(
         policy = train(jax.random.fold_in(state.key, told), mean, policy)
         return AskState(state.key, told, mean, policy, state.starts, *best), TellInfo(score, action, better)
 
+    def skip(state):
+        told = (int(state.told) // (iterations + 1) + 1) * (iterations + 1)
+        mean, policy = _next(state, None, told)
+        policy = train(jax.random.fold_in(state.key, told), mean, policy)
+        return state._replace(told=jnp.asarray(told, jnp.int32), mean=mean, policy=policy)
+
     def _next(state, action, told):
         start, iteration = divmod(told, iterations + 1)
         if iteration == 0:  # the next start, or the last one again once all is told
@@ -90,4 +100,4 @@ def make_ask_tell(
     def trials(state):
         return state.starts.mean.shape[0] * (iterations + 1)
 
-    return AskTell(init, tell, trials)
+    return AskTell(init, tell, trials, skip)

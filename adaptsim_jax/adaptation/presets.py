@@ -8,6 +8,7 @@ from adaptsim_jax.adaptation.reuse import ReuseConfig
 from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.learners.bdq import BDQHyper
+from adaptsim_jax.tasks.registry import TASKS
 
 
 def paper_pendulum() -> TrainConfig:
@@ -77,8 +78,10 @@ def scooping() -> TrainConfig:
 
 def default_config(task: str) -> TrainConfig:
     """What `adaptsim train TASK` starts from."""
-    made = {"pushing": pushing_sweep, "scooping": scooping}.get(task, TrainConfig)
-    return made()
+    made = {"pushing": pushing_sweep, "scooping": scooping}.get(task)
+    if made is not None or task not in TASKS:
+        return (made or TrainConfig)()
+    return configs.from_table(TrainConfig, dict(TASKS[task].train), f"task {task}, train")
 
 
 def pushing_sweep() -> TrainConfig:

@@ -6,7 +6,7 @@ be made by an actuator's own law from a command.
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects import force, grids
+from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
 from adaptsim_jax.effects.actuator import actuator_lag, delay
 from adaptsim_jax.effects.base import Dry, Effect, Parameter
 from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
@@ -124,7 +124,7 @@ MACHINE: tuple[Effect, ...] = (
         ("coulomb", "stribeck", "torque_gain"), formula="-share |torque| sign(v), beside what is there without load",
     ),
     Effect(
-        "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.0, sign=1),), force.quadratic_drag,
+        "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.0, sign=1),), friction.quadratic_drag,
         "air drag or turbulent oil: torque with the square of speed", "a wide range of speeds", ("viscous", "coulomb"),
         formula="-drag v |v|",
     ),
@@ -135,7 +135,7 @@ MACHINE: tuple[Effect, ...] = (
         ("bias", "position_gain", "encoder_offset"), contains=("bias",), formula="preload - stiffness q",
     ),
     Effect(
-        "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0),), force.bias,
+        "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0),), disturbance.bias,
         "a constant torque: the torque sensor's zero, a cable's pull", "a wide range of angles",
         ("encoder_offset", "tilt", "spring", "asymmetric_coulomb"), formula="torque",
     ),
@@ -152,11 +152,11 @@ MACHINE: tuple[Effect, ...] = (
          Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True), Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True),
          Parameter("damping", "s", 0.0, 0.5, 0.0, None, held=True, optional=True),
          Parameter("exponent", "1", 0.7, 2.5, 1.0, None, held=True, optional=True)),
-        force.hard_stop, "an end stop beyond an angle", "motion into the stop, and well inside it", ("spring",),
+        elastic.hard_stop, "an end stop beyond an angle", "motion into the stop, and well inside it", ("spring",),
         grid=grids.stops, formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
     ),
     Effect(
-        "armature", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),), force.rotor_inertia,
+        "armature", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),), inertia.rotor_inertia,
         "the rotor's inertia times the gear ratio squared, felt at its own joint", "fast motion", ("torque_gain", "inertia"),
         inertia=True, formula="-inertia dv/dt",
     ),

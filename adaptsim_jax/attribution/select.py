@@ -246,18 +246,12 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     hopeful = [
         s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()
     ]
-    tries = []
+    best = None
     for score in hopeful[: criteria.tried]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
-        vector, starts, _ = attempted(problem, base, reach, score)
-        tries.append(
-            (refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.glance, base.fit.weights), score)
-        )
-    tries.sort(key=lambda t: t[0].total)
-    best = None
-    for glance, score in tries[: criteria.fitted]:
         weights = base.fit.weights
-        whole = refit(problem, base.fit, glance.vector, glance.starts, score.candidate.joints, criteria.rounds, weights)
+        vector, starts, _ = attempted(problem, base, reach, score)
+        whole = refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights)
         model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         good = test.gain > criteria.size and test.better > 0.5 * test.folds

@@ -12,8 +12,10 @@ import numpy as np
 from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
 from adaptsim_jax.baselines.compare_learned import compare_learned
-from adaptsim_jax.baselines.methods import METHODS, VISITING, CompareConfig, Run, Visits
-from adaptsim_jax.baselines.problem import Problem, costs, discrepancy, pendulum_problem
+from adaptsim_jax.baselines.config import CompareConfig
+from adaptsim_jax.baselines.methods import Run, Visits
+from adaptsim_jax.baselines.problem import Problem, costs, discrepancy
+from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
 from adaptsim_jax.baselines.summary import normalised, physical, row
 from adaptsim_jax.baselines.udr import Udr, udr
 from adaptsim_jax.core import config as configs
@@ -22,7 +24,6 @@ from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.registry import make_one_shot, make_task
 
 SCHEMA = 1
-PROBLEMS: dict[str, Callable[..., Problem]] = {"pendulum": pendulum_problem}
 
 
 class Bounds(NamedTuple):
@@ -65,9 +66,9 @@ def compare(
             progress(1 + i + done / max(of, 1), total, f"{method} {note}".strip())
 
         report(0, 1)
-        if method in VISITING:
+        if method in EXACT:
             run = Run(task, config.train.task, config, problem, targets, seeds, report)
-            rows += visiting_rows(method, names, problem, targets, bounds, VISITING[method](run))
+            rows += visiting_rows(method, names, problem, targets, bounds, EXACT[method](run))
         else:
             rows += bound_rows(method, names, bounds, config.seeds)
         report(1, 1)
@@ -77,10 +78,10 @@ def compare(
 def _exact_methods(task: str, config: CompareConfig) -> list[str]:
     if config.target or config.target_options:
         raise BadInput(f"compare: targets of task '{task}' are always its own model; leave target out")
-    methods = [m.replace("-", "_") for m in config.methods] or list(METHODS)
+    methods = [m.replace("-", "_") for m in config.methods] or list(exact_methods())
     for method in methods:
-        if method not in METHODS:
-            raise BadInput(f"compare: method '{method}' is not for {task}; there is: {', '.join(METHODS)}")
+        if method not in exact_methods():
+            raise BadInput(f"compare: method '{method}' is not for {task}; there is: {', '.join(exact_methods())}")
     return methods
 
 

@@ -10,24 +10,13 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.baselines.arena import Arena
-from adaptsim_jax.baselines.bayesopt import bayesopt
-from adaptsim_jax.baselines.direct import learn_in_target, udr, udr_target
-from adaptsim_jax.baselines.learned import Bout, Trip, adaptsim, sysid_bayes, sysid_point
-from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig
+from adaptsim_jax.baselines.config import CompareConfig
+from adaptsim_jax.baselines.learned import Bout, Trip
+from adaptsim_jax.baselines.registry import LEARNED, ORACLE, learned_methods
 from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, World
-
-RUNS: dict[str, Callable[[Bout], Trip]] = {
-    "adaptsim": adaptsim,
-    "sysid_bayes": sysid_bayes,
-    "sysid_point": sysid_point,
-    "bayesopt": bayesopt,
-    "udr": udr,
-    "udr_target": udr_target,
-    "learn_in_target": learn_in_target,
-}
 
 
 def compare_learned(
@@ -36,12 +25,12 @@ def compare_learned(
     """Rows of `config.methods` (all) in the settings `names`, and what else results.json says of them."""
     targets = np.array([one.task.space.values(one.task.settings[name], name) for name in names])
     world = one.world(config.target or one.engine, **config.target_options)
-    methods = [m.replace("-", "_") for m in config.methods] or list(LEARNED_METHODS)
+    methods = [m.replace("-", "_") for m in config.methods] or list(learned_methods())
     for method in methods:
-        if method not in LEARNED_METHODS:
+        if method not in learned_methods():
             raise BadInput(
                 f"compare: method '{method}' needs a task that is solved exactly; for {one.task.name} there is: "
-                f"{', '.join(LEARNED_METHODS)}"
+                f"{', '.join(learned_methods())}"
             )
     progress(0, len(methods) + 1, "oracle")
     oracle = np.array([np.mean(one.oracle(world, target)) for target in targets])
@@ -52,7 +41,7 @@ def compare_learned(
             progress(1 + i + done / max(of, 1), len(methods) + 1, f"{method} {note}".strip())
 
         report(0, 1)
-        if method == "oracle":
+        if method == ORACLE:
             curves = np.broadcast_to(oracle[:, None, None], (len(names), config.seeds, 1))
             rows += [
                 row(method, n, c, oracle=o, target_trials=None) for n, c, o in zip(names, curves, oracle, strict=True)
@@ -67,7 +56,7 @@ def compare_learned(
 
 def travelled(method: str, bout: Bout) -> Trip:
     """What `method` did, with what its policies earned in the fresh contexts."""
-    trip, fresh = RUNS[method](bout), bout.arena.fresh
+    trip, fresh = LEARNED[method](bout), bout.arena.fresh
     return trip._replace(fresh=np.stack(fresh, -1).reshape(trip.rewards.shape)) if fresh else trip
 
 

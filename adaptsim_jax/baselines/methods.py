@@ -1,74 +1,26 @@
-"""The methods of the comparison: each returns the means of E that it visited in every target, for every seed."""
+"""The baselines of tasks whose policy is solved exactly.
+
+Each returns the means of E that it visited in every target, for every seed.
+"""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.presets import default_config
-from adaptsim_jax.adaptation.training import TrainConfig
-from adaptsim_jax.baselines import gradient, mdn
+from adaptsim_jax.adaptation.analytic import AnalyticConfig, make_analytic
+from adaptsim_jax.baselines import gradient
 from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
-from adaptsim_jax.baselines.bayesopt import BayesOptConfig
-from adaptsim_jax.baselines.direct import DirectConfig
+from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.problem import Problem
-from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
-from adaptsim_jax.core import config as configs
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
-
-
-@dataclass(frozen=True)
-class CompareConfig:
-    """What `adaptsim compare` runs. `methods`, `settings`: empty means all.
-
-    starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
-    visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
-    For tasks whose policies are learned: target: the engine that targets run in (empty: the task's own simulator), with
-    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt.
-    """
-
-    methods: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
-    seeds: int = 20
-    seed: int = 0
-    iterations: int = 10
-    starts: int = 2
-    train: TrainConfig = field(default_factory=TrainConfig)
-    sysid: SysIdConfig = field(default_factory=SysIdConfig)
-    target: str = ""
-    target_options: dict[str, Any] = field(default_factory=dict)
-    direct: DirectConfig = field(default_factory=DirectConfig)
-    bayesopt: BayesOptConfig = field(default_factory=BayesOptConfig)
-
-    def __post_init__(self):
-        for name in ("seeds", "iterations", "starts"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
-        for method in self.methods:
-            configs.pick("method", method, (*METHODS, *LEARNED_METHODS))
-
-
-def default_comparison(task: str) -> CompareConfig:
-    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have, and for AdaptSim's row
-    what `adaptsim train` would take. What is deployed in the push and in scooping is corrected by the target's own trials, of SysID
-    and BayesOpt likewise."""
-    train = default_config(task)
-    plain = CompareConfig(train=train, iterations=train.phase1.horizon)
-    return plain if task == "pendulum" else replace(plain, seeds=10, sysid=LEARNED_SYSID)
-
-
-# SysID where policies are learned: half the simulations and fits of the pendulum's, for a visit there costs a training
-LEARNED_SYSID = SysIdConfig(
-    simulations=1000, first_fit=mdn.FitConfig(updates=1000), next_fit=mdn.FitConfig(updates=300, rate=1e-3)
-)
 
 
 class Run(NamedTuple):
@@ -111,6 +63,34 @@ def adaptsim(run: Run, late: bool = False) -> Visits:
     return Visits(means[0], config.starts * (config.iterations + 1))
 
 
+def adaptsim_analytic(run: Run) -> Visits:
+    """AdaptSim with steps of any size, whose policy is trained by the gradient of the logarithm of the cost through simulated
+    adaptation; as many trajectories of it as Phase 1 has, as many target trials. Starts are drawn from Omega, as those in S_E are."""
+    config, made = run.config, make_task(run.task_name, run.task_options)
+    N, I, sizes = config.starts, config.iterations, config.train.phase1
+    analytic = make_analytic(
+        made,
+        lambda trajectory: jnp.log(trajectory.cost),
+        AnalyticConfig(
+            sizes.trajectories, sizes.parallel, sizes.horizon, sizes.hidden, inside=config.train.hyper.inside
+        ),
+    )
+    targets = jnp.asarray(run.targets, jnp.float32)
+
+    @jax.jit
+    def one(seed):
+        key = jax.random.key(seed)
+        state, _ = analytic.run(analytic.init(key), jnp.arange(analytic.config.updates))
+        starts = made.space.sample(jax.random.fold_in(key, 1), (N,))
+        return jax.vmap(lambda target: analytic.adapt(state.weights, starts, target, I))(targets)
+
+    means = []
+    for i, seed in enumerate(run.seeds):
+        means.append(np.asarray(one(seed)))
+        run.report(i + 1, len(run.seeds))
+    return Visits(np.stack(means, 1), N * (I + 1))
+
+
 def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
     """One SysID baseline; the observation is the plain one of the paper, standardised by the baseline itself."""
     options = {k: v for k, v in run.task_options.items() if k in run.problem.space.names}
@@ -140,26 +120,21 @@ def descend(run: Run) -> Visits:
     return Visits(means, N * (run.config.iterations + 1))
 
 
-# Visiting methods; the bounds `udr` and `best_in_omega` are computed for every comparison anyway.
-VISITING: dict[str, Callable[[Run], Visits]] = {
-    "adaptsim": adaptsim,
-    "adaptsim_state": lambda run: adaptsim(run, late=True),
-    "sysid_bayes": lambda run: sysid(run, make_sysid_bayes),
-    "sysid_bayes_state": lambda run: sysid(run, make_sysid_bayes, late=True),
-    "sysid_point": lambda run: sysid(run, make_sysid_point),
-    "sysid_point_state": lambda run: sysid(run, make_sysid_point, late=True),
-    "gradient": descend,
-}
-BOUNDS = ("udr", "best_in_omega")
-METHODS = (*VISITING, *BOUNDS)
-# For tasks whose policies are learned, see `compare_learned`.
-LEARNED_METHODS = (
-    "adaptsim",
-    "sysid_bayes",
-    "sysid_point",
-    "bayesopt",
-    "udr",
-    "udr_target",
-    "learn_in_target",
-    "oracle",
-)
+def adaptsim_state(run: Run) -> Visits:
+    return adaptsim(run, late=True)
+
+
+def sysid_bayes(run: Run) -> Visits:
+    return sysid(run, make_sysid_bayes)
+
+
+def sysid_bayes_state(run: Run) -> Visits:
+    return sysid(run, make_sysid_bayes, late=True)
+
+
+def sysid_point(run: Run) -> Visits:
+    return sysid(run, make_sysid_point)
+
+
+def sysid_point_state(run: Run) -> Visits:
+    return sysid(run, make_sysid_point, late=True)

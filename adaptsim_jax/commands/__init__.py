@@ -16,4 +16,3 @@ SUMMARIES = {
     "completion": "completion of commands and options for bash, zsh or fish",
     "doctor": "versions, devices, backends that work here, compile-cache folder",
 }
-TASKS = ("pendulum", "pushing", "scooping")  # of `tasks.registry`, which loads JAX

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.commands import TASKS
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import MAX_SEED
+from adaptsim_jax.tasks.registry import TASKS
 
 
 def check_task(task: str) -> str:

@@ -15,8 +15,9 @@ EXAMPLES = """
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 """
 METHODS = (
-    "pendulum: adaptsim, adaptsim-state, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, gradient, udr, "
-    "best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle"
+    "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, "
+    "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, "
+    "learn-in-target, oracle"
 )
 ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
 
@@ -81,7 +82,7 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
 def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
     from adaptsim_jax.adaptation.phase1 import make_phase1
-    from adaptsim_jax.baselines.methods import CompareConfig, default_comparison
+    from adaptsim_jax.baselines.config import CompareConfig, default_comparison
     from adaptsim_jax.core import config
     from adaptsim_jax.tasks.registry import make_task
 

@@ -20,7 +20,8 @@ from adaptsim_jax.adaptation.phase2 import Phase2Result
 from adaptsim_jax.adaptation.presets import default_config
 from adaptsim_jax.adaptation.training import TrainConfig, Trained, adapt_run, train_run
 from adaptsim_jax.baselines.compare import compare, find_bounds, visiting_rows
-from adaptsim_jax.baselines.methods import CompareConfig, Visits, default_comparison
+from adaptsim_jax.baselines.config import CompareConfig, default_comparison
+from adaptsim_jax.baselines.methods import Visits
 from adaptsim_jax.baselines.problem import pendulum_problem
 from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
 from adaptsim_jax.baselines.sysid import SysIdConfig

@@ -44,6 +44,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
     )
     parser.add_argument(
+        "--as-declared",
+        action="store_true",
+        help="take columns and lengths as declared, though the motion contradicts them",
+    )
+    parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects pendulum` lists them all",
     )  # fmt: skip
@@ -63,7 +68,13 @@ def run(args: argparse.Namespace) -> int:
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
         result = diagnose(
-            recording, out=out, seed=args.seed, exclude=args.exclude, strict=args.strict, progress=paced(report)
+            recording,
+            out=out,
+            seed=args.seed,
+            exclude=args.exclude,
+            progress=paced(report),
+            as_declared=args.as_declared,
+            strict=args.strict,
         )
     return say(args, result, out)
 

@@ -59,7 +59,9 @@ def read(session: Session, state: Any, path: Path) -> Any:
     from adaptsim_jax.tasks.pendulum import measured
 
     table = read_table(path, measured.COLUMNS)
-    return measured.measured_trajectory(table.columns, str(path), session.options.get("observation", "full"))
+    return measured.measured_trajectory(
+        table.columns, str(path), session.options.get("observation", "full"), lines=table.lines, row_word=table.row_word
+    )
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
@@ -76,4 +78,4 @@ def _digits(value: Any) -> str:
     return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
 
 
-PART = RobotPart(TURN, opened, policy_file, show, read, remember, told)
+PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, again=False)

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-# the module of `adaptsim_jax.commands` that speaks for a task: with an `AdaptPart` PART, and with a `RobotPart` PART
-ADAPT = {"pushing": "adapt_pushing", "scooping": "adapt_scooping"}
-ROBOT = {"pendulum": "robot_pendulum", "pushing": "robot_pushing", "scooping": "robot_scooping"}
+from adaptsim_jax.core.registry import Registry
+
+HERE = "adaptsim_jax.commands"
+ADAPT: Registry[AdaptPart] = Registry(
+    "adapt_parts", {"pushing": f"{HERE}.adapt_pushing:PART", "scooping": f"{HERE}.adapt_scooping:PART"}
+)
+ROBOT: Registry[RobotPart] = Registry(
+    "robot_parts",
+    {
+        "pendulum": f"{HERE}.robot_pendulum:PART",
+        "pushing": f"{HERE}.robot_pushing:PART",
+        "scooping": f"{HERE}.robot_scooping:PART",
+    },
+)
 
 
 def _adapted(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
@@ -37,7 +47,8 @@ class RobotPart:
     """Of `robot`. turn: what one ask and tell is called. `history`: of the turns told so far, as `remember` made them.
 
     deployed: the policy as it is deployed now, mended by what was told; tried: as the coming turn makes its trials with it.
-    Both are the policy itself by default.
+    Both are the policy itself by default. again: a turn that the robot could not finish is asked again; else its start is given up,
+    since the policy asked of it would fail again.
     """
 
     turn: str
@@ -49,17 +60,14 @@ class RobotPart:
     told: Callable[[Any, Any, Any, Any, bool], None]  # (session, state as tried, state after, trajectory, done)
     deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
     tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
+    again: bool = True
 
 
 def adapt_part(task: str) -> AdaptPart:
     """What `adapt` knows of the task called `task`."""
-    return _module(ADAPT[task]).PART if task in ADAPT else AdaptPart()
+    return ADAPT[task] if task in ADAPT else AdaptPart()
 
 
 def robot_part(task: str) -> RobotPart:
     """What `robot` knows of the task called `task`, one of `ROBOT`."""
-    return _module(ROBOT[task]).PART
-
-
-def _module(name: str) -> Any:
-    return importlib.import_module(f"adaptsim_jax.commands.{name}")
+    return ROBOT[task]

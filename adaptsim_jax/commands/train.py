@@ -40,6 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Phase 1 into a run folder."""
     from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax.core.lock import one_writer
 
     check_task(args.task)
     from adaptsim_jax.adaptation.training import train_run
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 
     args.resume_hint = f"continue with: adaptsim train {args.task} --run {shlex.quote(args.folder)} --resume"
     folder = _folder(args)
-    with progress(f"train {args.task}") as report:
+    with one_writer(folder.path), progress(f"train {args.task}") as report:
         trained = train_run(config_of(folder.config, args), folder, report)
     settings = list(trained.phase1.task.settings)
     target = "ood-1" if "ood-1" in settings else settings[0]

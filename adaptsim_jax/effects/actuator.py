@@ -106,40 +106,42 @@ BEFORE = Parameter(
 )
 """No log says what was commanded before it began."""
 
-COMMAND = (
-    Effect(
-        "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
-        "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
-        jump=True, grid=_delays,
-        formula="command(t - delay)",
-    ),
-    Effect(
-        "saturation", "command", (
-            Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
-            Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest command recorded; not fitted"),
-            Parameter("softness", "1", 0.0, 0.7, 0.0, None, optional=True, meaning="of the knee; 0 is sharp", late=True),
-        ), saturation,
-        "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
-        ("torque_gain",), smooth=False, jump=True, grid=_cuts,
-        formula="command within +-(1 - cut) peak, the knee round where there is softness",
-    ),
-    Effect(
-        "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
-        "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
-        ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
-        formula="command less width, zero within +-width",
-    ),
-    Effect(
-        "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
-        "the torque constant is off by a share", "driven motion beside free swings",
-        ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
-        amiss=_no_gain,
-        formula="(1 + gain) command",
-    ),
-    Effect(
-        "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
-        "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
-        jump=True, grid=_lags,
-        formula="lag torque' = command - torque",
-    ),
+DELAY = Effect(
+    "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
+    "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
+    jump=True, grid=_delays,
+    formula="command(t - delay)",
+)  # fmt: skip
+
+SATURATION = Effect(
+    "saturation", "command", (
+        Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
+        Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest command recorded; not fitted"),
+        Parameter("softness", "1", 0.0, 0.7, 0.0, None, optional=True, meaning="of the knee; 0 is sharp", late=True),
+    ), saturation,
+    "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
+    ("torque_gain",), smooth=False, jump=True, grid=_cuts,
+    formula="command within +-(1 - cut) peak, the knee round where there is softness",
+)  # fmt: skip
+
+DEAD_ZONE = Effect(
+    "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
+    "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
+    ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
+    formula="command less width, zero within +-width",
+)  # fmt: skip
+
+TORQUE_GAIN = Effect(
+    "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
+    "the torque constant is off by a share", "driven motion beside free swings",
+    ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
+    amiss=_no_gain,
+    formula="(1 + gain) command",
+)  # fmt: skip
+
+ACTUATOR_LAG = Effect(
+    "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
+    "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
+    jump=True, grid=_lags,
+    formula="lag torque' = command - torque",
 )  # fmt: skip

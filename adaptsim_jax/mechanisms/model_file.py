@@ -26,8 +26,8 @@ from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.effects.base import Effect, Parameter, Sharp
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue, effect_named
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
 from adaptsim_jax.mechanisms.plant import Plant
+from adaptsim_jax.mechanisms.registry import make_plant
 
 SCHEMA = 1
 KEYS = (
@@ -96,7 +96,7 @@ class ModelFile:
 
     def plant(self) -> Plant:
         """The declared model without its effects."""
-        return make_pendulum_plant(self.model, self.angle_zero, self.geometry, self.known)
+        return make_plant(self.model, self.angle_zero, self.geometry, self.known)
 
     def theta(self, plant: Plant) -> np.ndarray:
         """Declared parameters `[P]` in the plant's order."""
@@ -135,7 +135,7 @@ def model_of(table: Mapping[str, Any], where: str, effects: Sequence[Effect] | N
         raise BadInput(f"{where}: task = {task!r} has no models to mend in this version; known: pendulum")
     geometry, known = _numbers(where, table, "geometry"), _numbers(where, table, "known")
     try:
-        plant = make_pendulum_plant(model, _text(where, table, "angle_zero"), geometry, known)
+        plant = make_plant(model, _text(where, table, "angle_zero"), geometry, known)
     except BadInput as error:
         raise BadInput(f"{where}: {str(error).removeprefix('meta.toml: ')}") from None
     names, covariance = _covariance(where, _table(where, table, "covariance"))

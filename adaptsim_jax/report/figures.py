@@ -13,6 +13,7 @@ from adaptsim_jax.core.files import write_bytes
 COLOURS = {
     "adaptsim": "#0072B2",
     "adaptsim_state": "#56B4E9",
+    "adaptsim_analytic": "#332288",
     "sysid_bayes": "#D55E00",
     "sysid_bayes_state": "#E69F00",
     "sysid_point": "#009E73",
@@ -28,6 +29,7 @@ COLOURS = {
 LABELS = {
     "adaptsim": "AdaptSim",
     "adaptsim_state": "AdaptSim-State",
+    "adaptsim_analytic": "AdaptSim, analytic gradient",
     "sysid_bayes": "SysID-Bayes",
     "sysid_bayes_state": "SysID-Bayes-State",
     "sysid_point": "SysID-Point",

@@ -3,7 +3,7 @@
 import shlex
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import timed
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, told
 from adaptsim_jax.sysid.quality.audit import Audit, audit, usable
+from adaptsim_jax.sysid.quality.pendulum_design import check_conventions
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.sysid.report.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.sysid.report.schema import check, new_report
@@ -81,13 +82,15 @@ def diagnose(
     follow_up: bool = True,
     reward: Reward | None = None,
     page: Page | None = None,
+    as_declared: bool = False,
 ) -> dict[str, Any]:
     """Diagnose a folder of measured data; returns the report and, with `out`, writes it with its model and next experiment.
 
     effects: the catalogue to use (the task's own where None); exclude: names left out of it; irrelevant: so many useless
     candidates are added, for tests. reward: what a named model is worth to a task, `(problem, found) -> {...} or None`; page:
     writes the report into the folder in the place of a plain `report.json`, `(folder, report, evidence)`. `commands.diagnose`
-    gives both. Raises BadInput where the data cannot be read.
+    gives both. as_declared: conventions that the motion contradicts are taken all the same. Raises BadInput where the data cannot
+    be read, or contradict what is declared of their columns.
     """
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
@@ -102,6 +105,7 @@ def diagnose(
         return finish(report, {"audit": findings(checked)}, out, recording, run, began, None, page)
     chosen = tuple(e for e in known if e.name not in exclude) + useless(irrelevant)
     recording = usable(recording, checked)
+    checked = checked if as_declared else replace(checked, findings=checked.findings + check_conventions(recording))
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Criteria(), seed, say)
     if follow_up:

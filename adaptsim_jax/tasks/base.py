@@ -1,7 +1,7 @@
 """What Phase 1, Phase 2 and the baselines know of a task: a frozen record of pure functions."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from adaptsim_jax.space import Gaussian, Space
@@ -52,3 +52,23 @@ class Task:
     rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
     # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`; None where there is none
     pretrain: Callable[[Array], Policy] | None = None
+
+
+@dataclass(frozen=True)
+class TaskKind:
+    """A task as the registry holds it (`tasks/registry.py`): how one is made of options, and what goes with it.
+
+    config: a frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`; BadInput says what an option
+    would lead to. one_shot: `(config) -> OneShot`, of tasks whose policies are learned: `adaptsim compare` needs it. train: what
+    `adaptsim train` starts from, a table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
+    model file that stands under the option `model`. backends: the engines that it runs in, by name; make_backend: one of them,
+    `(name, options, **settings) -> Backend` (`tasks/engine.py`).
+    """
+
+    config: type
+    make: Callable[[Any], Task]
+    one_shot: Callable[[Any], Any] | None = None
+    train: Mapping[str, Any] = field(default_factory=dict)
+    augmented: Callable[[dict[str, Any], str], Task] | None = None
+    backends: Mapping[str, Any] = field(default_factory=dict)
+    make_backend: Callable[..., Any] | None = None

@@ -22,6 +22,21 @@ class Trajectory(NamedTuple):
     code: Array
 
 
+class EngineKind(NamedTuple):
+    """An engine as a registry of backends holds it: `make(options, *settings) -> simulate`, of `Backend`.
+
+    options: the task's own (`PushOptions`, `ScoopOptions`; of the pendulum its step [s]). settings: a NamedTuple of what is the
+    engine's alone, with defaults. `make` raises BadInput where the engine is absent or cannot do the options.
+    """
+
+    settings: type
+    make: Callable[..., Callable[[Array, Array, Array], Trajectory]]
+
+
+class NoSettings(NamedTuple):
+    """Of an engine that has none of its own."""
+
+
 class Backend(NamedTuple):
     """`simulate(params [B, P], commands [B, T, U], initial [B, S]) -> Trajectory`, rows held for a step."""
 

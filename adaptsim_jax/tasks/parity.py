@@ -42,7 +42,7 @@ def pendulum_parity(samples: int, steps: int, seed: int, progress: Report = sile
     """
     inputs = pendulum_scene.draw(seed, samples, steps)
     rows, reference = [], None
-    order = (REFERENCE, *(name for name in pendulum.NAMES if name != REFERENCE))
+    order = (REFERENCE, *(name for name in pendulum.BACKENDS if name != REFERENCE))
     for done, name in enumerate(order):
         progress(done, len(order), name)
         try:

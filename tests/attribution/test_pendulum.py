@@ -31,10 +31,11 @@ def test_written_as_mjcf_it_has_the_same_base_parameters_and_gravity(tmp_path, z
     q = np.array([0.4, -1.1])
     with jax.enable_x64(True):
         geometry = Geometry(L1, angle_zero=zero)
-        for angle in (0.0, 0.2):  # a tilt of the base, as the pendulum's catalogue has it, is one about the world's y axis
+        # a tilt of the base, as the pendulum's catalogue has it, is one about the world's y axis
+        for angle in (0.0, 0.2):
             turned = tilted(np.asarray(tree.gravity), 0.0, angle)
             told = dynamics.gravity_force(tree, jnp.asarray(tree.inertial), jnp.asarray(q), jnp.asarray(turned))
-            right = base_gravity(jnp.asarray(THETA), geometry, jnp.asarray(q + [angle, 0.0]))
+            right = base_gravity(jnp.asarray(THETA), geometry, jnp.asarray([*q, angle, 0.0]))
             np.testing.assert_allclose(np.abs(told), np.abs(right), rtol=1e-6)
 
 

@@ -11,8 +11,9 @@ from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.compare import compare, stamped
+from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
-from adaptsim_jax.baselines.methods import METHODS, CompareConfig
+from adaptsim_jax.baselines.registry import exact_methods
 from adaptsim_jax.baselines.summary import bootstrap_interval, normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.errors import BadInput
@@ -139,7 +140,7 @@ def test_the_command_is_what_the_caller_says(monkeypatch):
 
 
 def test_every_method_is_reachable_by_name():
-    assert set(METHODS) == {
+    assert set(exact_methods()) == {
         *("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state"),
-        *("gradient", "udr", "best_in_omega"),
+        *("adaptsim_analytic", "gradient", "udr", "best_in_omega"),
     }

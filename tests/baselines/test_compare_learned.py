@@ -14,9 +14,10 @@ from adaptsim_jax.baselines.arena import Arena, lanes
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.compare import compare
 from adaptsim_jax.baselines.compare_learned import compare_learned, on_fresh
+from adaptsim_jax.baselines.config import CompareConfig, default_comparison
 from adaptsim_jax.baselines.direct import DirectConfig
 from adaptsim_jax.baselines.mdn import FitConfig
-from adaptsim_jax.baselines.methods import LEARNED_METHODS, CompareConfig, default_comparison
+from adaptsim_jax.baselines.registry import learned_methods
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.report.comparison import table, write_comparison
@@ -27,7 +28,9 @@ from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.task import PushingConfig
 from tests.baselines import one_shot_probe as probes
 
-METHODS = tuple(m for m in LEARNED_METHODS if m != "sysid_bayes")  # the same loop as SysID-Point with a dearer network
+METHODS = tuple(
+    m for m in learned_methods() if m != "sysid_bayes"
+)  # the same loop as SysID-Point with a dearer network
 TINY = CompareConfig(
     methods=METHODS,
     seeds=2,

@@ -8,8 +8,8 @@ import numpy as np
 
 from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig, bayesopt
+from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import Bout
-from adaptsim_jax.baselines.methods import default_comparison
 from adaptsim_jax.tasks.one_shot import World
 from adaptsim_jax.tasks.registry import make_one_shot
 

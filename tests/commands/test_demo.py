@@ -12,8 +12,8 @@ import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig, load_run
+from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
-from adaptsim_jax.baselines.methods import CompareConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.cli import main, parse
 from adaptsim_jax.commands import demo_tour as module

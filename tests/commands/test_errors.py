@@ -11,10 +11,9 @@ import pytest
 
 from adaptsim_jax import cli
 from adaptsim_jax.cli import main
-from adaptsim_jax.commands import TASKS
 from adaptsim_jax.commands.common import check_task
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks import registry
+from adaptsim_jax.tasks.registry import TASKS
 
 
 def refused(capsys, *arguments):
@@ -50,8 +49,7 @@ def test_words_that_are_not_known(capsys, arguments, says):
 
 
 def test_the_tasks_that_commands_know_are_those_that_there_are():
-    """Commands name them before they load JAX."""
-    assert set(TASKS) == set(registry.TASKS)
+    assert {"pendulum", "pushing", "scooping"} <= set(TASKS)
     for task in TASKS:
         assert check_task(task) == task
 

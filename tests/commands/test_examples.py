@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.adaptation.presets import PRESETS
-from adaptsim_jax.baselines.methods import LEARNED_METHODS, METHODS
+from adaptsim_jax.baselines.registry import exact_methods, learned_methods
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.tasks.pushing.engines import registry as pushing
@@ -110,8 +110,8 @@ def test_help_names_every_method_and_engine_of_each_task(help_of):
     """The lists stand in the command as text, because its module must not import JAX."""
     shown = help_of("compare")
     spelled = lambda names: ", ".join(name.replace("_", "-") for name in names)
-    assert f"pendulum: {spelled(METHODS)};" in shown
-    assert f"pushing and scooping: {spelled(LEARNED_METHODS)}" in shown
-    for task, engines in (("pushing", pushing.NAMES), ("scooping", scooping.NAMES)):
+    assert f"pendulum: {spelled(exact_methods())};" in shown
+    assert f"pushing and scooping: {spelled(learned_methods())}" in shown
+    for task, engines in (("pushing", pushing.BACKENDS), ("scooping", scooping.BACKENDS)):
         listed = re.search(rf"{task}: ([a-z, ]+ or [a-z]+)", shown)
         assert listed and set(re.split(", | or ", listed[1])) == set(engines)

@@ -18,7 +18,7 @@ from adaptsim_jax.adaptation import training
 from adaptsim_jax.adaptation.episode import Episode
 from adaptsim_jax.adaptation.phase2 import best_of
 from adaptsim_jax.cli import main
-from adaptsim_jax.commands import robot as command
+from adaptsim_jax.commands import robot_session as command
 from adaptsim_jax.core import files
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.report import push_video
@@ -84,8 +84,8 @@ def seen_by_hand(folder, record):
 
 def next_mean(folder, goals, points):
     """Unit mean `[4]` that the learned adaptation policy goes to after that, from the session's state on disk."""
-    session = command._open(folder)
-    state, _ = command._load(session)
+    session = command.open_session(folder)
+    state, _ = command.load(session)
     phase1 = session.trained.phase1
     seen = (np.concatenate([points, goals[:, None]], 1) - [0.85, 0.0]) / [0.15, 0.1]
     obs = np.concatenate([2 * state.mean - 1, seen.reshape(-1)])
@@ -165,7 +165,7 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
     # after as many iterations as were wanted, the other start has its turn
     assert robot("record", straight(folder, tmp_path / "second.csv", 0.3), "--dir", folder) == 0
     assert "next start: mu" in capsys.readouterr().out
-    state, history = command._load(command._open(folder))
+    state, history = command.load(command.open_session(folder))
     np.testing.assert_array_equal(state.mean, state.starts.mean[1])
     assert [push["trial"] for visit in history for push in visit["pushes"]] == [1, 2, 3, 4]
 

@@ -253,11 +253,11 @@ def test_a_session_keeps_the_policy_it_began_with(straight, tmp_path, capsys):
 
 def test_a_session_that_does_not_say_its_policy_goes_on(straight, tmp_path, monkeypatch):
     """As sessions were written before they kept it."""
-    from adaptsim_jax.commands import robot as command
+    from adaptsim_jax.commands import robot_session as command
 
     folder = tmp_path / "robot"
     with monkeypatch.context() as patch:
-        patch.setattr(command, "_identity", lambda run: None)  # TOML has no null: the key is left out
+        patch.setattr(command, "identity", lambda run: None)  # TOML has no null: the key is left out
         assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
     assert "trained" not in (folder / "robot.toml").read_text()
     assert robot("next", "--dir", folder) == 0

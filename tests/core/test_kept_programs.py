@@ -14,7 +14,7 @@ import pytest
 from adaptsim_jax.core import kept_programs
 from adaptsim_jax.core.kept_programs import Kept, kept, spelled, structure
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
+from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.mechanisms.stepping import Model, make_model, remember
 from adaptsim_jax.sysid.estimate import linearize  # noqa: F401  (says how a `Drive` is written)
 from adaptsim_jax.sysid.forward import Drive, mean_speed, timeless
@@ -40,7 +40,7 @@ def read_only(monkeypatch):
 
 def pendulum(*excluded: str, l1: float = 0.2) -> Model:
     effects = tuple(e for e in catalogue("pendulum") if e.name not in excluded)
-    return make_model(make_pendulum_plant("rigid_body", "hanging", {"l1": l1, "l2": 0.2}, {}), effects)
+    return make_model(make_plant("rigid_body", "hanging", {"l1": l1, "l2": 0.2}, {}), effects)
 
 
 def test_another_process_finds_the_trace(folder, read_only):

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum import rigid as pd
 from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
+from adaptsim_jax.mechanisms.registry import make_plant
 
 LINKS = dict(mass=(1.3, 0.7), length=(0.8, 0.5), com=(0.35, 0.3), inertia=(0.07, 0.02), damping=(0.15, 0.08))
 ROTORS = dict(rotor_inertia=(2e-4, 3e-4), gear=(6.0, -9.0))
@@ -192,7 +192,7 @@ def test_unphysical_input_is_refused_by_name(change, word):
 
 def test_regressed_inertias_that_no_bodies_have_are_raised():
     """Slow motions say little of inertias; what a regression makes of them must still be simulated."""
-    plant = make_pendulum_plant("rigid_body", "upright", {"l1": 0.309})
+    plant = make_plant("rigid_body", "upright", {"l1": 0.309})
     impossible = np.array([0.1706, 0.0341, 0.656, 0.240, 0.59, 0.025])  # det M < 0 at some angles
     q = jnp.stack([jnp.zeros(64), jnp.linspace(-np.pi, np.pi, 64)])
     smallest = lambda theta: float(jnp.linalg.eigvalsh(jnp.moveaxis(plant.mass_matrix(theta, q), -1, 0)).min())

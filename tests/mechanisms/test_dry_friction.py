@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
 from adaptsim_jax.mechanisms.dry_friction import mean_friction
+from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.mechanisms.stepping import Push, make_model, row_step
 
 INERTIA, LEVEL, STEP = 0.01, 0.1, 5e-3
@@ -82,7 +82,7 @@ def test_slopes_are_those_of_differences(argument):
 def _slide(substeps: int, x64: bool):
     """Both joints slide for 0.15 s, joint 2 with Stribeck's friction; the states after each row of 5 ms."""
     with jax.enable_x64(x64):
-        plant = make_pendulum_plant("rigid_body", "hanging", {"l1": 0.2, "l2": 0.2, "g": 9.81}, {})
+        plant = make_plant("rigid_body", "hanging", {"l1": 0.2, "l2": 0.2, "g": 9.81}, {})
         model = make_model(plant, tuple(e for e in catalogue() if e.name == "stribeck"))
         theta = jnp.array([0.08, 0.03, 0.27, 0.16, 0.001, 0.005])
         eff = np.array(model.layout.off())

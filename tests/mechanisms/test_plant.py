@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.once import once
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
+from adaptsim_jax.mechanisms.registry import make_plant
 
 THETA = {"rigid_body": [0.9, 0.21, 1.3, 0.4, 0.02, 0.03], "linearized": [1.1, 0.7, 0.3, 0.2]}
 
@@ -29,7 +29,7 @@ def solved(plant, theta, x, u, force, inertia):
 def case(request):
     """A plant and arguments of its `deriv` for five states at once."""
     rng = np.random.default_rng(7)
-    plant = make_pendulum_plant(request.param, "hanging", {"l1": 0.3})
+    plant = make_plant(request.param, "hanging", {"l1": 0.3})
     shapes = [(4, 5), (2, 5), (2, 5)]
     args = [THETA[request.param], *(rng.normal(size=s) for s in shapes), rng.uniform(0.0, 0.1, (2, 5))]
     return plant, args
@@ -73,7 +73,7 @@ def test_a_derivative_by_one_argument_alone_and_the_second_one(case, argument):
 
 def test_by_the_constants_of_the_plant():
     """Geometry is a leaf too: its derivative is the same."""
-    plant = make_pendulum_plant("rigid_body", "upright", {"l1": 0.3})
+    plant = make_plant("rigid_body", "upright", {"l1": 0.3})
     with jax.enable_x64(True):
         x, zero = jnp.array([0.3, -0.8, 1.0, 2.0]), jnp.zeros(2)
         theta = jnp.asarray(THETA["rigid_body"])

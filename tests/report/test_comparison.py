@@ -140,6 +140,10 @@ def test_sweep_figures_draw_what_they_are_given(results):
 
 
 def test_every_method_has_its_own_colour_and_name():
-    from adaptsim_jax.baselines.methods import METHODS as ALL
+    from adaptsim_jax.baselines.registry import exact_methods
 
-    assert len({look.colour(m) for m in ALL}) == len(ALL) == len({look.label(m) for m in ALL})
+    assert (
+        len({look.colour(m) for m in exact_methods()})
+        == len(exact_methods())
+        == len({look.label(m) for m in exact_methods()})
+    )

@@ -1,6 +1,6 @@
 """The declared double pendulum as the closed loop knows it: the paper's linear one, and the rigid body in base parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -102,54 +102,43 @@ def _linear_declared(c, theta, known):
     return {k: Physical(float(t), unit, True) for k, t, unit in zip(names, theta, units, strict=True)}
 
 
-def make_pendulum_plant(
-    model: str, angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float] | None = None
-) -> Plant:
-    """The declared pendulum: `linearized` (unit lengths, about upright; theta = m1, m2, b1, b2) or `rigid_body`
-    (theta = p1 = I1 + m1 lc1^2 + m2 l1^2 + p3, p3 = I2 + m2 lc2^2, h1 = m1 lc1 + m2 l1, h2 = m2 lc2, b1, b2).
+def linearized_pendulum(angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]) -> Plant:
+    """Links of unit length about upright; theta = m1, m2 [kg], b1, b2 [N m s/rad]. geometry: g [m/s^2]. A `known` name of theta is
+    held at its value."""
+    low, high = np.array([1e-3, 1e-3, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3])
+    names, units = ("m1", "m2", "b1", "b2"), ("kg", "kg", "N m s/rad", "N m s/rad")
+    hold(names, known, low, high)
+    constants = {"g": np.asarray(float(geometry.get("g", GRAVITY)))}
+    return Plant(
+        "pendulum/linearized", 2, 2, names, units, _linear_mass, _linear_push, _linear_gravity, _linear_push, _linear_declared,
+        constants, low, high, None,  # positive masses are enough
+    )  # fmt: skip
 
-    geometry: l1 [m] (needed by `rigid_body`), g [m/s^2]. A `known` name that is in theta is held at its value.
-    Raises BadInput on an unknown model or angle zero, or a missing length.
+
+def rigid_pendulum(angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]) -> Plant:
+    """Two rigid links; theta = p1 = I1 + m1 lc1^2 + m2 l1^2 + p3, p3 = I2 + m2 lc2^2 [kg m^2], h1 = m1 lc1 + m2 l1, h2 = m2 lc2
+    [kg m], b1, b2 [N m s/rad]. geometry: l1 [m], g [m/s^2]. A `known` name of theta is held at its value.
+
+    Raises BadInput on an unknown angle zero or a missing length.
     """
-    known = dict(known or {})
-    if model == "linearized":
-        names, units = ("m1", "m2", "b1", "b2"), ("kg", "kg", "N m s/rad", "N m s/rad")
-        low, high = np.array([1e-3, 1e-3, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3])
-        functions = (_linear_mass, _linear_push, _linear_gravity, _linear_push, _linear_declared)
-        sound = None  # positive masses are enough
-        constants = {"g": np.asarray(float(geometry.get("g", GRAVITY)))}
-    elif model == "rigid_body":
-        if angle_zero not in ("upright", "hanging"):
-            raise BadInput(f"meta.toml: angle_zero {angle_zero!r} is unknown; use 'upright' or 'hanging'")
-        if "l1" not in geometry:
-            raise BadInput("meta.toml: [geometry] lacks l1, the length of link 1; add it in metres")
-        names = ("p1", "p3", "h1", "h2", "b1", "b2")
-        units = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
-        low, high = np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3])
-        functions = (_rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push, _rigid_declared)
-        sound = _rigid_sound
-        sign = 1.0 if angle_zero == "hanging" else -1.0
-        constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
-        constants = {k: np.asarray(float(v)) for k, v in constants.items()}
-    else:
-        raise BadInput(f"meta.toml: model {model!r} is unknown; use 'linearized' or 'rigid_body'")
+    if angle_zero not in ("upright", "hanging"):
+        raise BadInput(f"meta.toml: angle_zero {angle_zero!r} is unknown; use 'upright' or 'hanging'")
+    if "l1" not in geometry:
+        raise BadInput("meta.toml: [geometry] lacks l1, the length of link 1; add it in metres")
+    names = ("p1", "p3", "h1", "h2", "b1", "b2")
+    units = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
+    low, high = np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3])
+    hold(names, known, low, high)
+    sign = 1.0 if angle_zero == "hanging" else -1.0
+    constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
+    return Plant(
+        "pendulum/rigid_body", 2, 2, names, units, _rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push,
+        _rigid_declared, {k: np.asarray(float(v)) for k, v in constants.items()}, low, high, _rigid_sound,
+    )  # fmt: skip
+
+
+def hold(names: Sequence[str], known: Mapping[str, float], low: np.ndarray, high: np.ndarray) -> None:
+    """Set both bounds `[P]` of what is known to its value."""
     for i, name in enumerate(names):
         if name in known:
             low[i] = high[i] = known[name]
-    mass, push, gravity, momentum_push, declared = functions
-    return Plant(
-        f"pendulum/{model}",
-        2,
-        2,
-        names,
-        units,
-        mass,
-        push,
-        gravity,
-        momentum_push,
-        declared,
-        constants,
-        low,
-        high,
-        sound,
-    )

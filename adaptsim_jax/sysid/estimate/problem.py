@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect, Reach
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
 from adaptsim_jax.mechanisms.plant import Plant
+from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.dictionary import gravity_torque, make_reach
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
@@ -101,7 +101,7 @@ def prepare(
     """
     given = declared_model(recording, effects)
     motions = [smooth(t, noise) for t in recording.trials]
-    plant = make_pendulum_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
+    plant = make_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
     plant = plant if any_torque(recording) else plant.unscaled()
     check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
     regress = plant.averaged_theta if averaged else plant.initial_theta

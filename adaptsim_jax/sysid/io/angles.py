@@ -9,6 +9,7 @@ import numpy as np
 
 from adaptsim_jax.sysid.io.log import ModelNames
 from adaptsim_jax.sysid.io.log_meta import LogMeta
+from adaptsim_jax.sysid.quality.turns import without_turns
 
 V = TypeVar("V")
 
@@ -33,11 +34,11 @@ def flipped_joints(names: ModelNames, meta: LogMeta) -> list[bool]:
     return [_declared(dict.fromkeys(meta.reversed, True), i, joint, False) for i, joint in enumerate(names.joints)]
 
 
-def without_turns(q: np.ndarray) -> np.ndarray:
-    """An angle `[T]` (rad, NaN where missing) without the jumps of an encoder that counts from -pi to pi."""
+def finite_without_turns(time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """An angle `[T]` (rad, NaN where missing) at `time [T]` s without the jumps of an encoder that counts within one period."""
     here = np.isfinite(q)
     out = q.copy()
-    out[here] = np.unwrap(q[here])
+    out[here] = without_turns(time[here], q[here]).q
     return out
 
 

@@ -15,7 +15,7 @@ from adaptsim_jax.core.config import dumps, nearest
 from adaptsim_jax.sysid.io.columns import STEMS, TIME, role
 from adaptsim_jax.sysid.io.log import ModelNames
 from adaptsim_jax.sysid.io.log_checks import LARGE
-from adaptsim_jax.sysid.io.units import SLOWEST
+from adaptsim_jax.sysid.io.table_checks import SLOWEST
 from adaptsim_jax.sysid.quality.consistency import velocity_agreement
 
 TIME_STEPS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))

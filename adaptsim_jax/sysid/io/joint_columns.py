@@ -9,11 +9,12 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.io.angles import without_turns
+from adaptsim_jax.sysid.io.angles import finite_without_turns
 from adaptsim_jax.sysid.io.columns import Role, role
 from adaptsim_jax.sysid.io.log import ModelNames
 from adaptsim_jax.sysid.io.log_meta import LogMeta
 from adaptsim_jax.sysid.io.log_units import column_scale
+from adaptsim_jax.sysid.io.table_checks import check_time_unit
 from adaptsim_jax.sysid.io.tables import RawTrial
 
 EPOCH = 1e6
@@ -49,7 +50,9 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     zero_based = _zero_based(roles.values())
     time = next(name for name, r in roles.items() if r.stem == "time")
     where = f"{trial.path}: column {time}"
-    seconds = trial.columns[time] * column_scale(where, meta.units, "time", (time,), slides=False)
+    scale = column_scale(where, meta.units, "time", (time,), slides=False)
+    seconds = trial.columns[time] * scale
+    check_time_unit(trial.path, seconds, scale)
     by_joint: dict[str, dict[int, np.ndarray]] = {}
     ctrl: dict[int | str, np.ndarray] = {}
     taken: dict[tuple[str, int], str] = {}
@@ -73,7 +76,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         scale = column_scale(f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides)
         by_joint.setdefault(found.stem, {})[j] = _sized(trial, name, trial.columns[name] * scale)
     angles = by_joint.get("q", {})
-    whole = {j: q if names.joints[j] in names.slides else without_turns(q) for j, q in angles.items()}
+    whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
     turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
     time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
     return Columns(trial, time, by_joint | {"q": whole}, ctrl, turns)

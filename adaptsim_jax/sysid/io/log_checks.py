@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.log import LogTrial, ModelNames
-from adaptsim_jax.sysid.io.units import GAINS, SLOWEST
+from adaptsim_jax.sysid.io.units import GAINS
 from adaptsim_jax.sysid.quality.consistency import velocity_agreement
 
 LARGE = 4 * np.pi
@@ -19,10 +19,6 @@ ALIKE = 0.1
 
 def check_log_units(trials: Sequence[LogTrial], names: ModelNames) -> tuple[str, ...]:
     """Notes about suspicious units. Raises `BadInput` naming the trial and the line for meta.toml where the data are sure."""
-    for trial in trials:
-        if trial.dt > SLOWEST:
-            why = f'a row every {trial.dt:.3g} s: time is suspected in milliseconds; write time = "ms"'
-            raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
     hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
     for trial in trials:
         if what := _speed_suspect(trial, hinges):

@@ -9,8 +9,8 @@ from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.mechanisms.registry import MECHANISMS
 
-MODELS = ("linearized", "rigid_body")
 ANGLE_ZEROS = ("upright", "hanging")
 TORQUE_SOURCES = ("measured", "commanded", "applied")
 CHANNELS = ("q1", "q2", "v1", "v2", "tau1", "tau2")
@@ -141,13 +141,13 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
     if value.endswith(".toml"):
         file, value = value, ""
     if file is None:
-        return _choice(path, raw, "model", MODELS) or "", None
+        return _choice(path, raw, "model", tuple(MECHANISMS)) or "", None
     where = (path.parent / file).resolve()
     if not where.is_file():
         raise BadInput(f"{path}: model file {file!r} does not exist beside it; give its path relative to the folder")
     base = value or read(where).get("model")
-    if not isinstance(base, str) or base not in MODELS:
-        raise BadInput(f"{where}: model = {brief(base)} is unknown; it must be one of {', '.join(MODELS)}")
+    if not isinstance(base, str) or base not in MECHANISMS:
+        raise BadInput(f"{where}: model = {brief(base)} is unknown; it must be one of {', '.join(MECHANISMS)}")
     return base, str(where)
 
 
@@ -161,7 +161,7 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
         if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
             unit = "m/s^2" if key == "g" else "m"
             raise BadInput(f"{path}: geometry.{key} = {value:g} is not physical; give it in {unit}, above 0")
-    defaults = {"g": GRAVITY} if model == "rigid_body" else {"l1": 1.0, "l2": 1.0, "g": GRAVITY}
+    defaults = {"l1": 1.0, "l2": 1.0, "g": GRAVITY} if model == "linearized" else {"g": GRAVITY}
     assumed = {k: v for k, v in defaults.items() if k not in given}
     notes = (f"geometry not declared, assumed: {', '.join(f'{k} = {v:g}' for k, v in assumed.items())}",)
     return {**defaults, **given}, notes if assumed else ()

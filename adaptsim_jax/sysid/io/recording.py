@@ -13,6 +13,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.meta import Meta, read_meta
 from adaptsim_jax.sysid.io.table import Table, check_time, read_table
+from adaptsim_jax.sysid.io.table_checks import check_time_unit
 from adaptsim_jax.sysid.io.units import check_units
 from adaptsim_jax.sysid.types import Recording, Trial
 
@@ -37,7 +38,7 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
         raise BadInput(f"{folder}: {what}; give a folder with meta.toml and one CSV a trial")
     meta = read_meta(folder / "meta.toml")
     read = [_read_trial(path, name, meta) for name, path in _pick(folder, _files(folder), trials)]
-    sources = {source for _, source in read}
+    sources = {source for _, source, _ in read}
     recording = Recording(
         path=str(folder),
         task=meta.task,
@@ -46,7 +47,7 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
         geometry=meta.geometry,
         known=meta.known,
         noise=meta.noise,
-        trials=tuple(trial for trial, _ in read),
+        trials=tuple(trial for trial, _, _ in read),
         torque_source=sources.pop() if len(sources) == 1 else "mixed",
         notes=meta.notes + _notes(read),
         model_file=meta.model_file,
@@ -78,7 +79,7 @@ def _pick(folder: Path, files: list[Path], trials: Sequence[str] | None) -> list
     return picked
 
 
-def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
+def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str, tuple[str, ...]]:
     table = read_table(path, COLUMNS)
     for need in ("time", "q1", "q2"):
         if need not in table.columns:
@@ -89,6 +90,7 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
             raise BadInput(f"{path}: column {need!r} is missing; {hint}{mend}")
     columns = {key: values * meta.scale[key] for key, values in table.columns.items()}
     check_time(path, table)
+    check_time_unit(path, columns["time"], meta.scale["time"])
     _check_size(path, table, columns)
     torque, commanded, source = _torques(path, columns, meta)
     time = columns["time"]
@@ -102,7 +104,7 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str]:
         commanded=commanded,
         ignored=table.ignored,
     )
-    return trial, source
+    return trial, source, table.notes
 
 
 def _check_size(path: Path, table: Table, columns: dict[str, np.ndarray]) -> None:
@@ -145,14 +147,14 @@ def _pair(columns: dict[str, np.ndarray], names: tuple[str, str], unactuated: tu
     return np.stack([column for column in pair if column is not None], axis=1)
 
 
-def _notes(read: list[tuple[Trial, str]]) -> tuple[str, ...]:
-    notes = []
-    commanded = [trial.name for trial, source in read if source == "commanded"]
+def _notes(read: list[tuple[Trial, str, tuple[str, ...]]]) -> tuple[str, ...]:
+    notes = list(dict.fromkeys(note for _, _, told in read for note in told))
+    commanded = [trial.name for trial, source, _ in read if source == "commanded"]
     if commanded:
         notes.append(f"torques are commands, not measured, in {len(commanded)} trial(s), first {commanded[0]}")
-    ignored = sorted({column for trial, _ in read for column in trial.ignored})
+    ignored = sorted({column for trial, _, _ in read for column in trial.ignored})
     if ignored:
         notes.append(f"columns ignored: {', '.join(ignored)}")
-    if any(trial.v is None for trial, _ in read):
+    if any(trial.v is None for trial, _, _ in read):
         notes.append("some trials have no velocities: v1, v2 are estimated from the angles")
     return tuple(notes)

@@ -2,43 +2,60 @@
 
 import csv
 import io
+import re
 from codecs import BOM_UTF8
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.table_checks import check_clock, check_missing, without_blank
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 MIN_ROWS = 20
+NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
+"""What loggers write where they have no number, beside nan."""
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 EMPTY = "is empty; remove it or record the trial again"
 
 
 @dataclass(frozen=True)
 class Table:
-    """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row) numbers."""
+    """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row) numbers.
+
+    `notes`: what was done to read it, a line each.
+    """
 
     columns: dict[str, np.ndarray]
     lines: np.ndarray
     ignored: tuple[str, ...]
     row_word: str = "line"
+    notes: tuple[str, ...] = ()
 
 
-def read_table(path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS) -> Table:
-    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others. Raises `BadInput`."""
+def read_table(
+    path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS, ours: Mapping[str, str] | None = None
+) -> Table:
+    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
+
+    ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there.
+    Raises `BadInput`.
+    """
     path = Path(path)
-    table = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    table, empty = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    return checked(path, table, least, ours or {}, empty)
+
+
+def checked(path: Path, table: Table, least: int, ours: Mapping[str, str], empty: Mapping[str, np.ndarray]) -> Table:
+    """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number."""
     n = len(table.lines)
     if n < least:
         raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
-    for name, values in table.columns.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            where = f"{table.row_word} {table.lines[bad[0]]}"
-            more = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
-            raise BadInput(f"{path}: {where}: column {name} is {values[bad[0]]}{more}; remove such rows")
-    return table
+    columns, notes = without_blank(path, table.columns, least, ours)
+    check_missing(path, columns, table.lines, table.row_word, empty)
+    return replace(table, columns=columns, notes=notes)
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -74,7 +91,8 @@ def _rows(path: Path, text: str, delimiter: str) -> tuple[list[list[str]], list[
     return rows, lines
 
 
-def _read_csv(path: Path, wanted: tuple[str, ...]) -> Table:
+def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
+    """The table, NaN where a cell is empty, and those cells by column."""
     text = _decode(path)
     header_line = text.lstrip().splitlines()[0]
     delimiter = max(DELIMITERS, key=header_line.count)
@@ -89,10 +107,13 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> Table:
         if len(row) != len(header):
             _ragged(path, line, row, len(header))
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
-    columns = {
-        name: _numbers(path, name, cells[header.index(name)], lines, delimiter) for name in wanted if name in header
-    }
-    return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted))
+    columns: dict[str, np.ndarray] = {}
+    empty: dict[str, np.ndarray] = {}
+    for name in (name for name in wanted if name in header):
+        columns[name], blank = _numbers(path, name, cells[header.index(name)], lines)
+        if blank is not None:
+            empty[name] = blank
+    return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
@@ -125,23 +146,26 @@ def _ragged(path: Path, line: int, row: list[str], n: int) -> None:
     raise BadInput(f"{path}: line {line}: has {len(row)} values, the header has {n} columns; {why}")
 
 
-def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int], delimiter: str) -> np.ndarray:
+def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> tuple[np.ndarray, np.ndarray | None]:
+    """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none of them)."""
     try:
-        return np.array([float(cell) for cell in cells], dtype=np.float64)
+        return np.array([float(cell) for cell in cells], dtype=np.float64), None
     except ValueError:
         pass
-    row = next(i for i, cell in enumerate(cells) if not _is_number(cell))
-    cell = cells[row].strip()
-    if not cell:
-        why = f"column {name} is empty; fill or remove that row"
-    elif delimiter != "," and _is_number(cell.replace(",", ".")):
-        why = f"column {name} is {cell!r}, a decimal comma; write decimals with a point"
-    else:
-        why = f"column {name} is {cell[:40]!r}, not a number; mend or remove that row"
-    raise BadInput(f"{path}: line {lines[row]}: {why}")
+    empty = np.array([cell.strip().lower() in NOTHING for cell in cells])
+    for row, cell in enumerate(cells):
+        if empty[row] or _is_number(cell):
+            continue
+        cell = cell.strip()
+        if DECIMAL_COMMA.fullmatch(cell):
+            why = f"column {name} is {cell!r}, a decimal comma; write decimals with a point"
+        else:
+            why = f"column {name} is {cell[:40]!r}, not a number; mend or remove that row"
+        raise BadInput(f"{path}: line {lines[row]}: {why}")
+    return np.array([np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]), empty
 
 
-def _read_npz(path: Path, wanted: tuple[str, ...]) -> Table:
+def _read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
     """Arrays by column name, each `[T]`; nothing in the archive is ever executed (no pickles)."""
     try:
         with np.load(io.BytesIO(_read_bytes(path)), allow_pickle=False) as data:
@@ -157,7 +181,7 @@ def _read_npz(path: Path, wanted: tuple[str, ...]) -> Table:
         sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
         raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
     n = max(lengths.values(), default=0)
-    return Table(columns, np.arange(1, n + 1), _others(names, wanted), row_word="row")
+    return Table(columns, np.arange(1, n + 1), _others(names, wanted), row_word="row"), {}
 
 
 def _broken_archive(path: Path, error: Exception) -> BadInput:
@@ -173,12 +197,5 @@ def _npz_column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
 
 
 def check_time(path: str | Path, table: Table) -> None:
-    """Raise `BadInput` naming the first row at which time does not increase."""
-    time = table.columns["time"]
-    bad = np.flatnonzero(np.diff(time) <= 0)
-    if bad.size:
-        i = int(bad[0]) + 1
-        word = "repeats" if time[i] == time[i - 1] else "runs backwards"
-        where = f"{table.row_word} {table.lines[i]}"
-        pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
-        raise BadInput(f"{path}: {where}: time {word} ({pair}); sort or remove such rows")
+    """Raise `BadInput` naming the first row at which time does not increase, or digits that it lost."""
+    check_clock(path, table.columns["time"], table.lines, table.row_word)

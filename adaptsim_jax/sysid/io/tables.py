@@ -6,14 +6,14 @@ import csv
 import io
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.columns import TIME, TRIAL, is_ignored, role
-from adaptsim_jax.sysid.io.table import DELIMITERS, MIN_ROWS, Table, check_time, read_table
+from adaptsim_jax.sysid.io.table import DELIMITERS, MIN_ROWS, Table, check_time, checked, read_table
 
 ENDINGS = (".csv", ".npz")
 __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
@@ -70,7 +70,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     wanted = tuple(dict.fromkeys(column for column in header if column in told))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     table = _read(path, {column: named[column] for column in wanted if column != labels})
-    table = Table(table.columns, table.lines, tuple(c for c in table.ignored if c != labels), table.row_word)
+    table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise BadInput(
@@ -80,7 +80,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     trials = []
     for label, part in by_label:
         check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
-        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored))
+        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, part.notes))
     return trials
 
 
@@ -100,9 +100,9 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     archive = read_archive(path) if path.suffix.lower() == ".npz" else {}
     arrays = {name: archive[name] for name in named} if archive else {}
     if all(array.ndim == 1 for array in arrays.values()):
-        table = read_table(path, tuple(named))
+        table = read_table(path, tuple(named), ours=named)
         columns = {named[name]: values for name, values in table.columns.items()}
-        return Table(columns, table.lines, table.ignored, table.row_word)
+        return replace(table, columns=columns)
     columns = {}
     for name, array in arrays.items():
         if array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
@@ -117,10 +117,8 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
         sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
         raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
     count = next(iter(lengths.values()))
-    if count < MIN_ROWS:
-        raise BadInput(f"{path}: has {count} data rows; a trial needs at least {MIN_ROWS}, leave this file out")
     others = tuple(name for name in archive if name not in named)
-    return Table(columns, np.arange(1, count + 1), others, row_word="row")
+    return checked(path, Table(columns, np.arange(1, count + 1), others, row_word="row"), MIN_ROWS, {}, {})
 
 
 def read_archive(path: Path) -> dict[str, np.ndarray]:
@@ -175,7 +173,7 @@ def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
         if not label:
             raise BadInput(f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name the trial")
         columns = {name: values[rows] for name, values in table.columns.items()}
-        parts.append((_plain(label), Table(columns, table.lines[rows], table.ignored, table.row_word)))
+        parts.append((_plain(label), replace(table, columns=columns, lines=table.lines[rows])))
     return parts
 
 

@@ -10,8 +10,6 @@ from adaptsim_jax.sysid.quality.consistency import velocity_agreement
 from adaptsim_jax.sysid.quality.conventions import gravity_fit
 from adaptsim_jax.sysid.types import Recording, Trial
 
-SLOWEST = 0.25
-"""Sampling interval in s beyond which a pendulum's motion is not sampled at all."""
 GAINS = {
     math.pi / 180: 'q1, q2 in degrees while v1, v2 are in rad/s; write angle = "deg" and velocity = "rad/s"',
     180 / math.pi: 'v1, v2 in deg/s while q1, q2 are in rad; write velocity = "deg/s"',
@@ -31,14 +29,6 @@ def check_units(recording: Recording, *, angle_stated: bool = False) -> None:
 
     Where meta.toml states the unit of angles, that is believed.
     """
-    for trial in recording.trials:
-        if trial.dt > SLOWEST:
-            raise BadInput(
-                _say(
-                    trial,
-                    f'a row every {trial.dt:.3g} s: time is suspected in milliseconds; write time = "ms"',
-                )
-            )
     for trial in recording.trials:
         suspect = _velocity_suspect(trial)
         if suspect:

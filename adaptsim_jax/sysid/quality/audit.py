@@ -13,6 +13,7 @@ from adaptsim_jax.sysid.quality import signals, timing
 from adaptsim_jax.sysid.quality.consistency import lattice_step
 from adaptsim_jax.sysid.quality.conventions import check_angle_zero
 from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.turns import without_turns
 from adaptsim_jax.sysid.types import Recording, Trial
 
 
@@ -148,13 +149,8 @@ def without_duplicates(recording: Recording) -> tuple[Recording, tuple[str, ...]
 
 
 def unwrap_trial(trial: Trial) -> Trial:
-    """The trial with jumps of a full turn between rows taken out of its angles."""
-    q = trial.q.copy()
-    for j in range(2):
-        jump = np.diff(q[:, j])
-        turns = np.where(np.abs(np.abs(jump) - 2 * np.pi) < 1.0, np.round(jump / (2 * np.pi)), 0.0)
-        q[1:, j] -= 2 * np.pi * np.cumsum(turns)
-    return replace(trial, q=q)
+    """The trial with jumps of whole turns taken out of its angles."""
+    return replace(trial, q=np.stack([without_turns(trial.time, trial.q[:, j]).q for j in range(2)], axis=1))
 
 
 def unwrapped(recording: Recording) -> Recording:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.sysid.quality.consistency import command_agreement, velocity_agreement
+from adaptsim_jax.sysid.quality.turns import TURN, without_turns
 from adaptsim_jax.sysid.types import Trial
 
 
@@ -216,14 +217,19 @@ def check_command(trial: Trial) -> Findings:
 
 
 def check_wrap(trial: Trial) -> Findings:
-    """Jumps of a full turn between neighbouring rows."""
+    """Jumps of whole turns (or of an encoder's own period), which are taken out, and gaps in which there may be more."""
     found = []
     for j in range(2):
-        jump = np.abs(np.abs(np.diff(trial.q[:, j])) - 2 * math.pi) < 1.0
-        if jump.any():
-            at = trial.time[np.flatnonzero(jump)[0]]
-            text = f"q{j + 1} jumps by a full turn {jump.sum()} time(s), first at {at:.3g} s; it is unwrapped"
-            found.append(Finding("wrap", "info", trial.name, f"q{j + 1}", text, float(jump.sum())))
+        turns = without_turns(trial.time, trial.q[:, j])
+        channel = f"q{j + 1}"
+        if turns.count:
+            what = "a full turn" if abs(turns.period - TURN) < 1e-9 else f"{turns.period:.4g} rad"
+            text = f"{channel} jumps by {what} {turns.count} time(s): taken out"
+            found.append(Finding("wrap", "info", trial.name, channel, text, float(turns.count)))
+        if turns.unsure:
+            at = trial.time[turns.unsure[0]]
+            text = f"{channel} wraps, and may have turned further in {len(turns.unsure)} gap(s), first at {at:.3g} s: cut there"
+            found.append(Finding("wrap_in_gap", "warn", trial.name, channel, text, float(len(turns.unsure))))
     return found
 
 

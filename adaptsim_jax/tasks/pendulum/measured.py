@@ -1,6 +1,6 @@
 """A trial of a real pendulum as the trajectory that the task's observation and return are made of."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import jax.numpy as jnp
@@ -8,31 +8,56 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, LATE_SNAPSHOTS, SAMPLES, SNAPSHOTS
+from adaptsim_jax.sysid.io.table_checks import check_clock, check_time_unit
+from adaptsim_jax.sysid.quality.consistency import velocity_agreement
+from adaptsim_jax.sysid.quality.turns import TURN, without_turns
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
 NEEDED = ("time", "q1", "q2", "tau1", "tau2")
 COLUMNS = (*NEEDED, "v1", "v2")
+START = (-np.pi, 0.0)
+SHORT = f"run the policy for {HORIZON} s; where the robot cannot, tell that: adaptsim robot record --failed"
+GAP = 0.06
+"""s without a row that can be filled: the arm strays some 0.02 rad from the line between two rows then."""
+REST = 0.3
+"""s that the arm may rest after it was let go: the task's policies move it at once."""
+MOST_TURNS = 3
+"""Whole turns that an encoder may have counted before the start."""
+STILL = 0.01
+"""rad within which it rests, beside the readings' noise."""
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray], where: str, observation: Literal["full", "late"] = "full"
+    columns: Mapping[str, np.ndarray],
+    where: str,
+    observation: Literal["full", "late"] = "full",
+    *,
+    lines: np.ndarray | None = None,
+    row_word: str = "row",
 ) -> PendulumTrajectory:
     """The trajectory of a trial measured from the moment that the policy was let go, hanging straight down.
 
     `columns` of `[T]`: `time` s, `q1`, `q2` rad with zero upright, `tau1`, `tau2` N m (each held to the next
     row), and optionally `v1`, `v2` rad/s, else differences of the angles. It must last the task's 2.5 s; the
-    cost is the task's sum over 1000 samples, of angles and velocities interpolated. Raises BadInput that
-    names `where`.
+    cost is the task's sum over 1000 samples, of angles and velocities interpolated. Whole turns are taken out of the
+    angles, and +pi is the same start as -pi. `lines [T]`: what rows are called in messages. Raises BadInput that names
+    `where`.
     """
     missing = [name for name in NEEDED if name not in columns]
     if missing:
         raise BadInput(f"{where}: column '{missing[0]}' is missing; needed are {', '.join(NEEDED)}")
-    time = np.asarray(columns["time"], float) - columns["time"][0]
-    if not np.all(np.diff(time) > 0):
-        raise BadInput(f"{where}: time does not increase; sort the rows and remove doubles")
+    columns = {name: np.asarray(values, float) for name, values in columns.items()}
+    time, rows = columns["time"], np.arange(1, len(columns["time"]) + 1)
+    check_clock(where, time, rows if lines is None else lines, row_word)
+    check_time_unit(where, time, 1.0, "write seconds")
+    time = time - time[0]
+    _check_holes(time, lambda k: f"{where}: {row_word} {(rows if lines is None else lines)[k]}")
     step = float(np.median(np.diff(time)))
     if time[-1] < HORIZON - 1.5 * step:
-        raise BadInput(f"{where}: lasts {time[-1]:.3g} s; run the policy for {HORIZON} s")
+        raise BadInput(f"{where}: lasts {time[-1]:.3g} s; {SHORT}")
+    columns = columns | _whole_angles(time, columns)
+    _check_release(time, columns, where)
+    _check_speeds(time, columns, where)
     grid = np.linspace(0.0, HORIZON, SAMPLES)
     angles = np.stack([np.interp(grid, time, columns[name]) for name in ("q1", "q2")], 1)
     _check_start(angles[0], where)
@@ -52,11 +77,61 @@ def _velocities(columns: Mapping[str, np.ndarray], time: np.ndarray, grid: np.nd
     return np.stack([np.interp(grid, time, rate) for rate in rates], 1)
 
 
+def _check_holes(time: np.ndarray, row: Callable[[int], str]) -> None:
+    """BadInput at the first gap too long to be filled, until the end of the trial."""
+    for k in np.flatnonzero((np.diff(time) > GAP) & (time[:-1] < HORIZON))[:1] + 1:
+        raise BadInput(
+            f"{row(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {GAP:g} s can be "
+            "filled: run that trial again"
+        )
+
+
+def _whole_angles(time: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """q1, q2 without jumps of whole turns, begun at the turn that the task starts at."""
+    whole = {}
+    for name, start in zip(("q1", "q2"), START, strict=True):
+        q = without_turns(time, columns[name]).q
+        # the middle of the first readings: at the start itself an encoder may read +pi and -pi in turn
+        first = float(np.median(q[:5]))
+        turns = np.round((first - start) / TURN)
+        whole[name] = q - TURN * turns if abs(turns) <= MOST_TURNS else q
+    return whole
+
+
+def _check_release(time: np.ndarray, columns: Mapping[str, np.ndarray], where: str) -> None:
+    """BadInput where the arm rests long before it moves: the recording began before the release."""
+    q = np.stack([columns[name] for name in ("q1", "q2")], 1)
+    noise = 1.4826 * np.median(np.abs(np.diff(q, axis=0)), axis=0)
+    moved = np.any(np.abs(q - np.median(q[:5], axis=0)) > STILL + 5.0 * noise, axis=1)
+    release = float(time[int(np.argmax(moved))]) if moved.any() else float(time[-1])
+    if release > REST:
+        raise BadInput(
+            f"{where}: the arm rests for its first {release:.3g} s: the recording began before it was let go; remove the rows "
+            "before that"
+        )
+
+
+def _check_speeds(time: np.ndarray, columns: Mapping[str, np.ndarray], where: str) -> None:
+    """BadInput where measured velocities are of another unit or sign than the angles."""
+    for name in ("1", "2"):
+        if f"v{name}" not in columns:
+            continue
+        told = velocity_agreement(time, columns[f"q{name}"], columns[f"v{name}"])
+        if told.enough and told.r2 > 0.9 and not 0.5 < told.gain < 2.0:
+            raise BadInput(
+                f"{where}: column v{name} is {told.gain:.3g} times the slope of q{name}; write rad and rad/s with the same sign, "
+                "or leave the velocities out"
+            )
+
+
 def _check_start(first: np.ndarray, where: str) -> None:
     # The task starts at q1 = -pi. A start elsewhere is another task, and most often another zero of the
     # angle.
-    if np.max(np.abs(first - [-np.pi, 0.0])) > 0.5:
-        raise BadInput(
-            f"{where}: starts at q1 = {first[0]:.3g}, q2 = {first[1]:.3g} rad; the task starts hanging, "
-            f"at q1 = -3.14, q2 = 0 with zero upright: mend the zero of the angles, their unit, or the start"
-        )
+    if np.max(np.abs(first - START)) <= 0.5:
+        return
+    if abs(abs(first[0]) - 180.0) < 20.0:
+        raise BadInput(f"{where}: starts at q1 = {first[0]:.3g}: degrees are suspected; write radians")
+    raise BadInput(
+        f"{where}: starts at q1 = {first[0]:.3g}, q2 = {first[1]:.3g} rad; the task starts hanging, "
+        f"at q1 = -3.14, q2 = 0 with zero upright: mend the zero of the angles, their unit, or the start"
+    )

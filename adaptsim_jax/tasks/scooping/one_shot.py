@@ -71,7 +71,7 @@ def scooping_world(
     /,
     **settings: Any,
 ) -> World:
-    """Scooping in `backend` (`backends.NAMES`). Trials that fail give not-a-number, hence reward 0."""
+    """Scooping in `backend` (`backends.BACKENDS`). Trials that fail give not-a-number, hence reward 0."""
     own = {"numerics": configs.to_table(numerics)} if backend == "hydro" else {}
     simulate = backends.make_backend(backend, options, **configs.over(own, settings)).simulate
     rows = np.maximum(np.round(np.array(model.SEEN_AT) / interface.ROW).astype(int) - 1, 0)

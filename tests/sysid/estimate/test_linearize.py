@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
+from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.dictionary import make_reach
 from adaptsim_jax.sysid.estimate.generic_forces import generic_forces, generic_names
 from adaptsim_jax.sysid.estimate.linearize import signatures
@@ -35,7 +35,7 @@ TIGHT = 0.02
 def case():
     trials = make_trials(seed=1, count=2, seconds=1.5, noise=0.02)
     windows = cut_windows(trials, SIGMA)
-    model = make_model(make_pendulum_plant("rigid_body", "hanging", GEOMETRY), catalogue())
+    model = make_model(make_plant("rigid_body", "hanging", GEOMETRY), catalogue())
     result = fit(model, model.layout.mask([]), windows, TRUE)
     reach = make_reach(model.plant, result.theta, windows)
     return model, windows, result, reach, signatures(model, result, windows, reach, basis=generic_forces)

@@ -8,7 +8,7 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.mechanisms.double_pendulum.plant import make_pendulum_plant
+from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.estimate.output_error import fit
 from adaptsim_jax.sysid.forward import driven, make_model, simulate
 from adaptsim_jax.sysid.segments import cut_windows, local_motion
@@ -35,7 +35,7 @@ def rubbing():
 
 @pytest.fixture(scope="module")
 def model():
-    return make_model(make_pendulum_plant("rigid_body", "hanging", GEOMETRY), FEW)
+    return make_model(make_plant("rigid_body", "hanging", GEOMETRY), FEW)
 
 
 def start(model, trials):
@@ -98,14 +98,14 @@ def test_left_out_trial_does_not_inform_the_parameters(model, rubbing):
 
 
 def test_known_parameters_stay(clean):
-    plant = make_pendulum_plant("rigid_body", "hanging", GEOMETRY, {"b1": 0.06})
+    plant = make_plant("rigid_body", "hanging", GEOMETRY, {"b1": 0.06})
     result, _ = fitted(make_model(plant, FEW), clean)
     assert result.theta[4] == 0.06 and "b1" not in result.names
 
 
 def test_joint_one_offset_is_reported_as_singular_with_the_tilt(clean):
     effects = tuple(e for e in catalogue() if e.name in ("tilt", "encoder_offset"))
-    plant = make_pendulum_plant("rigid_body", "hanging", GEOMETRY)
+    plant = make_plant("rigid_body", "hanging", GEOMETRY)
     result, _ = fitted(make_model(plant, effects), clean, [("tilt", "base"), ("encoder_offset", "joint1")])
     assert result.condition > 1e6
     shares = result.singular[0][1]

@@ -11,7 +11,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
-from adaptsim_jax.tasks.pushing.engines.registry import NAMES, make_backend
+from adaptsim_jax.tasks.pushing.engines.registry import BACKENDS, make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER, Frictions, PushOptions
 
 
@@ -106,7 +106,7 @@ def test_options_go_through_a_config_file():
 def test_unknown_backends_are_refused():
     with pytest.raises(BadInput, match="backend 'mujoco' is unknown; use one of native, mjx, planar, drake"):
         make_backend("mujoco")
-    assert set(NAMES) == {"native", "mjx", "planar", "drake"}
+    assert set(BACKENDS) == {"native", "mjx", "planar", "drake"}
 
 
 def test_bad_shapes_are_refused():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY as GRAVITY
+from adaptsim_jax.tasks.engine import Trajectory
 
 PARAMETERS = ("m1", "m2", "l1", "l2", "c1", "c2", "I1", "I2", "b1", "b2")
 """Masses kg, lengths and centres of mass m, inertias about the centres kg m^2, viscous damping N m s/rad."""
@@ -57,3 +58,9 @@ def draw(seed: int, samples: int, steps: int) -> tuple[np.ndarray, np.ndarray, n
     )
     initial = np.concatenate([rng.uniform(-1, 1, (samples, 2)), rng.uniform(-5, 5, (samples, 2))], axis=1)
     return params, waves.sum(1), initial
+
+
+def finished(state: Any) -> Trajectory:
+    """The trajectory of states `[B, T, 4]`, with code 1 where they ceased to be finite."""
+    finite = np.isfinite(np.asarray(state)).all((1, 2))
+    return Trajectory(state, np.where(finite, 0, 1))

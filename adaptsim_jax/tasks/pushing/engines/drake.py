@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import PushOptions
@@ -206,3 +207,6 @@ def _sheet(drake: Any, inner: float, outer: float):
         ]
     text = "\n".join([f"v {x} {y} 0" for x, y in points] + [f"f {a} {b} {c}" for a, b, c in faces]) + "\n"
     return drake.Mesh(drake.InMemoryMesh(mesh_file=drake.MemoryFile(text, ".obj", "sheet.obj")), 1.0)
+
+
+ENGINE = EngineKind(Settings, make_drake)

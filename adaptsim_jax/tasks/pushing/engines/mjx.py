@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import ElasticityMap, PushOptions
@@ -76,3 +77,6 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
         return jax.lax.scan(step, first, controls)[1][every - 1 :: every]
 
     return push
+
+
+ENGINE = EngineKind(Settings, make_mjx)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import ElasticityMap, PushOptions
@@ -188,3 +189,6 @@ def _closer(starts: np.ndarray) -> float:
 def _pose(state: np.ndarray) -> np.ndarray:
     """Pose and velocity `[..., 13]` of the bottle in full-physics states."""
     return np.concatenate([state[..., 1:8], state[..., 12:18]], -1)
+
+
+ENGINE = EngineKind(Settings, make_native)

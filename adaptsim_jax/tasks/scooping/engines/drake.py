@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
 from adaptsim_jax.tasks.scooping import interface, model
 from adaptsim_jax.tasks.scooping import motion as spatula
@@ -198,3 +199,6 @@ class _World:
         of = lambda body: d.GeometrySet(plant.GetCollisionGeometriesForBody(body))
         apart = d.CollisionFilterDeclaration().ExcludeBetween(of(self.blade), of(plant.world_body()))
         graph.collision_filter_manager().Apply(apart)
+
+
+ENGINE = EngineKind(Settings, make_drake)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.scooping import hydro, model
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.interface import BATCH, ROW, STATE, checked, placed
@@ -47,3 +48,6 @@ def make_hydro(options: model.ScoopOptions, numerics: Numerics):
         return placed(state, codes, starts)
 
     return simulate
+
+
+ENGINE = EngineKind(Settings, make_hydro)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.scooping import interface, model
 from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
 from adaptsim_jax.tasks.scooping.engines import scene
@@ -87,3 +88,6 @@ def _with_piece(base: Any, piece: dict[str, Array], first: int) -> Any:
         body_invweight0=put("body_invweight0", body, piece["weight"]),
         dof_invweight0=put("dof_invweight0", slice(0, 3), piece["weights"]),
     )
+
+
+ENGINE = EngineKind(Settings, make_mjx)

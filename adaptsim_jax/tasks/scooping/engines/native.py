@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.scooping import interface, model
 from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
 from adaptsim_jax.tasks.scooping.engines import scene
@@ -81,3 +82,6 @@ def write_piece(m: Any, piece: dict[str, np.ndarray]) -> None:
     m.body_subtreemass[scene.PIECE] = piece["mass"]
     m.body_invweight0[scene.PIECE], m.dof_invweight0[:3] = piece["weight"], piece["weights"]
     m.dof_M0[:3] = 1.0 / piece["weights"]
+
+
+ENGINE = EngineKind(Settings, make_native)

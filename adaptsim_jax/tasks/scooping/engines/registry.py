@@ -9,19 +9,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import Backend, own_settings
-from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.engines import drake, hydro, mjx, native
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.core.registry import Registry
+from adaptsim_jax.tasks.engine import Backend, EngineKind, own_settings
+from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
 
-ENGINES = {
-    "hydro": (hydro.Settings, hydro.make_hydro),
-    "drake": (drake.Settings, drake.make_drake),
-    "mjx": (mjx.Settings, mjx.make_mjx),
-    "native": (native.Settings, native.make_native),
-}
-NAMES = tuple(ENGINES)
+HERE = "adaptsim_jax.tasks.scooping.engines"
+BACKENDS: Registry[EngineKind] = Registry(
+    "backends",
+    {
+        "hydro": f"{HERE}.hydro:ENGINE",
+        "drake": f"{HERE}.drake:ENGINE",
+        "mjx": f"{HERE}.mjx:ENGINE",
+        "native": f"{HERE}.native:ENGINE",
+    },
+    within="scooping",
+)
 
 
 def make_backend(name: str, options: ScoopOptions = ScoopOptions(), /, **settings: Any) -> Backend:  # noqa: B008
@@ -29,7 +31,5 @@ def make_backend(name: str, options: ScoopOptions = ScoopOptions(), /, **setting
 
     `settings` are the engine's own, `Settings` in its module; records may be given as tables.
     """
-    if name not in ENGINES:
-        raise BadInput(f"backend '{name}' is unknown; use one of {', '.join(ENGINES)}")
-    kind, make = ENGINES[name]
-    return Backend(name, make(model.check_options(options), *own_settings(name, kind, settings)))
+    kind = BACKENDS.named(name, "backend")
+    return Backend(name, kind.make(check_options(options), *own_settings(name, kind.settings, settings)))

@@ -1,0 +1,62 @@
+"""What a comparison runs, and what that of each task starts from."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from adaptsim_jax.adaptation.presets import default_config
+from adaptsim_jax.adaptation.training import TrainConfig
+from adaptsim_jax.baselines import mdn
+from adaptsim_jax.baselines.bayesopt import BayesOptConfig
+from adaptsim_jax.baselines.direct import DirectConfig
+from adaptsim_jax.baselines.registry import exact_methods, learned_methods
+from adaptsim_jax.baselines.sysid import SysIdConfig
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+
+
+@dataclass(frozen=True)
+class CompareConfig:
+    """What `adaptsim compare` runs. `methods`, `settings`: empty means all.
+
+    starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
+    visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
+    For tasks whose policies are learned: target: the engine that targets run in (empty: the task's own simulator), with
+    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt. options: what baselines of
+    other packages are given.
+    """
+
+    methods: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    seeds: int = 20
+    seed: int = 0
+    iterations: int = 10
+    starts: int = 2
+    train: TrainConfig = field(default_factory=TrainConfig)
+    sysid: SysIdConfig = field(default_factory=SysIdConfig)
+    target: str = ""
+    target_options: dict[str, Any] = field(default_factory=dict)
+    direct: DirectConfig = field(default_factory=DirectConfig)
+    bayesopt: BayesOptConfig = field(default_factory=BayesOptConfig)
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name in ("seeds", "iterations", "starts"):
+            if getattr(self, name) < 1:
+                raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
+        for method in self.methods:
+            configs.pick("method", method, (*exact_methods(), *learned_methods()))
+
+
+def default_comparison(task: str) -> CompareConfig:
+    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have, and for AdaptSim's row
+    what `adaptsim train` would take. What is deployed in the push and in scooping is corrected by the target's own trials, of SysID
+    and BayesOpt likewise."""
+    train = default_config(task)
+    plain = CompareConfig(train=train, iterations=train.phase1.horizon)
+    return plain if task == "pendulum" else replace(plain, seeds=10, sysid=LEARNED_SYSID)
+
+
+# SysID where policies are learned: half the simulations and fits of the pendulum's, for a visit there costs a training
+LEARNED_SYSID = SysIdConfig(
+    simulations=1000, first_fit=mdn.FitConfig(updates=1000), next_fit=mdn.FitConfig(updates=300, rate=1e-3)
+)

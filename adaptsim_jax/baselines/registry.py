@@ -1,0 +1,61 @@
+"""Baselines by name. Imports no JAX: commands list the names.
+
+Of a task whose policy is solved exactly, `(Run) -> Visits` (`methods.py`); of one whose policies are learned, `(Bout) -> Trip`
+(`learned.py`). Another package adds one by an entry point of the group `adaptsim.baselines`, called `exact.NAME` or `learned.NAME`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from adaptsim_jax.core.registry import Registry
+
+if TYPE_CHECKING:
+    from adaptsim_jax.baselines.learned import Bout, Trip
+    from adaptsim_jax.baselines.methods import Run, Visits
+    from adaptsim_jax.baselines.problem import Problem
+    from adaptsim_jax.space import Space
+
+HERE = "adaptsim_jax.baselines"
+BOUNDS = ("udr", "best_in_omega")  # 0 and 1 of the exact scale, computed for every comparison
+ORACLE = "oracle"  # what the best actions earn in the target itself, likewise
+
+EXACT: Registry[Callable[[Run], Visits]] = Registry(
+    "baselines",
+    {
+        "adaptsim": f"{HERE}.methods:adaptsim",
+        "adaptsim_state": f"{HERE}.methods:adaptsim_state",
+        "adaptsim_analytic": f"{HERE}.methods:adaptsim_analytic",
+        "sysid_bayes": f"{HERE}.methods:sysid_bayes",
+        "sysid_bayes_state": f"{HERE}.methods:sysid_bayes_state",
+        "sysid_point": f"{HERE}.methods:sysid_point",
+        "sysid_point_state": f"{HERE}.methods:sysid_point_state",
+        "gradient": f"{HERE}.methods:descend",
+    },
+    within="exact",
+)
+LEARNED: Registry[Callable[[Bout], Trip]] = Registry(
+    "baselines",
+    {
+        "adaptsim": f"{HERE}.learned:adaptsim",
+        "sysid_bayes": f"{HERE}.learned:sysid_bayes",
+        "sysid_point": f"{HERE}.learned:sysid_point",
+        "bayesopt": f"{HERE}.bayesopt:bayesopt",
+        "udr": f"{HERE}.direct:udr",
+        "udr_target": f"{HERE}.direct:udr_target",
+        "learn_in_target": f"{HERE}.direct:learn_in_target",
+    },
+    within="learned",
+)
+PROBLEMS: Registry[Callable[[Space], Problem]] = Registry("problems", {"pendulum": f"{HERE}.problem:pendulum_problem"})
+
+
+def exact_methods() -> tuple[str, ...]:
+    """Rows of a comparison on a task whose policy is solved exactly."""
+    return (*EXACT, *BOUNDS)
+
+
+def learned_methods() -> tuple[str, ...]:
+    """Rows of a comparison on a task whose policies are learned."""
+    return (*LEARNED, ORACLE)

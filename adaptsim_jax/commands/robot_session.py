@@ -1,0 +1,166 @@
+"""A session of `adaptsim robot` on disk: which run it goes by, its state and history, and what came before each record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from adaptsim_jax.core.store import RunFolder
+
+SESSION = "robot.toml"
+UNDO = "undo"
+PLACES = ("run", "run_from_here")
+"""Keys of robot.toml that say where the run is, as a whole path and from the session's folder."""
+
+
+class Session(NamedTuple):
+    """A session on disk: where it is, how it was started, the learned adaptation policy at work, the task's options, and
+    what speaks for the task (`task_parts.RobotPart`)."""
+
+    folder: Path
+    table: dict[str, Any]
+    trained: Any
+    loop: Any
+    options: dict[str, Any]
+    part: Any
+
+
+def open_session(folder: Path, moved: str | None = None) -> Session:
+    """The session in `folder`; `moved`: where its run is now, which is written down once that run is known to be the one."""
+    from adaptsim_jax.core import config
+    from adaptsim_jax.core.errors import BadInput
+
+    if not (folder / SESSION).exists():
+        raise BadInput(f"{folder}: no session here; start one with 'adaptsim robot new RUN --dir {folder}'")
+    table = config.read(folder / SESSION)
+    for name, kind in {"schema": int, "run": str, "seed": int, "starts": int, "iterations": int}.items():
+        if type(table.get(name)) is not kind:
+            raise BadInput(f"{folder / SESSION}: key '{name}' is missing or no {kind.__name__}; restore the file")
+    told = table["run"]
+    if moved is not None:
+        table = table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
+    elif not Path(told).is_dir():
+        near = folder / str(table.get("run_from_here", ""))
+        if "run_from_here" not in table or not near.is_dir():
+            raise BadInput(
+                f"{told}: no such run folder, which the session in {folder} goes by; if it was moved, say where it is: "
+                f"adaptsim robot next --dir {folder} --run RUN"
+            )
+        table = table | {"run": str(near.resolve())}
+    session = make_session(folder, table)
+    if moved is not None:
+        config.write(folder / SESSION, table)
+    return session
+
+
+def places(run: str, folder: Path) -> dict[str, str]:
+    """Where the run is: the whole path, and from the session's folder, which holds when both are moved together."""
+    import os
+
+    return {"run": run, "run_from_here": os.path.relpath(run, folder.resolve())}
+
+
+def _was(table: dict[str, Any]) -> str:
+    """The run's path when the session began, which older checkpoints are bound to."""
+    return str(table.get("was", table["run"]))
+
+
+def run_of(path: str) -> RunFolder:
+    """The run at `path`, of a task that robots are for."""
+    from adaptsim_jax.commands.task_parts import ROBOT
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.store import RunFolder
+
+    run = RunFolder.open(path)
+    if run.task not in ROBOT:
+        raise BadInput(
+            f"{path}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this version. For "
+            f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adaptation.asktell with recorded trajectories"
+        )
+    return run
+
+
+def identity(run: RunFolder) -> dict[str, Any]:
+    """Which adaptation policy the run holds now: its checkpoint's step and hashes."""
+    from adaptsim_jax.core.store import read_manifest
+
+    manifest = read_manifest(run.checkpoint)
+    return {name: manifest[name] for name in ("step", "sha256", "config_hash")}
+
+
+def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
+    """BadInput where the run's checkpoint is not the one that the session began with. Older sessions do not say which it was."""
+    from adaptsim_jax.core.errors import BadInput
+
+    began, now = table.get("trained"), identity(run)
+    if began is not None and began != now:
+        was = began.get("step") if isinstance(began, dict) else began
+        raise BadInput(
+            f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint of round {was} then, another "
+            f"of round {now['step']} now); put that checkpoint back, or start another session with 'adaptsim robot new'"
+        )
+
+
+def make_session(folder: Path, table: dict[str, Any]) -> Session:
+    from adaptsim_jax.adaptation.asktell import make_ask_tell
+    from adaptsim_jax.adaptation.training import load_run
+    from adaptsim_jax.commands.task_parts import robot_part
+
+    run = run_of(table["run"])
+    trained = load_run(run)
+    _check_same(run, table, folder)  # after the load, so that what was loaded is what is checked
+    phase1 = trained.phase1
+    weights, sizes = trained.state.learner.target, {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")}
+    loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
+    return Session(folder, table, trained, loop, run.config.get("task", {}), robot_part(run.task))
+
+
+def keep(session: Session, state: Any, history: list[dict[str, Any]]) -> None:
+    """Keep what is about to be recorded over, for `undo`."""
+    save(session, state, history, session.folder / UNDO / str(len(history)))
+
+
+def _bound(table: dict[str, Any]) -> str:
+    """Hash of what a session's checkpoints are bound to: all but where things are."""
+    from adaptsim_jax.core import config
+
+    return config.digest({name: value for name, value in table.items() if name not in (*PLACES, "was")})
+
+
+def save(session: Session, state: Any, history: list[dict[str, Any]], folder: Path | None = None) -> None:
+    from adaptsim_jax.core import store
+
+    store.save_checkpoint(
+        folder or session.folder / store.CHECKPOINT,
+        state,
+        task=session.trained.phase1.task.name,
+        step=len(history),
+        config_hash=_bound(session.table),
+        extra={"history": history},
+    )
+
+
+def load(session: Session, folder: Path | None = None) -> tuple[Any, list[dict[str, Any]]]:
+    """State and history of the session, or of the record before in `folder`."""
+    import jax
+    import jax.numpy as jnp
+
+    from adaptsim_jax.adaptation.phase1 import Archive
+    from adaptsim_jax.core import config, store
+    from adaptsim_jax.core.errors import BadInput
+
+    task = session.trained.phase1.task
+    folder = folder or session.folder / store.CHECKPOINT
+    older = {name: v for name, v in session.table.items() if name not in ("run_from_here", "was")}
+    older["run"] = _was(session.table)
+    if store.read_manifest(folder)["config_hash"] not in (_bound(session.table), config.digest(older)):
+        raise BadInput(f"{session.folder / SESSION}: was changed since the session began; restore the file")
+
+    def like(key):
+        count = session.table["starts"]
+        policy = jax.vmap(task.init_policy)(jax.random.split(key, count))
+        return session.loop.init(key, Archive(jnp.zeros((count, task.space.dim)), policy))
+
+    state, _ = store.load_checkpoint(folder, jax.eval_shape(like, jax.random.key(0)), task=task.name)
+    return state, store.read_manifest(folder)["extra"]["history"]

@@ -1,0 +1,70 @@
+"""What one file adds: tasks, mechanisms, effects, engines, learners and baselines by name, ours and those of other packages.
+
+A registry knows where each thing stands (`"package.module:NAME"`) and loads it when it is asked for, so that listing names
+loads no JAX. Another package adds to it by an entry point of the group `adaptsim.<kind>`, without a line here:
+
+    [project.entry-points."adaptsim.effects"]
+    magnet = "my_package.magnet:MAGNET"
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import Generic, TypeVar
+
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
+
+Thing = TypeVar("Thing")
+
+
+class Registry(Mapping[str, Thing], Generic[Thing]):
+    """Things of one kind by name, in an order that does not change: ours as listed, then those of other packages by name.
+
+    kind: also names the group of entry points; within: a part of it, whose entry points are called `within.name`.
+    """
+
+    def __init__(self, kind: str, own: Mapping[str, str], within: str = ""):
+        self.group, self.within = f"adaptsim.{kind}", within
+        self.own = {name: EntryPoint(name, value, self.group) for name, value in own.items()}
+
+    @cached_property
+    def others(self) -> dict[str, EntryPoint]:
+        """What other packages add. BadInput where two things have one name."""
+        found: dict[str, EntryPoint] = {}
+        prefix = f"{self.within}." if self.within else ""
+        for point in sorted(entry_points(group=self.group), key=lambda p: p.name):
+            name = point.name.removeprefix(prefix)
+            if not point.name.startswith(prefix) or (not prefix and "." in name):
+                continue
+            if name in self.own or name in found:
+                raise BadInput(
+                    f"entry point {point.name} = {point.value} of {self.group}: there is another of that name; rename it"
+                )
+            found[name] = point
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.own, *self.others))
+
+    def __len__(self) -> int:
+        return len(self.own) + len(self.others)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in self.others
+
+    def __getitem__(self, name: str) -> Thing:
+        point = self.own.get(name) or self.others[name]
+        if name in self.own:
+            return point.load()
+        try:
+            return point.load()
+        except Exception as error:
+            why = " ".join(f"{type(error).__name__}: {error}".split())
+            raise BadInput(f"entry point {point.name} = {point.value} of {self.group} does not load: {why}") from error
+
+    def named(self, name: str, what: str) -> Thing:
+        """The thing called `name`; BadInput with the nearest name where there is none. what: it in words, `task`."""
+        if name not in self:
+            raise BadInput(f"{what} '{name}' is unknown; {suggest(name, self)}")
+        return self[name]

@@ -1,0 +1,126 @@
+"""Conventions told from data: one cheap refit for each way in which columns or lengths are commonly taken wrongly.
+
+The torque that moves a mechanism is linear in what is unknown of it (Khalil and Dombre 2002, ch. 9), so that a convention is
+judged by one non-negative least-squares fit of inertial parameters, dampings and dry frictions to block means of the motion.
+Where the declared convention leaves most of the torque and another one next to nothing, the columns are told to contradict the
+model. NumPy and SciPy alone.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+BLOCK = 0.03
+"""s over which readings are averaged."""
+MOST = 1200
+"""Blocks that are looked at, evenly drawn."""
+LEAST = 60
+SHIFTS = np.arange(-30.0, 31.0, 1.0) * 1e-3
+"""s by which the torque is moved."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Block means `q, v, a, tau [K, n]` in SI units."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+
+
+@dataclass(frozen=True)
+class Track:
+    """A trial: `time [T]` s, `q, tau [T, n]`, `v [T, n]` or None; the torque holds from its row to the next."""
+
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray | None
+    tau: np.ndarray
+
+
+Design = Callable[[Motion, bool], np.ndarray]
+"""`(motion, gravity) -> [K, n, P]`: torque at each joint by unit of each parameter that is at least 0."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What may be otherwise than declared. `motion`: the motion as it would be then; `design` where the mechanism is another."""
+
+    name: str
+    says: str
+    mend: str
+    motion: Callable[[Motion], Motion] = lambda m: m
+    design: Design | None = None
+    gravity: bool = True
+
+
+def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
+    """Block means of all trials, with the torque of `shift` s later taken to act."""
+    parts = [_blocks(t, shift) for t in tracks]
+    joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
+    keep = (
+        np.unique(np.linspace(0, len(joined[0]) - 1, min(MOST, len(joined[0]))).astype(int)) if len(joined[0]) else []
+    )
+    return Motion(*(x[keep] for x in joined))
+
+
+def _blocks(track: Track, shift: float) -> tuple[np.ndarray, ...]:
+    time = track.time
+    step = float(np.median(np.diff(time)))
+    size = max(BLOCK, 3.0 * step)
+    edges = np.arange(time[0] + 0.05, time[-1] - 0.05, size)
+    n = track.q.shape[1]
+    if len(edges) < 8:
+        return (np.zeros((0, n)),) * 4
+    q = _means(time, track.q, edges)
+    v = np.gradient(q, size, axis=0) if track.v is None else _means(time, track.v, edges)
+    a = np.gradient(v, size, axis=0)
+    held = np.concatenate([np.zeros((1, n)), np.cumsum(np.diff(time)[:, None] * track.tau[:-1], axis=0)])
+    tau = np.stack([np.diff(np.interp(edges + shift, time, held[:, j])) / size for j in range(n)], 1)
+    # a hole within or beside a block says nothing of it
+    gap = np.flatnonzero(np.diff(time) > 4.0 * step)
+    whole = np.ones(len(edges) - 1, bool)
+    for g in gap:
+        whole &= (edges[1:] + 2 * size < time[g]) | (edges[:-1] - 2 * size > time[g + 1])
+    whole[[0, -1]] = False
+    return q[whole], v[whole], a[whole], tau[whole]
+
+
+def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Means of `x [T, n]`, straight between rows, over the blocks between `edges`."""
+    area = np.concatenate(
+        [np.zeros((1, x.shape[1])), np.cumsum(0.5 * np.diff(time)[:, None] * (x[1:] + x[:-1]), axis=0)]
+    )
+    size = np.diff(edges)
+    fine = [np.interp(edges, time, x[:, j]) for j in range(x.shape[1])]
+    out = []
+    for j, at in enumerate(fine):
+        i = np.clip(np.searchsorted(time, edges, side="right") - 1, 0, len(time) - 2)
+        whole = area[i, j] + 0.5 * (edges - time[i]) * (x[i, j] + at)
+        out.append(np.diff(whole) / size)
+    return np.stack(out, 1)
+
+
+def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
+    """Share of the torque's square that the best parameters leave, the joints weighed alike."""
+    k, n = motion.q.shape
+    columns = design(motion, gravity)
+    loud = np.maximum(0.02 * np.max(np.abs(motion.v), axis=0), 1e-9)
+    joints = np.zeros((k, n, 4 * n))
+    for j in range(n):
+        joints[:, j, 4 * j] = motion.v[:, j]
+        joints[:, j, 4 * j + 1] = np.tanh(motion.v[:, j] / loud[j])
+        joints[:, j, 4 * j + 2], joints[:, j, 4 * j + 3] = 1.0, -1.0
+    weight = 1.0 / np.maximum(np.std(motion.tau, axis=0), 1e-12)
+    a = (np.concatenate([columns, joints], 2) * weight[None, :, None]).reshape(k * n, -1)
+    b = (motion.tau * weight).reshape(-1)
+    size = np.maximum(np.sqrt(np.mean(a**2, axis=0)), 1e-12)
+    gram, right = (a / size).T @ (a / size), (a / size).T @ b
+    # the normal equations have the solution of the whole system, and are small
+    root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) / len(gram) * np.eye(len(gram)))
+    x, _ = nnls(root.T, np.linalg.solve(root, right))
+    total = float(np.sum((b - np.mean(b)) ** 2))
+    return float(np.sum((b - (a / size) @ x) ** 2) / max(total, 1e-12))

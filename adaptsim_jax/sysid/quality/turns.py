@@ -1,0 +1,90 @@
+"""Whole turns that an encoder counting within one period leaves out of an angle, between neighbouring rows and across gaps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+TURN = 2.0 * np.pi
+NEAR = 1.0
+"""rad by which a jump between neighbouring rows may miss a whole turn."""
+SHARE = 0.35
+"""The same across a gap, as a share of the period: the motion within it is only guessed."""
+LONGEST = 0.25
+"""s of a gap across which the speeds on both sides still foretell the motion."""
+GAP = 2.5
+"""Sampling intervals from which on two rows are no neighbours."""
+
+
+@dataclass(frozen=True)
+class Turns:
+    """`q [T]` without jumps of whole periods, `count` of them taken out, `period` in rad; `unsure`: rows before a gap in which an
+    encoder that wraps may have counted more than can be told."""
+
+    q: np.ndarray
+    count: int
+    period: float
+    unsure: tuple[int, ...] = ()
+
+
+def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
+    """Take jumps of whole periods out of `q [T]` rad at `time [T]` s, both finite.
+
+    A period is a turn, or what an encoder that starts anew elsewhere betrays: jumps alike, as far as its whole range.
+    """
+    if len(q) < 4:
+        return Turns(q, 0, TURN)
+    period = _other_period(q) or TURN
+    jump, dt = np.diff(q), np.diff(time)
+    gap = dt > GAP * np.median(dt)
+    near = jump - period * np.round(jump / period)
+    speed = np.where(gap, np.nan, near / dt)
+    expected = _mean_of_sides(speed) * dt
+    turns = np.round((jump - np.where(gap, expected, 0.0)) / period)
+    miss = np.abs(jump - np.where(gap, expected, 0.0) - turns * period)
+    within = _within_one_period(q, period)
+    counted = np.where(gap, within & (miss < SHARE * period) & (dt < LONGEST), miss < min(NEAR, SHARE * period))
+    taken = np.where(counted, turns, 0.0)
+    moved = np.abs(expected) > 0.25 * period
+    unsure = gap & within & ~counted & (moved | (np.abs(jump) > 0.5 * period))
+    if not taken.any():
+        return Turns(q, 0, period, tuple(np.flatnonzero(unsure).tolist()))
+    out = q - period * np.concatenate([[0.0], np.cumsum(taken)])
+    return Turns(out, int(np.count_nonzero(taken)), period, tuple(np.flatnonzero(unsure).tolist()))
+
+
+def _mean_of_sides(speed: np.ndarray) -> np.ndarray:
+    """For each step the mean of the speeds just before and after it, of three steps each; 0 where there are none."""
+    n = len(speed)
+    padded = np.concatenate([np.full(3, np.nan), speed, np.full(3, np.nan)])
+    before = np.stack([padded[k : k + n] for k in range(3)])
+    after = np.stack([padded[4 + k : 4 + k + n] for k in range(3)])
+    sides = []
+    for side in (before, after):
+        here = np.isfinite(side)
+        sides.append(np.where(here.any(0), np.where(here, side, 0.0).sum(0) / np.maximum(here.sum(0), 1), np.nan))
+    first, second = sides
+    both = np.where(np.isfinite(first), first, second), np.where(np.isfinite(second), second, first)
+    return np.nan_to_num(0.5 * (both[0] + both[1]))
+
+
+def _within_one_period(q: np.ndarray, period: float) -> bool:
+    """Whether the angle never leaves one period from -period/2 or from 0, and comes near both of its ends."""
+    slack, low, high = 0.01 * period, float(q.min()), float(q.max())
+    return any(
+        start - slack <= low < start + 0.25 * period and end - 0.25 * period < high <= end + slack
+        for start, end in ((-0.5 * period, 0.5 * period), (0.0, period))
+    )
+
+
+def _other_period(q: np.ndarray) -> float | None:
+    """A period that is no turn: several jumps alike, far beyond all other steps, and nearly as wide as the angle's range."""
+    step = np.abs(np.diff(q))
+    span = float(np.ptp(q))
+    high = step > 0.8 * span
+    if span < 0.5 or np.sum(high) < 2 or np.mean(high) > 0.1:
+        return None
+    jumps, rest = step[high], step[~high]
+    if np.max(rest) > 0.3 * span or abs(span - TURN) < 0.05 * TURN or np.ptp(jumps) > 0.2 * span:
+        return None
+    # the step that was made beside the jump is about as long as its neighbours
+    return float(np.median(jumps + np.median(rest)))

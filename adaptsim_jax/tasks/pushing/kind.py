@@ -1,0 +1,10 @@
+"""The push as the registry holds it."""
+
+from adaptsim_jax.tasks.base import TaskKind
+from adaptsim_jax.tasks.pushing.engines import registry
+from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
+from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
+
+TASK = TaskKind(
+    PushingConfig, make_pushing, make_pushing_one_shot, backends=registry.BACKENDS, make_backend=registry.make_backend
+)

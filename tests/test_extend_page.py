@@ -1,0 +1,74 @@
+"""The files of docs/extend.md, put into a package that is installed, are found, do what the page says, and keep the protocols."""
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[1] / "docs" / "extend.md"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder with the page's files, and the metadata that installing them would write; the environment that finds it."""
+    folder = tmp_path_factory.mktemp("third_party")
+    for name, text in re.findall(r"```(?:python|toml)\n# (\S+)\n(.*?)```", PAGE.read_text(), re.S):
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    groups = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["entry-points"]
+    lines = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()) for group, points in groups.items()]
+    info = folder / "my_robot-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_robot\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    return folder, os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{PAGE.parents[1]}"}
+
+
+def output(installed, *arguments):
+    folder, environment = installed
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return done.stdout
+
+
+def test_a_command_lists_what_is_installed(installed):
+    shown = output(installed, "-m", "adaptsim_jax", "effects", "--name", "magnet")
+    assert "-pull q exp(-(q / reach)^2)" in shown and "N m/rad" in shown
+
+
+def test_two_things_of_one_name_are_refused(installed):
+    folder, environment = installed
+    twin = folder / "twin-1.0.dist-info"
+    twin.mkdir()
+    (twin / "METADATA").write_text("Metadata-Version: 2.1\nName: twin\nVersion: 1.0\n")
+    (twin / "entry_points.txt").write_text("[adaptsim.effects]\ncoulomb = twin:X\n")
+    command = [sys.executable, "-m", "adaptsim_jax", "effects", "--brief"]
+    try:
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    finally:
+        for file in twin.iterdir():
+            file.unlink()
+        twin.rmdir()
+    assert done.returncode == 2 and "coulomb = twin:X" in done.stderr and "rename it" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_page_runs(installed):
+    first, second, third, fourth = output(installed, "use.py").splitlines()
+    assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
+    assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
+    assert fourth == "['random_search', 'random_search']"
+
+
+@pytest.mark.slow
+def test_what_is_installed_keeps_the_protocols(installed):
+    names = "puck or inclined or magnet or late or test_baselines"
+    shown = output(
+        installed, "-m", "pytest", "-q", "-rs", str(PAGE.parents[1] / "tests" / "test_protocols.py"), "-k", names
+    )
+    assert int(re.search(r"(\d+) passed", shown)[1]) >= 9 and "failed" not in shown
