@@ -8,7 +8,7 @@ DEMO_OUT ?= demo_out
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
-.PHONY: demo test lint format bench clean help
+.PHONY: demo test lint format bench docs clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make test    run the test suite on $(JOBS) processes (JOBS=n for another number)"
 	@echo "make lint    ruff and pyright"
 	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
+	@echo "make docs    the documentation as a site, strictly, in build/site"
 	@echo "make clean   remove $(VENV) and what the other targets wrote"
 
 demo: $(VENV)/.core
@@ -40,6 +41,10 @@ bench: $(VENV)/.core
 	$(BIN)/python benchmarks/table.py --out bench
 	@cat bench/table.md
 
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	@echo "open build/site/index.html"
+
 clean:
 	rm -rf $(VENV) .cache demo_out bench build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
 
@@ -61,6 +66,10 @@ $(VENV)/.core: $(VENV)/.made requirements.lock pyproject.toml
 
 $(VENV)/.test: $(VENV)/.core requirements-dev.lock
 	$(BIN)/python -m pip install --quiet -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.core requirements-docs.lock
+	$(BIN)/python -m pip install --quiet -r requirements-docs.lock
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.test

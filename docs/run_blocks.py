@@ -38,7 +38,9 @@ def run_page(page: Path, folder: Path) -> str:
 
 def bash(code: str, folder: Path) -> str:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(["bash", "-ec", code], cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-ec", code], cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True
+    )
     if done.returncode:
         raise RuntimeError(f"{code}\n{done.stdout}\n{done.stderr}")
     return done.stdout
