@@ -61,10 +61,10 @@ def configuration() -> str:
     from adaptsim_jax.adaptation.presets import PRESETS, default_config
     from adaptsim_jax.core.config import dumps, to_table
 
+    presets = ", ".join(f"`{name}`" for name in PRESETS)
     text = [
-        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` changes one, `--config FILE` starts from a"
-        f" file of them, `--preset` from one of: {', '.join(f'`{name}`' for name in PRESETS)}. Units stand in the notes; times are in s, angles in"
-        " rad, lengths in m unless said."
+        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` changes one, `--config FILE` starts from"
+        f" a file of them, `--preset` from one of: {presets}. Times are in s, angles in rad, lengths in m unless a note says otherwise."
     ]
     for task in TASKS:
         config, options = default_config(task), _options(task)
