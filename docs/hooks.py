@@ -63,8 +63,9 @@ def configuration() -> str:
 
     presets = ", ".join(f"`{name}`" for name in PRESETS)
     text = [
-        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` changes one, `--config FILE` starts from"
-        f" a file of them, `--preset` from one of: {presets}. Times are in s, angles in rad, lengths in m unless a note says otherwise."
+        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` changes one, `--config FILE`"
+        f" starts from a file of them, `--preset` from one of: {presets}. Times are in s, angles in rad,"
+        " lengths in m unless a note says otherwise."
     ]
     for task in TASKS:
         config, options = default_config(task), _options(task)
