@@ -1,4 +1,4 @@
-"""The files of docs/extend.md, put into a package that is installed, are found, do what the page says, and keep the protocols."""
+"""The files of docs/howto/extend.md, installed as a package, are found, do what the page says, and keep the protocols."""
 
 import os
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[1] / "docs" / "extend.md"
+PAGE = Path(__file__).parents[1] / "docs" / "howto" / "extend.md"
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def installed(tmp_path_factory):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_robot\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("\n".join(lines))
-    return folder, os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{PAGE.parents[1]}"}
+    return folder, os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{PAGE.parents[2]}"}
 
 
 def output(installed, *arguments):
@@ -62,13 +62,13 @@ def test_the_page_runs(installed):
     first, second, third, fourth = output(installed, "use.py").splitlines()
     assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
     assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
-    assert fourth == "['random_search', 'random_search']"
+    assert re.fullmatch(r"random search earns -?\d+\.\d+ of 1", fourth)
 
 
 @pytest.mark.slow
 def test_what_is_installed_keeps_the_protocols(installed):
     names = "puck or inclined or magnet or late or test_baselines"
     shown = output(
-        installed, "-m", "pytest", "-q", "-rs", str(PAGE.parents[1] / "tests" / "test_protocols.py"), "-k", names
+        installed, "-m", "pytest", "-q", "-rs", str(PAGE.parents[2] / "tests" / "test_protocols.py"), "-k", names
     )
     assert int(re.search(r"(\d+) passed", shown)[1]) >= 9 and "failed" not in shown

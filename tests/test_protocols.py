@@ -6,10 +6,13 @@ dtype or a branch on a value goes wrong. Numbers are the tests' of each room.
 
 import dataclasses
 import importlib
+import importlib.util
 import inspect
+import re
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -32,6 +35,7 @@ from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.registry import TASKS
 
+ROOT = Path(__file__).parents[1]
 BATCH = 3
 UNIT = ("kg", "m/s", "rad", "N m", " s", " m", "[", "unit")  # a public docstring names units, or shapes
 LISTS = [adaptsim_jax, adaptsim_jax.sysid]
@@ -75,6 +79,18 @@ def test_the_public_list_loads_and_is_explained(package):
 
 def test_there_are_few_public_names():
     assert sum(len(p.__all__) for p in LISTS) <= 36
+
+
+def test_documents_import_what_there_is():
+    """Every `from adaptsim_jax import ...` of a page, from the public list or from a module that has the name."""
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        for module, names in re.findall(r"^ *from (adaptsim_jax[\w.]*) import ([\w, ]+)", page.read_text(), flags=re.M):
+            for name in (n.split(" as ")[0].strip() for n in names.split(",")):
+                there = importlib.import_module(module)
+                known = there.__all__ if there in LISTS else dir(there)
+                assert name in known or importlib.util.find_spec(f"{module}.{name}"), (
+                    f"{page.name}: {module} has no {name}"
+                )
 
 
 def test_importing_the_package_loads_no_library():

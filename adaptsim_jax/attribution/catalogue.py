@@ -6,6 +6,7 @@ be made by an actuator's own law from a command.
 
 import jax.numpy as jnp
 
+from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
 from adaptsim_jax.effects.actuator import actuator_lag, delay
 from adaptsim_jax.effects.base import Dry, Effect, Parameter
@@ -94,7 +95,7 @@ BEFORE = Parameter(
     "before", "1", 0.0, 1.0, 1.0, None, held=True, optional=True, meaning="share of its first command ahead of the log"
 )
 
-MACHINE: tuple[Effect, ...] = (
+OWN: tuple[Effect, ...] = (
     Effect(
         "viscous", "force", (Parameter("damping", "N m s/rad", 0.0, 10.0, 0.0, sign=1),), viscous,
         "friction in proportion to the speed", "fast motion", ("quadratic_drag", "coulomb"), formula="-damping v",
@@ -218,6 +219,9 @@ MACHINE: tuple[Effect, ...] = (
     ),
 )  # fmt: skip
 
+OTHERS: Registry[Effect] = Registry("effects", {}, within="machine")
+"""Those of other packages: entry points `adaptsim.effects` called `machine.NAME`."""
+MACHINE: tuple[Effect, ...] = (*OWN, *OTHERS.values())
 COMMON = ("delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain")
 """Effects that are tried with one value for all joints as well: those of the one computer that talks to them."""
 EVERYWHERE = ("coulomb", "armature", "stribeck", "load_friction", "quadratic_drag")

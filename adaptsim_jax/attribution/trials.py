@@ -1,7 +1,7 @@
 """Attribution over short trials that each begin anew from a known state: pushes, scoops, tosses.
 
-One flat vector holds the declared parameters and those of every effect (at the value where it does nothing); a model is a subset of
-it that is fitted. Everything else is as for mechanisms (`docs/attribution.md`): score tests over clusters, here trials; an effect stays
+One flat vector holds the declared parameters and those of every effect (at the value where it does nothing); a model is a part of it
+that is fitted. Everything else is as for mechanisms (`docs/attribution.md`): score tests over clusters, here trials; an effect stays
 if without it left-out trials are predicted worse; look-alikes are told as a class.
 """
 
@@ -44,15 +44,17 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Problem:
-    """residuals(vectors [N, P]) -> [N, R] of N trials, each at its own vector, in units of the noise; slopes(vector [P]) ->
-    ([N, R], [N, R, P]); declared: names that are always fitted; trials: their names."""
+    """residuals(vectors [N, P]) -> [N, R] of N trials, each at its own vector, in units of the noise; slopes(vector [P], which) ->
+    ([N, R], [N, R, len(which)]); declared: names that are always fitted; trials: their names; starts [S, P]: vectors from
+    the best of which the declared model's fit begins."""
 
     parameters: tuple[Parameter, ...]
     candidates: tuple[Candidate, ...]
     declared: tuple[str, ...]
     residuals: Residuals
-    slopes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    slopes: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
     trials: tuple[str, ...]
+    starts: np.ndarray
 
     @property
     def off(self) -> np.ndarray:
@@ -68,7 +70,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Model:
-    """A subset fitted. vector [P]; free: indices; residual [N, R] and slopes [N, R, P] there; held [N]: left-out loss of each trial,
+    """A subset fitted. vector [P]; free: indices; residual [N, R] and slopes [N, R, free] there; held [N]: left-out loss by trial,
     folds [N, P]: vectors without it; weight [N]: trials that run away count less."""
 
     added: tuple[Candidate, ...]
@@ -136,12 +138,12 @@ def fit(problem: Problem, added: Sequence[Candidate], start: np.ndarray, weight:
     high = np.array([problem.parameters[i].high for i in free])
     vector, damping = np.array(start, float), 1e-3
     vector[free] = np.clip(vector[free], low, high)
-    residual, slopes = problem.slopes(vector)
+    residual, slopes = problem.slopes(vector, free)
     own = weight is None
     weight = _weights(residual) if own else weight
     for _ in range(ROUNDS):
         now = _loss(residual, weight).sum()
-        j = slopes[:, :, free] * np.sqrt(weight)[:, None, None]
+        j = slopes * np.sqrt(weight)[:, None, None]
         flat = j.reshape(-1, len(free))
         r = (residual * np.sqrt(weight)[:, None]).reshape(-1)
         hess, slope = flat.T @ flat, -flat.T @ r
@@ -156,7 +158,7 @@ def fit(problem: Problem, added: Sequence[Candidate], start: np.ndarray, weight:
         else:
             break
         vector, damping = trial, max(0.1 * damping, 1e-9)
-        residual, slopes = problem.slopes(vector)
+        residual, slopes = problem.slopes(vector, free)
         if own:
             weight = _weights(residual)
         if loss > now * (1.0 - STILL):
@@ -172,7 +174,7 @@ def _weights(residual: np.ndarray) -> np.ndarray:
 
 def _left_out(problem, vector, free, residual, slopes, weight, low, high):
     """Each trial predicted with the parameters of the others: a step from the whole fit without its share of the normal equations."""
-    j = slopes[:, :, free] * np.sqrt(weight)[:, None, None]
+    j = slopes * np.sqrt(weight)[:, None, None]
     r = residual * np.sqrt(weight)[:, None]
     hess = np.einsum("nra,nrb->nab", j, j)
     slope = -np.einsum("nra,nr->na", j, r)
@@ -195,17 +197,20 @@ def scores(problem: Problem, model: Model) -> list[tuple[Candidate, float, float
     """First-order gain of each candidate as a share of the loss, and the robust p of its score, best first."""
     weight = np.sqrt(model.weight)[:, None]
     r = (model.residual * weight).reshape(-1)
-    base = (model.slopes[:, :, model.free] * weight[..., None]).reshape(len(r), -1)
+    base = (model.slopes * weight[..., None]).reshape(len(r), -1)
     scale = np.sqrt(np.square(base).sum(0))
     q, _ = np.linalg.qr(base[:, scale > 0] / scale[scale > 0])
     r = r - q @ (q.T @ r)
     out, count = [], len(problem.trials)
+    every = np.array([i for i in range(len(problem.parameters)) if i not in set(model.free)])
+    slopes = np.zeros((*model.residual.shape, len(problem.parameters)))
+    slopes[:, :, every] = problem.slopes(model.vector, every)[1]
     for c in problem.candidates:
         if any(set(c.parameters) & set(a.parameters) for a in model.added):
             continue
         best = None
         for start in c.starts:
-            columns = _columns(problem, model, c, start) * weight[..., None]
+            columns = _columns(problem, model, slopes, c, start) * weight[..., None]
             flat = columns.reshape(len(r), -1)
             flat = flat - q @ (q.T @ flat)
             bend = flat.T @ flat
@@ -225,11 +230,11 @@ def scores(problem: Problem, model: Model) -> list[tuple[Candidate, float, float
     return sorted(out, key=lambda s: -s[1])
 
 
-def _columns(problem: Problem, model: Model, c: Candidate, start: tuple[float, ...]) -> np.ndarray:
+def _columns(problem: Problem, model: Model, slopes: np.ndarray, c: Candidate, start: tuple[float, ...]) -> np.ndarray:
     """[N, R, K] slopes by the parameters of a candidate: at the model where it starts from nothing, else of the step to its start."""
     at = problem.at(c.parameters)
     if np.allclose(start, problem.off[at]):
-        return model.slopes[:, :, at]
+        return slopes[:, :, at]
     vector = model.vector.copy()
     vector[at] = start
     return (problem.residuals(problem.everywhere(vector)) - model.residual)[..., None]
@@ -257,29 +262,31 @@ def without(problem: Problem, model: Model, c: Candidate) -> Model:
     return fit(problem, rest, vector, model.weight)
 
 
+def declared_fit(problem: Problem, most: int = 3) -> Model:
+    """The declared model fitted from the best few of the problem's starts, the best of these."""
+    typical = [
+        float(np.median(np.sqrt(np.square(problem.residuals(problem.everywhere(v))).mean(1)))) for v in problem.starts
+    ]
+    made = [fit(problem, (), problem.starts[k]) for k in np.argsort(typical)[:most]]
+    return min(made, key=lambda m: float(np.median(np.square(m.residual).mean(1))))
+
+
 def select(problem: Problem, criteria: Criteria, say: Callable[[str], None] = lambda note: None) -> Selection:
     """Forward, then each effect beside the others (Holm), then against its look-alikes."""
-    base = null = fit(problem, (), problem.off)
+    base = null = declared_fit(problem)
     stages, opening, dropped = [null], None, []
     while len(base.added) < criteria.most_effects:
         rows = scores(problem, base)
         opening = rows if opening is None else opening
         hopeful = [s for s in rows if s[2] * len(rows) < criteria.alpha and s[1] > 0.5 * criteria.size]
         tries = []
-        for c, _, _ in hopeful[: criteria.tried]:
+        for c, _, _ in hopeful[: criteria.tried_short]:
             say(c.name)
             tries.append(added(problem, base, c))
-        better = None
-        for made in sorted(tries, key=lambda m: m.held.sum()):
-            test = paired(base, made)
-            if (
-                test.gain > criteria.size
-                and test.p < criteria.confidence
-                and (better is None or _beats(made, better, criteria))
-            ):
-                better = made
-        if better is None:
+        good = [m for m in tries if _holds(paired(base, m), criteria)]
+        if not good:
             break
+        better = _simplest(good, criteria)
         base = fit(problem, better.added, better.vector)
         stages.append(base)
     while base.added:
@@ -304,10 +311,19 @@ def select(problem: Problem, criteria: Criteria, say: Callable[[str], None] = la
     return Selection(null, base, tuple(stages), (), tuple(opening or ()), tuple(dropped))
 
 
-def _beats(one: Model, other: Model, criteria: Criteria) -> bool:
-    small, large = sorted((other, one), key=lambda m: len(m.free))
-    test = paired(small, large)
-    return (large if test.gain > criteria.size and test.p < criteria.confidence else small) is one
+def _holds(test: Test, criteria: Criteria) -> bool:
+    return test.gain > criteria.size and test.p < criteria.confidence
+
+
+def _simplest(models: Sequence[Model], criteria: Criteria) -> Model:
+    """Of models of one size the one that predicts best; a larger one only where it holds out beside the smaller."""
+    chosen = None
+    for size in sorted({len(m.free) for m in models}):
+        best = min((m for m in models if len(m.free) == size), key=lambda m: m.held.sum())
+        if chosen is None or _holds(paired(chosen, best), criteria):
+            chosen = best
+    assert chosen is not None
+    return chosen
 
 
 def _steady(problem: Problem, model: Model, c: Candidate) -> float:

@@ -24,6 +24,7 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out2 --seed 1
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
+  adaptsim diagnose logs/pushes --out out6      pushes: actions.csv and tracks, or the folder of an `adaptsim robot` session
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -61,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.recording import read_recording
 
+    if args.model is None and of_pushes(Path(args.data)):
+        return run_pushes(args)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     recording = without(read_recording(args.data), args.without)  # refused within a second, and before JAX is loaded
@@ -79,15 +82,55 @@ def run(args: argparse.Namespace) -> int:
     return say(args, result, out)
 
 
-def of_a_mechanism(data: Path) -> bool:
-    """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so (or which has none)."""
-    meta = data / "meta.toml"
-    if not data.is_dir():
-        return data.exists()
+def declared_task(data: Path) -> str | None:
+    """The task that a folder's meta.toml declares; None where it does not, or cannot be read (its reader says why)."""
     try:
-        return tomllib.loads(meta.read_text(encoding="utf-8")).get("task") == "mechanism"
-    except (OSError, ValueError):  # the reader of the declared task says what is wrong
+        return tomllib.loads((data / "meta.toml").read_text(encoding="utf-8")).get("task")
+    except (OSError, ValueError):
+        return None
+
+
+def of_a_mechanism(data: Path) -> bool:
+    """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
+    return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
+
+
+def of_pushes(data: Path) -> bool:
+    """Whether DATA holds pushes: meta.toml says so, or it is the folder of a session with a robot that pushes."""
+    if declared_task(data) is not None:
+        return declared_task(data) == "pushing"
+    if not (data / "robot.toml").exists():
         return False
+    from adaptsim_jax.tasks.pushing.tracks import is_session
+
+    return is_session(data)
+
+
+def run_pushes(args: argparse.Namespace) -> int:
+    """Pushes: what the simulator gets wrong about a robot's, and the push that would tell a class apart."""
+    from rich.console import Console
+
+    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+    from adaptsim_jax.tasks.pushing import diagnose as pushes
+
+    apart(args)
+    pushes.checked(args.data)
+    with output(args.out) as folder, progress("diagnose") as report:
+        result = pushes.diagnose(
+            args.data, out=folder, exclude=tuple(args.exclude), without=tuple(args.without), progress=report,
+            page=write_diagnosis,
+        )  # fmt: skip
+    print_summary(result, Console(), folder)
+    return 0
+
+
+def apart(args: argparse.Namespace) -> None:
+    """Refuses to write into the folder of the recordings."""
+    out, data = Path(args.out), Path(args.data)
+    if out.exists() and data.exists() and out.resolve() == data.resolve():
+        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
 
 
 def run_mechanism(args: argparse.Namespace) -> int:
@@ -97,9 +140,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.read import read_with_model
 
-    out = Path(args.out)
-    if out.exists() and Path(args.data).exists() and out.resolve() == Path(args.data).resolve():
-        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
+    apart(args)
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     read_with_model(args.data, args.model)  # refused before anything is written
@@ -109,7 +150,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
             args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(args.without),
-            progress=report, page=write_diagnosis,
+            progress=report, page=write_diagnosis, as_declared=args.as_declared,
         )  # fmt: skip
     return say(args, result, folder)
 

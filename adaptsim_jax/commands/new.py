@@ -8,7 +8,7 @@ from pathlib import Path
 
 KINDS = {"effect": ".py", "mechanism": ".xml", "task": ".py"}
 NEXT = {
-    "effect": "python {file}    its torque; then fill in the physics, and let it compete (docs/extend.md)",
+    "effect": "python {file}    its torque; then fill in the physics, and let it compete (docs/howto/extend.md)",
     "mechanism": "adaptsim init LOGS --model {file}",
     "task": "python {file}    trains a small Phase 1 on it",
 }

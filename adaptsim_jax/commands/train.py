@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
-    names = "paper-pendulum; paper-, native- or mjx-pushing; hydro- or mjx-scooping"
+    names = "paper-pendulum, paper-pushing, native-pushing, mjx-pushing, hydro-scooping, mjx-scooping"
     start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
     parser.add_argument(
         "--set",

@@ -14,6 +14,9 @@ class Criteria:
     that are refitted until they settle, where no single one earns a name. clear: a pair that leaves less than this share ends
     the making of pairs; promising: of one that leaves no more, look-alikes of its members are tried in their place. large: an
     unexplained force beyond this share of the torque is no disturbance, whatever its shape.
+
+    Of the decision: "error" is the held-out RMS error; "share" and "p-value" are of what the generic dictionary predicts of a
+    residual.
     """
 
     alpha: float = 0.01
@@ -30,3 +33,22 @@ class Criteria:
     clear: float = 0.1
     promising: float = 0.6
     large: float = 0.3
+    predicted: float = 0.8  # error of a flexible model over the declared model's: below this its forces are no chance
+    well_predicted: float = (
+        0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise
+    )
+    no_chance: float = 1e-12  # p-value below which it is structure, however unevenly it spreads over the trials
+    follows: float = 0.01  # share from which `alpha` is enough
+    answered_share: float = 0.05  # where commands answer to the motion, up to 0.03 follows it by chance
+    left_share: float = 0.02  # share left by a set that explains too little, from which it is no name
+    rival_gain: float = 20.0  # log-likelihood of a refitted rival from which the residual is structure
+    remains: float = 0.02  # error after over before: a model that leaves less than this may be named
+    much_remains: float = 0.15  # beyond this, however little of what is left is predicted counts, if it is no chance
+    much_p: float = 1e-8  # p-value of that; `no_chance` where the share is below `follows`
+    clear_share: float = 0.04  # share of what is left that is no chance at `clear_p`, however much error remains
+    clear_p: float = 1e-10  # p-value
+    beyond_floor: float = 4.0  # error over the noise floor up to which what remains is no concern
+    beyond_floor_still: float = 2.0  # the same where much of the error remains
+    least_trials: int = 5  # that all gain by chance once in 32 times
+    least_confirmed: float = 0.6  # error after over before: with less of a gain than this a name would be a guess
+    as_well: float = 1.1  # error with a known value freed over the mended model's: below this they explain alike

@@ -21,18 +21,6 @@ class Verdict:
     named: bool
 
 
-PREDICTED = 0.8  # held-out error of a flexible model over the declared model's: below this its forces are no chance
-WELL_PREDICTED = 0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise
-NO_CHANCE = 1e-12  # p-value of a smooth force below which it is structure, however unevenly it spreads over the trials
-ANSWERED_SHARE = 0.05  # of the residual: where commands answer to the motion, up to 0.03 follows it by chance
-REMAINS = 0.02  # held-out error after over before: a model that leaves less than this may be named
-MUCH_REMAINS = 0.15  # beyond this, however little of what is left a smooth force predicts counts, if it is no chance
-BEYOND_FLOOR = 4.0  # held-out error over the noise floor up to which what remains is no concern
-BEYOND_FLOOR_STILL = 2.0  # the same where much of the error remains
-LEAST_TRIALS = 5  # that all gain by chance once in 32 times
-LEAST_CONFIRMED = 0.6  # held-out error after over before: with less of a gain than this a name would be a guess
-
-
 def decide(
     found: SearchResult,
     before: ResidualDiagnosis,
@@ -49,16 +37,16 @@ def decide(
     over the sensors' noise."""
     active = found.added
     if not active:
-        well = flexible < WELL_PREDICTED and beyond > BEYOND_FLOOR
+        well = flexible < settings.well_predicted and beyond > settings.beyond_floor
         if well or _structured(found, before, settings, flexible):
             return Verdict("structured_unattributed", _unattributed(before), False)
         if np.max(force) > settings.large:
             return Verdict("structured_unattributed", _large(force), False)
         if powered:
             return Verdict("within_noise", _chance(beyond, before, settings), False)
-        return Verdict("underpowered", _weak(beyond), False)
+        return Verdict("underpowered", _weak(beyond, settings), False)
     left = force_ratio(found.final, found.base)
-    if left > settings.explained and after.p_value < settings.alpha and after.share > 0.02:
+    if left > settings.explained and after.p_value < settings.alpha and after.share > settings.left_share:
         return Verdict("structured_unattributed", _partly(found, after, left), False)
     names = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in active)
     others = [f"{_words(e)} at {_words(w)}" for rivals in found.classes.values() for e, w in rivals]
@@ -69,7 +57,7 @@ def decide(
 
 
 def _chance(beyond: float, left: ResidualDiagnosis, settings: Criteria) -> str:
-    if beyond < BEYOND_FLOOR:
+    if beyond < settings.beyond_floor:
         return "The declared model explains the data to within their noise."
     what = "nothing that would predict it in other trials."
     if left.answered and left.p_value < settings.alpha:
@@ -84,8 +72,12 @@ def _chance(beyond: float, left: ResidualDiagnosis, settings: Criteria) -> str:
     )
 
 
-def _weak(beyond: float) -> str:
-    much = f", though the declared model leaves {beyond:.0f} times the sensors' noise" if beyond >= BEYOND_FLOOR else ""
+def _weak(beyond: float, settings: Criteria) -> str:
+    much = (
+        f", though the declared model leaves {beyond:.0f} times the sensors' noise"
+        if beyond >= settings.beyond_floor
+        else ""
+    )
     return f"Nothing is found{much}; these data would not have shown most effects that matter."
 
 
@@ -110,9 +102,9 @@ def confirmed(
     left: the generic dictionary about the mended model. Beside a torque that wanders by chance, which no model takes away, a smaller
     fall of the error will do, if the likelihood rises in every trial and what is left is chance.
     """
-    if not verdict.named or after.rmse() < LEAST_CONFIRMED * before.rmse():
+    if not verdict.named or after.rmse() < settings.least_confirmed * before.rmse():
         return verdict
-    if not _predicted(left, settings) and confirms(after, before) and _everywhere(found, before):
+    if not _predicted(left, settings) and confirms(after, before) and _everywhere(found, before, settings):
         return verdict
     message = (
         "A candidate fits, but it does not simulate held-out trials better than the declared model; no name is given."
@@ -120,11 +112,11 @@ def confirmed(
     return Verdict("structured_unattributed", message, False)
 
 
-def _everywhere(found: SearchResult, trials: CrossValidation) -> bool:
+def _everywhere(found: SearchResult, trials: CrossValidation, settings: Criteria) -> bool:
     """Whether the likelihood rises in every trial, of enough of them to be no chance."""
     names = np.unique(trials.trial[trials.fold >= 0])
     gain = found.final.likelihood - found.base.likelihood
-    return len(names) >= LEAST_TRIALS and all(gain[trials.trial == k].sum() > 0.0 for k in names)
+    return len(names) >= settings.least_trials and all(gain[trials.trial == k].sum() > 0.0 for k in names)
 
 
 def unforced(
@@ -134,6 +126,7 @@ def unforced(
     after: CrossValidation,
     left: ResidualDiagnosis,
     floor: float,
+    settings: Criteria,
 ) -> Verdict:
     """The verdict, unless much error remains that is no chance: effects that stand in for one that the catalogue lacks
     (a lag for a delay, friction and drag for Stribeck's curve) explain most of it and leave the shape of what they miss.
@@ -142,10 +135,12 @@ def unforced(
     nothing that follows the motion in left-out trials.
     """
     remains = after.rmse() / before.rmse()
-    much = remains > MUCH_REMAINS and left.p_value < (NO_CHANCE if left.share < 0.01 else 1e-8)
-    clear = much or (left.share > 0.04 and left.p_value < 1e-10)
-    beyond = after.rmse() > (BEYOND_FLOOR_STILL if much else BEYOND_FLOOR) * floor
-    if not (verdict.named and clear and remains > REMAINS and beyond):
+    much = remains > settings.much_remains and left.p_value < (
+        settings.no_chance if left.share < settings.follows else settings.much_p
+    )
+    clear = much or (left.share > settings.clear_share and left.p_value < settings.clear_p)
+    beyond = after.rmse() > (settings.beyond_floor_still if much else settings.beyond_floor) * floor
+    if not (verdict.named and clear and remains > settings.remains and beyond):
         return verdict
     best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.added)
     message = (
@@ -158,17 +153,19 @@ def unforced(
 def _structured(found: SearchResult, before: ResidualDiagnosis, settings: Criteria, flexible: float) -> bool:
     """Structure that is more than chance: some smooth force, or a rival that was refitted, predicts it in left-out trials, or its
     spectrum has a line."""
-    answer = before.answered and before.line is None and before.share < ANSWERED_SHARE
+    answer = before.answered and before.line is None and before.share < settings.answered_share
     clear = not answer and _predicted(before, settings)
-    if clear or (before.p_value < settings.alpha and flexible < PREDICTED):
+    if clear or (before.p_value < settings.alpha and flexible < settings.predicted):
         return True
     fall = 1.0 - settings.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
-    return any(t.total - found.base.total > 20.0 and force_ratio(t, found.base) < fall for t in found.tried)
+    return any(
+        t.total - found.base.total > settings.rival_gain and force_ratio(t, found.base) < fall for t in found.tried
+    )
 
 
 def _predicted(left: ResidualDiagnosis, settings: Criteria) -> bool:
     """Whether some smooth force predicts what is left, or its spectrum has a line."""
-    sure = left.p_value < NO_CHANCE or (left.p_value < settings.alpha and left.share > 0.01)
+    sure = left.p_value < settings.no_chance or (left.p_value < settings.alpha and left.share > settings.follows)
     return sure or left.line is not None
 
 

@@ -160,9 +160,9 @@ def examine(
     say(7, STAGES, "held-out trials, mended model")
     error_after = (tested or cross_validate(problem, found.final, seen)) if verdict.named else error_before
     verdict = confirmed(verdict, found, error_before, error_after, after, settings)
-    verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem))
+    verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem), settings)
     if found.added or verdict.name == "structured_unattributed":
-        verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known)
+        verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known, settings)
         verdict = misdeclared(verdict, problem, base, effects, settings.explained, first, found.final)
     errors, rng = (error_before, error_after), np.random.default_rng(seed)
     report, evidence = report_of(problem, found, after, *errors, powers, verdict, settings, rng)

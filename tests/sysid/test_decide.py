@@ -42,7 +42,9 @@ def left(share, p_value):
     ],
 )
 def test_a_name_is_refused_where_what_it_leaves_is_no_chance(after, share, p_value, named):
-    verdict = unforced(NAMED, FOUND, cross_validate(100.0 * FLOOR), cross_validate(after), left(share, p_value), FLOOR)
+    verdict = unforced(
+        NAMED, FOUND, cross_validate(100.0 * FLOOR), cross_validate(after), left(share, p_value), FLOOR, Criteria()
+    )
     assert verdict.named is named
     assert verdict.name == ("explained" if named else "structured_unattributed")
     if not named:
@@ -52,7 +54,7 @@ def test_a_name_is_refused_where_what_it_leaves_is_no_chance(after, share, p_val
 
 def test_an_effect_that_takes_nearly_all_of_the_error_away_keeps_its_name():
     verdict = unforced(
-        NAMED, FOUND, cross_validate(1e4 * FLOOR), cross_validate(100.0 * FLOOR), left(0.09, 1e-100), FLOOR
+        NAMED, FOUND, cross_validate(1e4 * FLOOR), cross_validate(100.0 * FLOOR), left(0.09, 1e-100), FLOOR, Criteria()
     )
     assert verdict is NAMED
 

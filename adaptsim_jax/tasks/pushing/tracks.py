@@ -1,8 +1,6 @@
 """Pushes and the tracks that a camera saw of them, read from a folder, and the identification problem that they make."""
 
-import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +18,7 @@ from adaptsim_jax.tasks.pushing.slide import ROW, Push, slide
 LEAST_ROWS, LEAST_RATE, LEAST_TRIALS = 10, 20.0, 5
 MOVED = 0.01  # m: a bottle that moved less was not hit
 FAR = 3.0  # m from the arm's base
+SESSION, SESSION_NOISE = "robot.toml", 1e-3  # of `adaptsim robot`; m
 ROWS = 160  # of a track that are kept, evenly
 
 
@@ -49,14 +48,16 @@ class Tracks:
             )
         keep = [k for k, t in enumerate(self.trials) if t not in set(names)]
         pick = lambda z: z[keep]
-        return Tracks(self.path, tuple(self.trials[k] for k in keep), pick(self.actions), pick(self.time), pick(self.place),
-                      pick(self.seen), self.noise, self.notes)  # fmt: skip
+        return replace(self, trials=tuple(self.trials[k] for k in keep), actions=pick(self.actions), time=pick(self.time),
+                       place=pick(self.place), seen=pick(self.seen))  # fmt: skip
 
 
 def read_tracks(folder: str | Path) -> Tracks:
     """A folder with `actions.csv` (trial, speed, angle) and tracks in other CSV files (trial, time, x, y), or the folder of an
     `adaptsim robot` session. Raises BadInput that names the file, the trial and the mend."""
     folder = Path(folder)
+    if (folder / SESSION).exists():
+        return _of_session(folder)
     actions = _actions(folder)
     columns = [_file(f) for f in _track_files(folder)]
     if not columns:
@@ -70,6 +71,24 @@ def read_tracks(folder: str | Path) -> Tracks:
                 raise BadInput(f"{path}: trial {key} is in another file too; number the trials of all files apart")
             rows[key] = _checked(path, key, time[mine], xy[mine])
     return _assembled(folder, actions, rows)
+
+
+def _of_session(folder: Path) -> Tracks:
+    """The pushes that were recorded in a session of `adaptsim robot`: six places of each."""
+    from adaptsim_jax.core import store
+    from adaptsim_jax.tasks.pushing.task import observed_rows
+
+    history = store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]
+    actions, rows = {}, {}
+    when = 0.01 * (observed_rows(pushing.rows(pushing.PAPER)) + 1)
+    for push in (p for visit in history for p in visit.get("pushes", [])):
+        points = np.array(push["points"], float)
+        if points.shape == (len(when), 2) and np.isfinite(points).all():
+            name = f"{push['trial']:g}"
+            actions[name], rows[name] = np.array(push["action"], float), (when, points)
+    tracks = _assembled(folder, actions, rows)
+    note = f"six places of each push are kept in a session; their noise is taken to be {1e3 * SESSION_NOISE:g} mm"
+    return replace(tracks, noise=SESSION_NOISE, notes=(*tracks.notes, note))
 
 
 def _track_files(folder: Path) -> list[Path]:
@@ -203,25 +222,51 @@ def problem_of(tracks: Tracks) -> Problem:
     scale = seen / tracks.noise
     one = partial(_residual, duration=duration)
     over = jax.jit(jax.vmap(one, (0, 0, 0, 0, 0)))
-    along = jax.jit(jax.vmap(jax.jacfwd(one), (None, 0, 0, 0, 0)))
-    plain = jax.jit(jax.vmap(one, (None, 0, 0, 0, 0)))
+
+    @jax.jit
+    def along(vector, ways, action, time, place, scale):
+        at = lambda a, t, p, s: jax.vmap(
+            lambda w: jax.jvp(lambda v: one(v, a, t, p, s), (vector,), (w,)), out_axes=(None, -1)
+        )(ways)
+        return jax.vmap(at)(action, time, place, scale)
 
     def residuals(vectors):
         with jax.enable_x64(True):
             return np.asarray(over(jnp.asarray(vectors), action, time, place, scale))
 
-    def slopes(vector):
+    def slopes(vector, which):
+        ways = np.zeros((len(which), len(vector)))
+        ways[np.arange(len(which)), which] = 1.0
         with jax.enable_x64(True):
-            v = jnp.asarray(vector)
-            return (np.asarray(plain(v, action, time, place, scale)), np.asarray(along(v, action, time, place, scale)))
+            return tuple(
+                np.asarray(z) for z in along(jnp.asarray(vector), jnp.asarray(ways), action, time, place, scale)
+            )
 
-    return Problem(PARAMETERS, CATALOGUE, DECLARED, residuals, slopes, tracks.trials)
+    return Problem(PARAMETERS, CATALOGUE, DECLARED, residuals, slopes, tracks.trials, _starts())
+
+
+def _starts() -> np.ndarray:
+    """Vectors over Omega: where the patch lies is found from nearby only."""
+    rows = []
+    for mu in (0.09, 0.15):
+        for e in (4.6, 5.4):
+            for y in (-0.07, -0.025, 0.025, 0.07):
+                row = np.array([p.off for p in PARAMETERS])
+                row[:4] = mu, e, 0.5, y
+                rows.append(row)
+    return np.array(rows)
 
 
 def _residual(vector, action, time, place, scale, *, duration):
     seen = predicted(vector, action, time, duration)
     off = jnp.clip((seen - place) * scale[:, None], -1e5, 1e5)
     return off.reshape(-1)
+
+
+def errors(tracks: Tracks, problem: Problem, vectors: np.ndarray) -> np.ndarray:
+    """Error of each push [N] m: root mean square over its rows, at vectors [N, P]."""
+    r = problem.residuals(vectors) * tracks.noise
+    return np.sqrt(np.square(r).sum(1) / np.maximum(tracks.seen.sum(1), 1))
 
 
 def predicted(vector, action, time, duration: float):
@@ -233,21 +278,19 @@ def predicted(vector, action, time, duration: float):
     low = jnp.clip(jnp.floor(at).astype(jnp.int32), 0, len(rows) - 2)
     share = jnp.clip(at - low, 0.0, 1.0)[:, None]
     x = rows[low] * (1.0 - share) + rows[low + 1] * share
-    pivot = jnp.asarray(pushing.START)
+    pivot = jnp.asarray(pushing.START)[None]
     c, s = jnp.cos(p["camera_turn"]), jnp.sin(p["camera_turn"])
     away = (1.0 + p["camera_scale"]) * (x - pivot)
     turned = jnp.stack([c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1]], 1)
-    return pivot + turned + jnp.stack([p["camera_x"], p["camera_y"]])
+    return pivot + turned + jnp.stack([p["camera_x"], p["camera_y"]])[None]
 
 
-def is_push(folder: str | Path) -> bool:
-    """Whether a folder's meta.toml says task = "pushing", or it is a session of `adaptsim robot` with pushes."""
+def is_session(folder: str | Path) -> bool:
+    """Whether a folder is a session of `adaptsim robot` with pushes told."""
+    from adaptsim_jax.core import store
+
     folder = Path(folder)
-    try:
-        return tomllib.loads((folder / "meta.toml").read_text(encoding="utf-8")).get("task") == "pushing"
-    except (OSError, ValueError):
-        pass
-    return (folder / "actions.csv").exists() and (folder / "session.toml").exists()
-
-
-Say = Callable[[str], None]
+    if not (folder / SESSION).exists() or not (folder / store.CHECKPOINT).exists():
+        return False
+    history = store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]
+    return any("pushes" in visit for visit in history)
