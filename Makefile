@@ -8,15 +8,16 @@ DEMO_OUT ?= demo_out
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
-.PHONY: demo test test-all lint format bench clean help
+.PHONY: demo test test-all lint format bench docs clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    install into $(VENV), run 'adaptsim demo', leave figures and a page in $(DEMO_OUT)"
 	@echo "make test    run the quick tests on $(JOBS) processes (JOBS=n for another number)"
-	@echo "make test-all  the slow ones too"
+	@echo "make test-all  run all of them"
 	@echo "make lint    ruff and pyright"
 	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
+	@echo "make docs    the documentation as a site, strictly, in build/site"
 	@echo "make clean   remove $(VENV) and what the other targets wrote"
 
 demo: $(VENV)/.core
@@ -44,6 +45,10 @@ bench: $(VENV)/.core
 	$(BIN)/python benchmarks/table.py --out bench
 	@cat bench/table.md
 
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	@echo "open build/site/index.html"
+
 clean:
 	rm -rf $(VENV) .cache demo_out bench build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
 
@@ -65,6 +70,10 @@ $(VENV)/.core: $(VENV)/.made requirements.lock pyproject.toml
 
 $(VENV)/.test: $(VENV)/.core requirements-dev.lock
 	$(BIN)/python -m pip install --quiet -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.core requirements-docs.lock
+	$(BIN)/python -m pip install --quiet -r requirements-docs.lock
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.test

@@ -55,6 +55,8 @@ def test_every_command_takes_a_seed():
         "parity": ["pendulum"],
         "replay": ["m", "d"],
         "sweep": ["show", "d"],
+        "new": ["effect", "e"],
+        "completion": ["bash"],
     }
     for name in SUMMARIES:
         args = parse([name, *least.get(name, []), "--seed", "7"])
