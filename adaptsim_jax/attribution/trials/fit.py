@@ -109,7 +109,7 @@ def completed(problem: TrialProblem, names: Sequence[str], values: np.ndarray) -
     return TrialFit(values, tuple(names), residual, columns, loss, held, vectors)
 
 
-def declared_fit(problem: TrialProblem, rounds: int, begin: int = 3) -> TrialFit:
+def declared_fit(problem: TrialProblem, rounds: int, begin: int = 4) -> TrialFit:
     """The declared quantities fitted from the best few of `problem.starts`."""
     score = problem.scan or (
         lambda rows: np.array(
