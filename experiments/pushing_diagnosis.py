@@ -1,7 +1,7 @@
 """Score `adaptsim diagnose` on worlds of pushes: a line a world, and the tally.
 
-    python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/
-    python experiments/pushing_diagnosis.py worlds/
+python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/
+python experiments/pushing_diagnosis.py worlds/
 """
 
 import json
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose
+
 
 def main(folder):
     rows = []
@@ -35,9 +36,13 @@ def main(folder):
     count = len(rows)
     share = lambda pick: f"{sum(map(bool, map(pick, rows)))} of {count}"
     print(f"named {share(lambda r: r[1] in ('explained', 'explained_class', 'partly_explained'))}")
-    print(f"right {share(lambda r: r[2])}, right and nothing else {share(lambda r: r[2] and not r[3])}, wrong {share(lambda r: r[3])}")
+    print(
+        f"right {share(lambda r: r[2])}, right and nothing else {share(lambda r: r[2] and not r[3])}, wrong {share(lambda r: r[3])}"
+    )
     print(f"unattributed or partly {share(lambda r: r[1] in ('structured_unattributed', 'partly_explained'))}")
-    print(f"median over floor {np.median([r[4] for r in rows]):.2f}, seconds {np.median([r[5] for r in rows]):.0f}, at most {max(r[5] for r in rows):.0f}")
+    print(
+        f"median over floor {np.median([r[4] for r in rows]):.2f}, seconds {np.median([r[5] for r in rows]):.0f}, at most {max(r[5] for r in rows):.0f}"
+    )
 
 
 if __name__ == "__main__":

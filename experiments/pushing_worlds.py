@@ -16,7 +16,13 @@ import numpy as np
 G, RADIUS, START = 9.81, 0.03, (0.56, 0.0)
 STEP, LENGTH = 2e-4, 1.3
 PITCH, DROP = 0.8, 0.1175  # rad/s of the plate while it runs at full profile; m from link to edge
-COEFFICIENTS = ((3.685, 0.224, 0.268), (-1.460, 0.301, 0.055), (-0.449, 0.824), 0.292, 1.002)  # twin of the MuJoCo scene
+COEFFICIENTS = (
+    (3.685, 0.224, 0.268),
+    (-1.460, 0.301, 0.055),
+    (-0.449, 0.824),
+    0.292,
+    1.002,
+)  # twin of the MuJoCo scene
 
 
 def foot():
@@ -167,10 +173,18 @@ def world(kind, seed, pushes=18):
     """Lanes of one world: dict of arrays `[pushes]`, and what is true of it. kind: `null`, or of `SINGLES`, `OUTSIDE`."""
     rng = np.random.default_rng([seed, sum(map(ord, kind))])
     lanes = {k: np.zeros(pushes) for k in ZERO}
-    truth = {"mu": rng.uniform(0.05, 0.2), "e": 10 ** rng.uniform(4, 6), "mu_p": rng.uniform(0.2, 0.8), "y_p": rng.uniform(-0.1, 0.1)}
+    truth = {
+        "mu": rng.uniform(0.05, 0.2),
+        "e": 10 ** rng.uniform(4, 6),
+        "mu_p": rng.uniform(0.2, 0.8),
+        "y_p": rng.uniform(-0.1, 0.1),
+    }
     for k, v in truth.items():
         lanes[k] = np.full(pushes, v)
-    lanes["speed"], lanes["angle"] = rng.permutation(np.linspace(0.4, 0.8, pushes)), rng.permutation(np.linspace(-0.3, 0.3, pushes))
+    lanes["speed"], lanes["angle"] = (
+        rng.permutation(np.linspace(0.4, 0.8, pushes)),
+        rng.permutation(np.linspace(-0.3, 0.3, pushes)),
+    )
     given = {} if kind == "null" else (SINGLES | OUTSIDE)[kind](rng)
     for k, v in given.items():
         lanes[k] = np.full(pushes, v)

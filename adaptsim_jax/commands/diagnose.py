@@ -22,6 +22,8 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out2 --seed 1
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
+  adaptsim diagnose logs/pushes --out out6      the push: meta.toml says task = "pushing"; actions.csv and tracks beside it
+  adaptsim diagnose robot --out out7            a session of `adaptsim robot` of the push, as it is
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -52,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.recording import read_recording
 
+    if args.model is None and of_pushes(Path(args.data)):
+        return run_pushing(args)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     if args.without:
@@ -78,6 +82,49 @@ def of_a_mechanism(data: Path) -> bool:
         return tomllib.loads(meta.read_text(encoding="utf-8")).get("task") == "mechanism"
     except (OSError, ValueError):  # the reader of the declared task says what is wrong
         return False
+
+
+def of_pushes(data: Path) -> bool:
+    """Whether DATA is a folder of pushes, or a session of `adaptsim robot`."""
+    if (data / "robot.toml").exists():
+        return True
+    try:
+        return tomllib.loads((data / "meta.toml").read_text(encoding="utf-8")).get("task") == "pushing"
+    except (OSError, ValueError):
+        return False
+
+
+def run_pushing(args: argparse.Namespace) -> int:
+    """Measured pushes: effects judged one by one, the mended push, and the pushes that tell a class apart."""
+    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.tasks.pushing.diagnosis.read import read
+
+    data = Path(args.data)
+    if Path(args.out).exists() and Path(args.out).resolve() == data.resolve():
+        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
+    if args.without:
+        raise BadInput("--without takes trials of a mechanism; of pushes take rows out of actions.csv and the tracks")
+    if "jax" not in sys.modules:
+        compile_flags.small_steps()
+    if (data / "robot.toml").exists():
+        from adaptsim_jax.commands.robot_recorded import recorded_pushes
+
+        pushed = recorded_pushes(data)
+    else:
+        pushed = read(data)  # refused before anything is written
+    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+    from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
+
+    with output(args.out) as folder, progress("diagnose") as report:
+        result = diagnose_pushes(
+            pushed, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=str(data)
+        )
+    from rich.console import Console
+
+    print_summary(result, Console(), folder)
+    return 0
 
 
 def run_mechanism(args: argparse.Namespace) -> int:

@@ -112,9 +112,7 @@ def completed(problem: TrialProblem, names: Sequence[str], values: np.ndarray) -
 def declared_fit(problem: TrialProblem, rounds: int, begin: int = 4) -> TrialFit:
     """The declared quantities fitted from the best few of `problem.starts`."""
     score = problem.scan or (
-        lambda rows: np.array(
-            [np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows]
-        )
+        lambda rows: np.array([np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows])
     )
     order = np.argsort(score(problem.starts))[:begin]
     fits = [fitted(problem, problem.declared, problem.starts[i], rounds) for i in order]

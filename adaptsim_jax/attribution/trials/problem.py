@@ -53,7 +53,9 @@ class TrialProblem:
     counts: np.ndarray
     trials: tuple[str, ...]
     starts: np.ndarray
-    scan: Callable[[np.ndarray], np.ndarray] | None = None  # values [S, P] -> loss [S], roughly; where a cheaper way exists
+    scan: Callable[[np.ndarray], np.ndarray] | None = (
+        None  # values [S, P] -> loss [S], roughly; where a cheaper way exists
+    )
     index: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

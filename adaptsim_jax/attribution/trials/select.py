@@ -152,9 +152,7 @@ def steadiness(problem: TrialProblem, model: TrialModel, e: TrialEffect) -> floa
     return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))
 
 
-def select(
-    problem: TrialProblem, criteria: Criteria, say: Callable[[str], None] = lambda note: None
-) -> TrialSelection:
+def select(problem: TrialProblem, criteria: Criteria, say: Callable[[str], None] = lambda note: None) -> TrialSelection:
     """Forward, then each beside the others, then against its look-alikes."""
     say("declared model")
     base = null = TrialModel((), declared_fit(problem, 3 * criteria.rounds))

@@ -75,7 +75,9 @@ def edge_halfway(duration: float, step: float) -> np.ndarray:
     t = (np.arange(round(duration / step)) + 0.5) * step
     begin = np.array([0.0, pushing.STILL, pushing.STILL + pushing.RAMP_UP])
     corners = np.array([*begin, begin[-1] + pushing.HOLD, pushing.PUSH_ENDS])
-    travelled = np.concatenate([[0.0], np.cumsum(np.diff(corners) * (h := pushing.ramp(corners))[1:] - np.diff(corners) * np.diff(h) / 2)])
+    travelled = np.concatenate(
+        [[0.0], np.cumsum(np.diff(corners) * (h := pushing.ramp(corners))[1:] - np.diff(corners) * np.diff(h) / 2)]
+    )
     at = np.clip(np.searchsorted(corners, t, "right") - 1, 0, len(corners) - 1)
     rate, slope = pushing.ramp(t), np.append(np.diff(h) / np.diff(corners), 0.0)[at]
     travel = travelled[at] + (t - corners[at]) * (h[at] + rate) / 2

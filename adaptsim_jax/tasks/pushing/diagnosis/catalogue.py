@@ -13,7 +13,9 @@ BOUNDS = {"mu": (0.02, 0.6), "log_e": (3.5, 7.0), "mu_p": (0.02, 1.2), "y_p": (-
 def _declared(name: str, scale: float) -> Quantity:
     low, high = BOUNDS[name]
     middle = {"mu": 0.12, "log_e": 5.0, "mu_p": 0.5, "y_p": 0.0}[name]
-    return Quantity(name, "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "", middle, low, high, scale, high - low)
+    return Quantity(
+        name, "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "", middle, low, high, scale, high - low
+    )
 
 
 def _q(name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0) -> Quantity:
@@ -37,7 +39,8 @@ QUANTITIES = (
 )  # fmt: skip
 
 PLACES = tuple(
-    {"other_x": x, "other_y": y} for x, y in itertools.product((0.68, 0.78, 0.88, 0.98), (-0.14, -0.07, 0.0, 0.07, 0.14))
+    {"other_x": x, "other_y": y}
+    for x, y in itertools.product((0.68, 0.78, 0.88, 0.98), (-0.14, -0.07, 0.0, 0.07, 0.14))
 )
 _E = TrialEffect
 EFFECTS = (
@@ -74,6 +77,6 @@ def physical(values: dict) -> dict:
 def grain(a: float, b: float) -> tuple[float, float]:
     """Ratio of friction across by along the grain, and the grain's direction in rad from x, of `grain_a`, `grain_b`."""
     size = min(math.hypot(a, b), 0.999)
-    return math.sqrt((1 + size) / (1 - size)), (0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2) % math.pi - math.pi / 2
-
-
+    return math.sqrt((1 + size) / (1 - size)), (
+        0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2
+    ) % math.pi - math.pi / 2

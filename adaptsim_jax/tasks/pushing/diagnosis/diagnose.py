@@ -35,9 +35,10 @@ def diagnose(
     exclude: tuple[str, ...] = (),
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
+    named: str = "DATA",
 ) -> dict[str, Any]:
     """The report on a folder of pushes (or on `Pushed`); with `out` it is written there, with `model.toml` and, where names cannot
-    be told apart, `next_experiment.csv`. exclude: effects that are not considered. Raises BadInput.
+    be told apart, `next_experiment.csv`. exclude: effects that are not considered; named: what `Pushed` came of. Raises BadInput.
     """
     began = time.monotonic()
     criteria = criteria or Criteria()
@@ -60,9 +61,11 @@ def diagnose(
     report, evidence = reported(pushed, problem, found, criteria)
     plan = telling(pushed, found)
     if plan is not None:
-        report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | ({"csv": NEXT} if plan["rows"] else {})
+        report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
+            {"csv": NEXT} if plan["rows"] else {}
+        )
     report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__, "seed": 0, "command": f"adaptsim diagnose {'DATA' if isinstance(data, Pushed) else data} --out again",
+        "version": adaptsim_jax.__version__, "seed": 0, "command": f"adaptsim diagnose {named if isinstance(data, Pushed) else data} --out again",
         "seconds": round(time.monotonic() - began, 1),
     }  # fmt: skip
     report = check(report)
@@ -158,9 +161,12 @@ def _error(pushed: Pushed, found: TrialSelection, tracks: Mapping[str, np.ndarra
     rng = np.random.default_rng(0)
     draws = rng.integers(0, len(pushed.names), (400, len(pushed.names)))
     whole = lambda e, at=slice(None): float(np.sqrt(np.mean(np.square(e[at]))))
-    one = lambda k, c: np.sqrt((np.square(tracks[k][..., c] - pushed.xy[..., c]) * pushed.mask).sum(1) / pushed.mask.sum(1))
+    one = lambda k, c: np.sqrt(
+        (np.square(tracks[k][..., c] - pushed.xy[..., c]) * pushed.mask).sum(1) / pushed.mask.sum(1)
+    )
     channels = {
-        name: {"unit": "m", **{k: whole(one(k, c)) for k in held}, "noise_floor": pushed.noise} for c, name in enumerate(("x", "y"))
+        name: {"unit": "m", **{k: whole(one(k, c)) for k in held}, "noise_floor": pushed.noise}
+        for c, name in enumerate(("x", "y"))
     }
     trials = [{
         "trial": name, **{k: float(size[k][i]) for k in held},
@@ -181,7 +187,9 @@ def _candidates(found: TrialSelection) -> list[dict[str, Any]]:
     for s in found.scores:
         name = s.effect.name
         status = "accepted" if name in names else "look-alike" if name in alike else "rejected"
-        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(name, "gains less than what was taken")
+        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
+            name, "gains less than what was taken"
+        )
         rows.append({
             "name": name, "where": s.effect.where, "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
             "p_value": float(min(1.0, s.p * len(found.scores))), "accepted": name in names, "status": status, "why": why,
@@ -197,7 +205,13 @@ def _declared(problem: TrialProblem, model: TrialModel) -> dict[str, Any]:
         if name == "log_e":
             value, low, high = (10.0 ** float(np.clip(z, q.low, q.high)) for z in (value, low, high))
         unit = "Pa" if name == "log_e" else q.unit
-        out["e" if name == "log_e" else name] = {"value": value, "low": low, "high": high, "unit": unit, "identifiable": bool(known)}
+        out["e" if name == "log_e" else name] = {
+            "value": value,
+            "low": low,
+            "high": high,
+            "unit": unit,
+            "identifiable": bool(known),
+        }
     return out
 
 
@@ -226,4 +240,8 @@ def _held_out(pushed: Pushed, tracks, mended: bool) -> list[dict[str, Any]]:
 
 def _from_above(pushed: Pushed, tracks, mended: bool) -> dict[str, Any]:
     cut = lambda z: [z[i][pushed.mask[i] > 0] for i in range(len(pushed.names))]
-    return {"measured": cut(pushed.xy), "before": cut(tracks["before"]), "after": cut(tracks["after"]) if mended else None}
+    return {
+        "measured": cut(pushed.xy),
+        "before": cut(tracks["before"]),
+        "after": cut(tracks["after"]) if mended else None,
+    }

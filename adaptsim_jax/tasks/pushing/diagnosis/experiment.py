@@ -23,7 +23,11 @@ def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
                                 np.linspace(model.ACTION_LOW[1], model.ACTION_HIGH[1], ANGLES), indexing="ij"), -1).reshape(-1, 2)  # fmt: skip
     time = np.arange(0.0, 1.3, 1 / 60)
     many = replace(
-        pushed, actions=grid, starts=np.tile(model.START, (len(grid), 1)), aside=np.zeros((len(grid), 2)), time=np.tile(time, (len(grid), 1))
+        pushed,
+        actions=grid,
+        starts=np.tile(model.START, (len(grid), 1)),
+        aside=np.zeros((len(grid), 2)),
+        time=np.tile(time, (len(grid), 1)),
     )
     said = lambda m: simulated(many, pushed.options, pushed.coefficients, np.tile(m.fit.values, (len(grid), 1)))
     own = said(found.final)

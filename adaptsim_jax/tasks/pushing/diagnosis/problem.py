@@ -24,7 +24,9 @@ ROUGH = 0.0025  # s, step of the scan for starts
 MARGIN = 0.05  # s simulated beyond the last row
 
 
-def seen(values: Array, push: dict[str, Array], options: PushOptions, coefficients: PlanarCoefficients, step: float) -> Array:
+def seen(
+    values: Array, push: dict[str, Array], options: PushOptions, coefficients: PlanarCoefficients, step: float
+) -> Array:
     """`[R, 2]` m: what the camera says of one push at `push["time"]`; values `[P]`."""
     v = physical({n: values[i] for i, n in enumerate(NAMES)})
     inner = {n: v[n] for n in (*model.PARAMETERS, *slide.NEUTRAL)}
@@ -69,7 +71,11 @@ def packed(pushed: Pushed) -> dict[str, Array]:
 
 
 def prepare(
-    pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, effects: Sequence[TrialEffect] = EFFECTS, step: float = slide.STEP
+    pushed: Pushed,
+    options: PushOptions,
+    coefficients: PlanarCoefficients,
+    effects: Sequence[TrialEffect] = EFFECTS,
+    step: float = slide.STEP,
 ) -> TrialProblem:
     """The problem of a recording, simulated up to its last row."""
     last = np.ceil((float(pushed.time.max()) + MARGIN) / 0.05) * 0.05
@@ -102,10 +108,20 @@ def prepare(
         return np.square(r).reshape(len(rows), -1).sum(1)
 
     problem = TrialProblem(
-        QUANTITIES, DECLARED, tuple(effects), residuals, columns, 2.0 * pushed.mask.sum(1), pushed.names, np.zeros((0, 0)), scan
+        QUANTITIES,
+        DECLARED,
+        tuple(effects),
+        residuals,
+        columns,
+        2.0 * pushed.mask.sum(1),
+        pushed.names,
+        np.zeros((0, 0)),
+        scan,
     )
     starts = []
-    for values in itertools.product((0.07, 0.13, 0.25), (4.2, 5.0, 5.6, 6.4), (0.15, 0.6), (-0.12, -0.06, 0.0, 0.06, 0.12)):
+    for values in itertools.product(
+        (0.07, 0.13, 0.25), (4.2, 5.0, 5.6, 6.4), (0.15, 0.6), (-0.12, -0.06, 0.0, 0.06, 0.12)
+    ):
         start = problem.neutral
         start[problem.at(DECLARED)] = values
         starts.append(start)
@@ -113,6 +129,8 @@ def prepare(
     return problem
 
 
-def simulated(pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, values: np.ndarray, step: float = slide.STEP) -> np.ndarray:
+def simulated(
+    pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, values: np.ndarray, step: float = slide.STEP
+) -> np.ndarray:
     """`[T, R, 2]` m: what the camera would say of these pushes; values `[T, P]`."""
     return np.asarray(_program(options, coefficients, step)(np.asarray(values, np.float32), packed(pushed)))

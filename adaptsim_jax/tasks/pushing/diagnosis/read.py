@@ -76,7 +76,9 @@ def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Pat
     missing = [n for n in numbers if n not in found]
     names = [n for n in numbers if n in found]
     if len(names) < LEAST_TRIALS:
-        raise BadInput(f"{where}: {len(names)} pushes have a track; to judge effects {LEAST_TRIALS} are needed, 12 to 24 serve")
+        raise BadInput(
+            f"{where}: {len(names)} pushes have a track; to judge effects {LEAST_TRIALS} are needed, 12 to 24 serve"
+        )
     row = {n: i for i, n in enumerate(numbers)}
     at = np.array([row[n] for n in names])
     default = lambda k: c.get(f"start_{'xy'[k]}", np.full(len(numbers), model.START[k]))[at]
@@ -85,7 +87,11 @@ def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Pat
     time, xy, mask = np.zeros((len(at), longest)), np.zeros((len(at), longest, 2)), np.zeros((len(at), longest))
     for k, n in enumerate(names):
         t, p, _ = found[n]
-        time[k], xy[k], mask[k, : len(t)] = np.pad(t, (0, longest - len(t)), "edge"), np.pad(p, ((0, longest - len(t)), (0, 0)), "edge"), 1
+        time[k], xy[k], mask[k, : len(t)] = (
+            np.pad(t, (0, longest - len(t)), "edge"),
+            np.pad(p, ((0, longest - len(t)), (0, 0)), "edge"),
+            1,
+        )
     acts = np.stack([c["speed"], c["angle"]], 1)[at]
     aside = _aside(names, found, starts)
     _check_frame(acts, starts, aside, xy, mask, where)
@@ -122,14 +128,20 @@ def _read_tracks(path: Path, numbers: np.ndarray, actions: Path, found: dict) ->
         if t[-1] > 60.0:
             raise BadInput(f"{told(-1)}: lasts {t[-1]:.6g} s; is time in ms? write seconds since the arm's start")
         if len(t) < LEAST_ROWS or np.median(np.diff(t)) > SLOWEST:
-            raise BadInput(f"{told(0)}: {len(t)} rows {np.median(np.diff(t)) if len(t) > 1 else 0:.2g} s apart; 20 Hz at least are needed")
+            raise BadInput(
+                f"{told(0)}: {len(t)} rows {np.median(np.diff(t)) if len(t) > 1 else 0:.2g} s apart; 20 Hz at least are needed"
+            )
         if t[0] < -0.5:
             raise BadInput(f"{told(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm starts")
         leap = np.linalg.norm(np.diff(p, axis=0), axis=1)
         for k in np.flatnonzero(leap > FASTEST * np.diff(t) + SLIP)[:1] + 1:
-            raise BadInput(f"{told(k)}: the bottle jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it")
+            raise BadInput(
+                f"{told(k)}: the bottle jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it"
+            )
         if np.linalg.norm(p - p[0], axis=1).max() < 2 * STILL:
-            raise BadInput(f"{told(-1)}: the bottle never moved: the hit never came, or the track ends before; leave it out or push again")
+            raise BadInput(
+                f"{told(-1)}: the bottle never moved: the hit never came, or the track ends before; leave it out or push again"
+            )
         keep = (t >= 0.0) & (t <= 3.0)
         found[n] = t[keep], p[keep], path.name
 
@@ -150,13 +162,17 @@ def _check_frame(actions, starts, aside, xy, mask, where: Path) -> None:
     went = np.arctan2(ends[:, 1], ends[:, 0])
     turn = lambda a: float(np.median(np.abs(np.angle(np.exp(1j * (a - np.median(np.angle(np.exp(1j * a)))))))))
     wide = float(np.ptp(actions[:, 1])) > 0.1
-    straight, mirrored, back = turn(went - actions[:, 1]), turn(went + actions[:, 1]), np.median(np.cos(went - actions[:, 1]))
-    if wide and mirrored < 0.3 * straight:
-        raise BadInput(f"{where}: bottles go to the right where they are pushed to the left: tracks are mirrored; turn the sign of y "
-                       "(or of angle: to the left is positive)")  # fmt: skip
+    straight, mirrored, back = (
+        turn(went - actions[:, 1]),
+        turn(went + actions[:, 1]),
+        np.median(np.cos(went - actions[:, 1])),
+    )
     if back < 0.5:
         raise BadInput(f"{where}: bottles go {np.degrees(np.arccos(np.clip(back, -1, 1))):.0f} degrees off their pushes: another frame? give "
                        "tracks in the arm's base frame (x ahead, y to the left)")  # fmt: skip
+    if wide and mirrored < 0.3 * straight:
+        raise BadInput(f"{where}: bottles go to the right where they are pushed to the left: tracks are mirrored; turn the sign of y "
+                       "(or of angle: to the left is positive)")  # fmt: skip
 
 
 def _noise(meta, time, xy, mask) -> tuple[float, str]:
