@@ -40,8 +40,9 @@ def main(folder):
         f"right {share(lambda r: r[2])}, right and nothing else {share(lambda r: r[2] and not r[3])}, wrong {share(lambda r: r[3])}"
     )
     print(f"unattributed or partly {share(lambda r: r[1] in ('structured_unattributed', 'partly_explained'))}")
+    seconds = [r[5] for r in rows]
     print(
-        f"median over floor {np.median([r[4] for r in rows]):.2f}, seconds {np.median([r[5] for r in rows]):.0f}, at most {max(r[5] for r in rows):.0f}"
+        f"median over floor {np.median([r[4] for r in rows]):.2f}, seconds {np.median(seconds):.0f}, at most {max(seconds):.0f}"
     )
 
 

@@ -40,8 +40,9 @@ def profile(t):
 ZERO = dict.fromkeys(
     "speed_scale speed_offset heading_offset start_x start_y hardening plate_turn tilt_x tilt_y speed_friction drag grain "
     "grain_angle patch_x patch_size other_x other_y other_mu shift_x shift_y scale scale_start turn turn_start latency clock "
-    "ridge ridge_x bowl gradient lens heading_gain side_speed swerve warm scatter".split(), 0.0
-)  # fmt: skip
+    "ridge ridge_x bowl gradient lens heading_gain side_speed swerve warm scatter".split(),
+    0.0,
+)
 
 
 def simulate(lanes, rate=500):
@@ -144,29 +145,44 @@ def _one(name, low, high):
 
 
 SINGLES = {
-    "speed_scale": _one("speed_scale", 0.05, 0.15), "speed_offset": _one("speed_offset", 0.03, 0.08),
-    "heading_offset": _one("heading_offset", 0.04, 0.12), "start_pose": _two(("start_x", "start_y"), 0.006, 0.02),
+    "speed_scale": _one("speed_scale", 0.05, 0.15),
+    "speed_offset": _one("speed_offset", 0.03, 0.08),
+    "heading_offset": _one("heading_offset", 0.04, 0.12),
+    "start_pose": _two(("start_x", "start_y"), 0.006, 0.02),
     "placement": lambda rng: {"scatter": rng.uniform(0.005, 0.01)},
-    "hardening": _one("hardening", 0.6, 1.4), "plate_turn": _one("plate_turn", 0.06, 0.2),
+    "hardening": _one("hardening", 0.6, 1.4),
+    "plate_turn": _one("plate_turn", 0.06, 0.2),
     "tilt": _two(("tilt_x", "tilt_y"), 0.015, 0.05),
     "speed_friction": lambda rng: {"speed_friction": rng.choice([rng.uniform(0.8, 2.5), -rng.uniform(0.35, 0.6)])},
     "drag": lambda rng: {"drag": rng.uniform(0.4, 1.5)},
     "grain": lambda rng: {"grain": rng.uniform(0.2, 0.5), "grain_angle": rng.uniform(-np.pi / 2, np.pi / 2)},
-    "patch_place": _one("patch_x", 0.025, 0.06), "patch_size": lambda rng: {"patch_size": rng.choice([rng.uniform(0.015, 0.04), -rng.uniform(0.015, 0.03)])},
-    "second_patch": lambda rng: {"other_x": rng.uniform(0.68, 0.9), "other_y": rng.uniform(-0.1, 0.1), "other_mu": rng.uniform(0.2, 0.6)},
-    "camera_shift": _two(("shift_x", "shift_y"), 0.005, 0.02), "camera_scale": _one("scale", 0.03, 0.1),
-    "camera_scale_at_start": _one("scale_start", 0.03, 0.1), "camera_turn": _one("turn", 0.03, 0.1),
-    "camera_turn_at_start": _one("turn_start", 0.03, 0.1), "latency": lambda rng: {"latency": rng.uniform(0.015, 0.06)},
+    "patch_place": _one("patch_x", 0.025, 0.06),
+    "patch_size": lambda rng: {"patch_size": rng.choice([rng.uniform(0.015, 0.04), -rng.uniform(0.015, 0.03)])},
+    "second_patch": lambda rng: {
+        "other_x": rng.uniform(0.68, 0.9),
+        "other_y": rng.uniform(-0.1, 0.1),
+        "other_mu": rng.uniform(0.2, 0.6),
+    },
+    "camera_shift": _two(("shift_x", "shift_y"), 0.005, 0.02),
+    "camera_scale": _one("scale", 0.03, 0.1),
+    "camera_scale_at_start": _one("scale_start", 0.03, 0.1),
+    "camera_turn": _one("turn", 0.03, 0.1),
+    "camera_turn_at_start": _one("turn_start", 0.03, 0.1),
+    "latency": lambda rng: {"latency": rng.uniform(0.015, 0.06)},
     "clock_scale": _one("clock", 0.03, 0.1),
-}  # fmt: skip
+}
 OUTSIDE = {
     "ridge": lambda rng: {"ridge": rng.uniform(2, 5), "ridge_x": rng.uniform(0.66, 0.74)},
-    "bowl": lambda rng: {"bowl": rng.uniform(2, 5)}, "gradient": lambda rng: {"gradient": rng.uniform(2, 5)},
-    "lens": _one("lens", 0.3, 0.8), "heading_gain": _one("heading_gain", 0.15, 0.4),
-    "side_speed": _one("side_speed", 0.2, 0.5), "swerve": _one("swerve", 0.15, 0.4),
-    "warm": lambda rng: {"warm": rng.uniform(0.3, 0.8)}, "random_friction": lambda rng: {"warm": -rng.uniform(0.15, 0.4)},
+    "bowl": lambda rng: {"bowl": rng.uniform(2, 5)},
+    "gradient": lambda rng: {"gradient": rng.uniform(2, 5)},
+    "lens": _one("lens", 0.3, 0.8),
+    "heading_gain": _one("heading_gain", 0.15, 0.4),
+    "side_speed": _one("side_speed", 0.2, 0.5),
+    "swerve": _one("swerve", 0.15, 0.4),
+    "warm": lambda rng: {"warm": rng.uniform(0.3, 0.8)},
+    "random_friction": lambda rng: {"warm": -rng.uniform(0.15, 0.4)},
     "random_heading": lambda rng: {"heading_offset": np.nan},
-}  # fmt: skip
+}
 
 
 def world(kind, seed, pushes=18):

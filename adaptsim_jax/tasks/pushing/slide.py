@@ -24,11 +24,25 @@ Array = Any
 STEP = 0.001  # s
 ROW = 0.005  # s between the rows that are kept
 NEUTRAL = {
-    "speed_scale": 0.0, "speed_offset": 0.0, "heading_offset": 0.0, "start_x": 0.0, "start_y": 0.0,
-    "hardening": 0.0, "plate_turn": 0.0, "tilt_x": 0.0, "tilt_y": 0.0, "speed_friction": 0.0, "drag": 0.0,
-    "grain_a": 0.0, "grain_b": 0.0, "patch_x": 0.0, "patch_size": 0.0,
-    "other_x": 0.75, "other_y": 0.0, "other_mu": 0.0,
-}  # fmt: skip
+    "speed_scale": 0.0,
+    "speed_offset": 0.0,
+    "heading_offset": 0.0,
+    "start_x": 0.0,
+    "start_y": 0.0,
+    "hardening": 0.0,
+    "plate_turn": 0.0,
+    "tilt_x": 0.0,
+    "tilt_y": 0.0,
+    "speed_friction": 0.0,
+    "drag": 0.0,
+    "grain_a": 0.0,
+    "grain_b": 0.0,
+    "patch_x": 0.0,
+    "patch_size": 0.0,
+    "other_x": 0.75,
+    "other_y": 0.0,
+    "other_mu": 0.0,
+}
 """Every value that acts on the slide and is not declared, at which it does nothing (a second patch's place is free then):
 speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared start; hardening, the power of the
 hit's speed by which the contact is stiffer and more damped; plate_turn rad of the face against its motion; tilt_x, tilt_y rad,

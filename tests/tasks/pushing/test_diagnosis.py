@@ -1,5 +1,6 @@
 """Recordings of pushes: what is refused, and an effect that is named from the command line."""
 
+import hashlib
 import json
 
 import jax
@@ -7,9 +8,12 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
+from adaptsim_jax.commands.robot_recorded import recorded_pushes
+from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model, slide
 from adaptsim_jax.tasks.pushing.diagnosis.read import read
+from adaptsim_jax.tasks.pushing.planar import DRAKE
 
 COUNT = 12
 RNG = np.random.default_rng(3)
@@ -48,10 +52,10 @@ def test_pushes_are_read_with_their_noise(tmp_path, tracks):
     ("change", "says"),
     [
         (lambda z: z * [1.0, -1.0], "mirrored"),
-        (lambda z: z + [0.5, 0.0], "another frame"),
+        (lambda z: z + np.array([0.5, 0.0]), "another frame"),
         (lambda z: 1000.0 * z, "metres"),
         (lambda z: np.where(np.arange(len(z))[:, None, None] == 4, z[4, 0], z), "trial 5: the bottle never moved"),
-        (lambda z: z[..., ::-1] + [0.56, -0.56], "another frame"),
+        (lambda z: z[..., ::-1] + np.array([0.56, -0.56]), "another frame"),
         (lambda z: z[:, ::5], "20 Hz"),
     ],
 )
@@ -69,6 +73,30 @@ def test_an_unknown_key_and_a_push_in_degrees_are_refused(tmp_path, tracks):
     (folder / "actions.csv").write_text("\n".join([text[0], "1,0.5,17.0", *text[2:], ""]))
     with pytest.raises(BadInput, match="degrees"):
         read(folder)
+
+
+def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
+    folder = written(tmp_path / "told", tracks)
+    run = store.RunFolder.create(tmp_path / "run", {"task": {"coefficients": "drake"}}, task="pushing")
+    file = folder / "tracks.csv"
+    visit = {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    visit["pushes"] = [{"trial": i, "action": list(map(float, a))} for i, a in enumerate(ACTIONS, 1)]
+    session = tmp_path / "robot"
+    store.save_checkpoint(
+        session / store.CHECKPOINT,
+        {"a": np.zeros(1)},
+        task="pushing",
+        step=1,
+        config_hash="x",
+        extra={"history": [visit]},
+    )
+    config.write(session / "robot.toml", {"run": str(run.path)})
+    pushed = recorded_pushes(session)
+    assert pushed.coefficients == DRAKE
+    np.testing.assert_allclose(pushed.actions, ACTIONS, atol=1e-9)
+    file.write_text(file.read_text() + "\n")
+    with pytest.raises(BadInput, match="is not the file that was told"):
+        recorded_pushes(session)
 
 
 @pytest.mark.slow

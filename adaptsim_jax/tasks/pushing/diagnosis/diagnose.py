@@ -65,9 +65,11 @@ def diagnose(
             {"csv": NEXT} if plan["rows"] else {}
         )
     report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__, "seed": 0, "command": f"adaptsim diagnose {named if isinstance(data, Pushed) else data} --out again",
+        "version": adaptsim_jax.__version__,
+        "seed": 0,
+        "command": f"adaptsim diagnose {named if isinstance(data, Pushed) else data} --out again",
         "seconds": round(time.monotonic() - began, 1),
-    }  # fmt: skip
+    }
     report = check(report)
     if folder is not None:
         for name in (*OTHERS, MODEL, NEXT):
@@ -102,18 +104,29 @@ def reported(
     tracks = {"before": simulated(pushed, pushed.options, pushed.coefficients, found.null.fit.vectors)}
     tracks["after"] = simulated(pushed, pushed.options, pushed.coefficients, found.final.fit.vectors)
     report = new_report(
-        "pushing", "the planar push with lateral motion", _kind(found.named, over, criteria), message(pushed, found, over),
+        "pushing",
+        "the planar push with lateral motion",
+        _kind(found.named, over, criteria),
+        message(pushed, found, over),
         {"trials": len(pushed.names), "samples": int(pushed.mask.sum()), "held_out_trials": len(pushed.names)},
-        effects=[_effect(problem, found, n) for n in found.named], error=_error(pushed, found, tracks),
-        candidates=_candidates(found), declared={"before": _declared(problem, found.null), "after": _declared(problem, found.final)},
-        not_established=[f"{n.effect.name.replace('_', ' ')} or {s.replace('_', ' ')}: no push tells them apart, only a log of the arm by the "
-                         "camera's clock." for n in found.named for s in n.effect.same],
-        notes=list(pushed.notes), noise={"m": pushed.noise, "source": pushed.noise_source},
-    )  # fmt: skip
+        effects=[_effect(problem, found, n) for n in found.named],
+        error=_error(pushed, found, tracks),
+        candidates=_candidates(found),
+        declared={"before": _declared(problem, found.null), "after": _declared(problem, found.final)},
+        not_established=[
+            f"{n.effect.name.replace('_', ' ')} or {s.replace('_', ' ')}: no push tells them apart, only a log of the arm by the "
+            "camera's clock."
+            for n in found.named
+            for s in n.effect.same
+        ],
+        notes=list(pushed.notes),
+        noise={"m": pushed.noise, "source": pushed.noise_source},
+    )
     evidence = {
         "audit": [{"severity": "info", "where": "", "message": note} for note in pushed.notes],
-        "held_out": _held_out(pushed, tracks, bool(found.named)), "tracks": _from_above(pushed, tracks, bool(found.named)),
-    }  # fmt: skip
+        "held_out": _held_out(pushed, tracks, bool(found.named)),
+        "tracks": _from_above(pushed, tracks, bool(found.named)),
+    }
     return report, evidence
 
 
@@ -125,10 +138,12 @@ def message(pushed: Pushed, found: TrialSelection, over: float) -> str:
         return f"{told} No effect of the catalogue holds out." if over > 1.5 else f"{told} Nothing need be added."
     lines = [
         f"{n.effect.name.replace('_', ' ')} holds out in {n.test.better} of {n.test.folds} pushes "
-        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})" for n in found.named
-    ]  # fmt: skip
+        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
+        for n in found.named
+    ]
     told = "; ".join(lines)
-    return f"{told[:1].upper()}{told[1:]}. Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
+    left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
+    return f"{told[:1].upper()}{told[1:]}. {left}"
 
 
 def _interval(problem: TrialProblem, model: TrialModel, name: str) -> tuple[float, float, float]:
@@ -148,11 +163,19 @@ def _effect(problem: TrialProblem, found: TrialSelection, n: TrialNamed) -> dict
         ratio, along = grain(*(float(found.final.fit.values[problem.index[q]]) for q in e.quantities))
         more = {"ratio": ratio, "smooth_direction_rad": along}
     return {
-        "name": e.name, "where": e.where, "parameters": numbers, "physics": e.physics, "shown_by": e.seen,
+        "name": e.name,
+        "where": e.where,
+        "parameters": numbers,
+        "physics": e.physics,
+        "shown_by": e.seen,
         "alternatives": [*[f"{a.name}@{a.where}" for a, _ in n.alternatives], *[f"{s}@command" for s in e.same]],
-        "held_out_gain": n.test.gain, "p_value": n.test.p, "better": n.test.better, "folds": n.test.folds,
-        "size_over_scatter": min(n.steady, 1e3), **more,
-    }  # fmt: skip
+        "held_out_gain": n.test.gain,
+        "p_value": n.test.p,
+        "better": n.test.better,
+        "folds": n.test.folds,
+        "size_over_scatter": min(n.steady, 1e3),
+        **more,
+    }
 
 
 def _error(pushed: Pushed, found: TrialSelection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -168,16 +191,27 @@ def _error(pushed: Pushed, found: TrialSelection, tracks: Mapping[str, np.ndarra
         name: {"unit": "m", **{k: whole(one(k, c)) for k in held}, "noise_floor": pushed.noise}
         for c, name in enumerate(("x", "y"))
     }
-    trials = [{
-        "trial": name, **{k: float(size[k][i]) for k in held},
-        "per_channel": {n: {k: float(one(k, c)[i]) for k in held} for c, n in enumerate(("x", "y"))},
-    } for i, name in enumerate(pushed.names)]  # fmt: skip
+    trials = [
+        {
+            "trial": name,
+            **{k: float(size[k][i]) for k in held},
+            "per_channel": {n: {k: float(one(k, c)[i]) for k in held} for c, n in enumerate(("x", "y"))},
+        }
+        for i, name in enumerate(pushed.names)
+    ]
     return {
-        "metric": "root mean square error of a coordinate of left-out tracks", "unit": "m", **{k: whole(v) for k, v in size.items()},
-        "noise_floor": pushed.noise, "ceiling": None, "per_channel": channels, "per_trial": trials,
+        "metric": "root mean square error of a coordinate of left-out tracks",
+        "unit": "m",
+        **{k: whole(v) for k, v in size.items()},
+        "noise_floor": pushed.noise,
+        "ceiling": None,
+        "per_channel": channels,
+        "per_trial": trials,
         "noise_floor_source": pushed.noise_source,
-        "intervals": {k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])] for k, v in size.items()},
-    }  # fmt: skip
+        "intervals": {
+            k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])] for k, v in size.items()
+        },
+    }
 
 
 def _candidates(found: TrialSelection) -> list[dict[str, Any]]:
@@ -190,10 +224,17 @@ def _candidates(found: TrialSelection) -> list[dict[str, Any]]:
         why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
             name, "gains less than what was taken"
         )
-        rows.append({
-            "name": name, "where": s.effect.where, "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
-            "p_value": float(min(1.0, s.p * len(found.scores))), "accepted": name in names, "status": status, "why": why,
-        })  # fmt: skip
+        rows.append(
+            {
+                "name": name,
+                "where": s.effect.where,
+                "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
+                "p_value": float(min(1.0, s.p * len(found.scores))),
+                "accepted": name in names,
+                "status": status,
+                "why": why,
+            }
+        )
     return rows
 
 
@@ -219,11 +260,14 @@ def model_table(pushed: Pushed, problem: TrialProblem, found: TrialSelection) ->
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     value = lambda name: float(found.final.fit.values[problem.index[name]])
     return {
-        "schema": 1, "task": "pushing", "friction": pushed.options.friction, "mass": pushed.options.mass,
+        "schema": 1,
+        "task": "pushing",
+        "friction": pushed.options.friction,
+        "mass": pushed.options.mass,
         "coefficients": "drake" if pushed.coefficients == DRAKE else "native",
         "parameters": {"mu": value("mu"), "e": 10.0 ** value("log_e"), "mu_p": value("mu_p"), "y_p": value("y_p")},
         "effects": {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.named},
-    }  # fmt: skip
+    }
 
 
 def _held_out(pushed: Pushed, tracks, mended: bool) -> list[dict[str, Any]]:
@@ -231,10 +275,16 @@ def _held_out(pushed: Pushed, tracks, mended: bool) -> list[dict[str, Any]]:
     for i, name in enumerate(pushed.names):
         k = pushed.mask[i] > 0
         channels = lambda z, i=i, k=k: {"x": z[i][k, 0], "y": z[i][k, 1]}
-        out.append({
-            "trial": name, "unit": "m", "time": pushed.time[i][k], "measured": channels(pushed.xy), "before": channels(tracks["before"]),
-            "after": channels(tracks["after"]) if mended else None,
-        })  # fmt: skip
+        out.append(
+            {
+                "trial": name,
+                "unit": "m",
+                "time": pushed.time[i][k],
+                "measured": channels(pushed.xy),
+                "before": channels(tracks["before"]),
+                "after": channels(tracks["after"]) if mended else None,
+            }
+        )
     return out
 
 

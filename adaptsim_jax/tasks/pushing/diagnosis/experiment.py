@@ -15,12 +15,21 @@ APART = 3.0  # times the camera's noise, between members, of a push worth making
 
 
 def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
-    """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid tells them apart; None without a class."""
+    """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid tells them apart.
+
+    None where nothing that was named has look-alikes.
+    """
     pairs = [(n, other, m) for n in found.named for other, m in n.alternatives]
     if not pairs:
         return None
-    grid = np.stack(np.meshgrid(np.linspace(model.ACTION_LOW[0], model.ACTION_HIGH[0], SPEEDS),
-                                np.linspace(model.ACTION_LOW[1], model.ACTION_HIGH[1], ANGLES), indexing="ij"), -1).reshape(-1, 2)  # fmt: skip
+    grid = np.stack(
+        np.meshgrid(
+            np.linspace(model.ACTION_LOW[0], model.ACTION_HIGH[0], SPEEDS),
+            np.linspace(model.ACTION_LOW[1], model.ACTION_HIGH[1], ANGLES),
+            indexing="ij",
+        ),
+        -1,
+    ).reshape(-1, 2)
     time = np.arange(0.0, 1.3, 1 / 60)
     many = replace(
         pushed,
@@ -37,10 +46,16 @@ def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
     score = apart[int(np.argmin(apart.max(1)))]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if score.max() < APART * pushed.noise:
-        return {"message": f"No push within the bounds tells {words} apart: their tracks differ by {1e3 * score.max():.2g} mm at most. Measure one "
-                           "of them by itself.", "separates": names, "rows": []}  # fmt: skip
+        return {
+            "message": f"No push within the bounds tells {words} apart: their tracks differ by {1e3 * score.max():.2g} mm at most. Measure "
+            "one "
+            "of them by itself.",
+            "separates": names,
+            "rows": [],
+        }
     order = np.argsort(-score)[:PUSHES]
     return {
-        "message": f"Pushes whose tracks differ most, by up to {1e3 * score.max():.2g} mm, between {words}.", "separates": names,
+        "message": f"Pushes whose tracks differ most, by up to {1e3 * score.max():.2g} mm, between {words}.",
+        "separates": names,
         "rows": [tuple(map(float, grid[i])) for i in order],
-    }  # fmt: skip
+    }

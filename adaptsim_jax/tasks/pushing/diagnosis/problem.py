@@ -45,16 +45,18 @@ def turned(xy: Array, angle: Array) -> Array:
 
 
 def at_times(rows: Array, time: Array) -> Array:
-    """Places `[R, 2]` at times `[R]` s between rows `[N, 4]` of `slide.rollout`: Hermite's cubics; still before, and as at the end after."""
+    """Places `[R, 2]` at times `[R]` s between rows `[N, 4]` of `slide.rollout` by Hermite's cubics; held before and after."""
     place = jnp.clip(time / slide.ROW, 0.0, len(rows) - 1.0)
     k = jnp.clip(jnp.floor(place).astype(int), 0, len(rows) - 2)
     u = (place - k)[:, None]
     a, b = rows[k], rows[k + 1]
     h = slide.ROW
     return (
-        (1 + 2 * u) * (1 - u) ** 2 * a[:, :2] + u * (1 - u) ** 2 * h * a[:, 2:]
-        + u * u * (3 - 2 * u) * b[:, :2] + u * u * (u - 1) * h * b[:, 2:]
-    )  # fmt: skip
+        (1 + 2 * u) * (1 - u) ** 2 * a[:, :2]
+        + u * (1 - u) ** 2 * h * a[:, 2:]
+        + u * u * (3 - 2 * u) * b[:, :2]
+        + u * u * (u - 1) * h * b[:, 2:]
+    )
 
 
 @lru_cache(maxsize=8)
@@ -65,9 +67,11 @@ def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float
 def packed(pushed: Pushed) -> dict[str, Array]:
     """Actions, starts and times of all pushes as arrays, rows padded with the last."""
     return {
-        "action": np.asarray(pushed.actions, np.float32), "start": np.asarray(pushed.starts, np.float32),
-        "aside": np.asarray(pushed.aside, np.float32), "time": np.asarray(pushed.time, np.float32),
-    }  # fmt: skip
+        "action": np.asarray(pushed.actions, np.float32),
+        "start": np.asarray(pushed.starts, np.float32),
+        "aside": np.asarray(pushed.aside, np.float32),
+        "time": np.asarray(pushed.time, np.float32),
+    }
 
 
 def prepare(

@@ -24,8 +24,11 @@ KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise")
 
 @dataclass(frozen=True)
 class Pushed:
-    """T pushes of at most R rows. names `[T]`; actions `[T, 2]` m/s, rad; starts `[T, 2]` m as declared; aside `[T, 2]` m from there to
-    the first rows' mean; time `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one coordinate; notes: what the files say beside."""
+    """T pushes of at most R rows.
+
+    names `[T]`; actions `[T, 2]` m/s, rad; starts `[T, 2]` m as declared; aside `[T, 2]` m from there to the first rows' mean; time
+    `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one coordinate; notes: what the files say beside.
+    """
 
     names: tuple[str, ...]
     actions: np.ndarray
@@ -103,9 +106,19 @@ def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Pat
     options = PushOptions(friction=meta.get("friction", "clean"), mass=float(meta.get("mass", model.NOMINAL_MASS)))
     which = config.pick("coefficients", meta.get("coefficients", "native"), ("native", "drake"))
     return Pushed(
-        tuple(f"{n:g}" for n in names), acts, starts, aside, time, xy, mask, noise, source, check_options(options),
-        DRAKE if which == "drake" else DEFAULT, tuple(notes),
-    )  # fmt: skip
+        tuple(f"{n:g}" for n in names),
+        acts,
+        starts,
+        aside,
+        time,
+        xy,
+        mask,
+        noise,
+        source,
+        check_options(options),
+        DRAKE if which == "drake" else DEFAULT,
+        tuple(notes),
+    )
 
 
 def _read_tracks(path: Path, numbers: np.ndarray, actions: Path, found: dict) -> None:
@@ -156,8 +169,10 @@ def _check_frame(actions, starts, aside, xy, mask, where: Path) -> None:
     off = float(np.linalg.norm(np.median(aside, 0)))
     if off > ASIDE:
         x, y = np.median(aside + starts, 0)
-        raise BadInput(f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they are declared: another frame? "
-                       "give tracks in the arm's base frame, or start_x, start_y in actions.csv")  # fmt: skip
+        raise BadInput(
+            f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they are declared: another frame? "
+            "give tracks in the arm's base frame, or start_x, start_y in actions.csv"
+        )
     ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
     went = np.arctan2(ends[:, 1], ends[:, 0])
     turn = lambda a: float(np.median(np.abs(np.angle(np.exp(1j * (a - np.median(np.angle(np.exp(1j * a)))))))))
@@ -168,11 +183,15 @@ def _check_frame(actions, starts, aside, xy, mask, where: Path) -> None:
         np.median(np.cos(went - actions[:, 1])),
     )
     if back < 0.5:
-        raise BadInput(f"{where}: bottles go {np.degrees(np.arccos(np.clip(back, -1, 1))):.0f} degrees off their pushes: another frame? give "
-                       "tracks in the arm's base frame (x ahead, y to the left)")  # fmt: skip
+        raise BadInput(
+            f"{where}: bottles go {np.degrees(np.arccos(np.clip(back, -1, 1))):.0f} degrees off their pushes: another frame? give "
+            "tracks in the arm's base frame (x ahead, y to the left)"
+        )
     if wide and mirrored < 0.3 * straight:
-        raise BadInput(f"{where}: bottles go to the right where they are pushed to the left: tracks are mirrored; turn the sign of y "
-                       "(or of angle: to the left is positive)")  # fmt: skip
+        raise BadInput(
+            f"{where}: bottles go to the right where they are pushed to the left: tracks are mirrored; turn the sign of y "
+            "(or of angle: to the left is positive)"
+        )
 
 
 def _noise(meta, time, xy, mask) -> tuple[float, str]:
