@@ -14,7 +14,7 @@ class Criteria:
     steady: an effect's size over its scatter between folds.
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
     most_effects: at which the search ends.
-    tried, rounds: candidates that are fitted each time, and for how many rounds at most; tried_short: of short trials (pushes).
+    tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     explained: held-out error over the noise floor up to which nothing is left to explain.
     """
 
@@ -26,6 +26,5 @@ class Criteria:
     least_shift: float = 0.25
     most_effects: int = 8
     tried: int = 4
-    tried_short: int = 8
     rounds: int = 12
     explained: float = 1.5

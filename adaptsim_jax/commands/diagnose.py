@@ -24,7 +24,8 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out2 --seed 1
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
-  adaptsim diagnose logs/pushes --out out6      pushes: actions.csv and tracks, or the folder of an `adaptsim robot` session
+  adaptsim diagnose logs/pushes --out out6      the push: meta.toml says task = "pushing"; actions.csv and tracks beside it
+  adaptsim diagnose robot --out out7            a session of `adaptsim robot` of the push, as it is
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.sysid.io.recording import read_recording
 
     if args.model is None and of_pushes(Path(args.data)):
-        return run_pushes(args)
+        return run_pushing(args)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     recording = without(read_recording(args.data), args.without)  # refused within a second, and before JAX is loaded
@@ -95,42 +96,52 @@ def of_a_mechanism(data: Path) -> bool:
     return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
 
 
-def of_pushes(data: Path) -> bool:
-    """Whether DATA holds pushes: meta.toml says so, or it is the folder of a session with a robot that pushes."""
-    if declared_task(data) is not None:
-        return declared_task(data) == "pushing"
-    if not (data / "robot.toml").exists():
-        return False
-    from adaptsim_jax.tasks.pushing.tracks import is_session
-
-    return is_session(data)
-
-
-def run_pushes(args: argparse.Namespace) -> int:
-    """Pushes: what the simulator gets wrong about a robot's, and the push that would tell a class apart."""
-    from rich.console import Console
-
-    from adaptsim_jax.commands.common import output
-    from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
-    from adaptsim_jax.tasks.pushing import diagnose as pushes
-
-    apart(args)
-    pushes.checked(args.data)
-    with output(args.out) as folder, progress("diagnose") as report:
-        result = pushes.diagnose(
-            args.data, out=folder, exclude=tuple(args.exclude), without=tuple(args.without), progress=report,
-            page=write_diagnosis,
-        )  # fmt: skip
-    print_summary(result, Console(), folder)
-    return 0
-
-
 def apart(args: argparse.Namespace) -> None:
     """Refuses to write into the folder of the recordings."""
     out, data = Path(args.out), Path(args.data)
     if out.exists() and data.exists() and out.resolve() == data.resolve():
         raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
+
+
+def of_pushes(data: Path) -> bool:
+    """Whether DATA is a folder of pushes, or a session of `adaptsim robot`."""
+    return (data / "robot.toml").exists() or declared_task(data) == "pushing"
+
+
+def run_pushing(args: argparse.Namespace) -> int:
+    """Measured pushes: effects judged one by one, the mended push, and the pushes that tell a class apart."""
+    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.tasks.pushing.diagnosis.read import read
+
+    data = Path(args.data)
+    apart(args)
+    if "jax" not in sys.modules:
+        compile_flags.small_steps()
+    if (data / "robot.toml").exists():
+        from adaptsim_jax.commands.robot_recorded import recorded_pushes
+
+        pushed = recorded_pushes(data)
+    else:
+        pushed = read(data)  # refused before anything is written
+    pushed = pushed.without(args.without)
+    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+    from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
+
+    with output(args.out) as folder, progress("diagnose") as report:
+        result = diagnose_pushes(
+            pushed, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=str(data)
+        )
+    if args.json:
+        from adaptsim_jax.commands.common import print_file
+
+        print_file(folder / "report.json")
+        return 0
+    from rich.console import Console
+
+    print_summary(result, Console(), folder)
+    return 0
 
 
 def run_mechanism(args: argparse.Namespace) -> int:

@@ -7,6 +7,7 @@
 
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None}],
                      NaN where windows join; the first trial is shown, the others fold out
+    tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table, seen from above
     residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model
     regressor        [{name, where, x [n], y [n] N m, x_label, curve_x, curve_y, explained}], one a named effect:
                      the torque missing without it against what it follows, and the effect itself
@@ -78,6 +79,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "improvement": words.improvement(error),
         "errors": _error_rows(error),
         "error_figures": _error_figures(error),
+        "above": _from_above(evidence.get("tracks")),
         "trials": _held_out_figures(evidence.get("held_out") or []),
         "trials_left_out": max(0, len(evidence.get("held_out") or []) - MOST_TRIALS),
         "residual": _residual_figures(evidence),
@@ -161,6 +163,10 @@ def _error_figures(error: Mapping) -> list[str]:
         label = f"error of {row['name']}: declared {row['before']}, mended {row['after']}"
         pictures.append(svg.draw(paint, 1.4 if one else 1.75, label))
     return pictures
+
+
+def _from_above(tracks: Mapping | None) -> str | None:
+    return svg.draw(figures.from_above(tracks), 4.2, "tracks from above, measured and simulated") if tracks else None
 
 
 def _held_out_figures(trials: list[Mapping]) -> list[dict[str, Any]]:

@@ -70,7 +70,7 @@ def held_out(trial: Mapping, channel: str) -> Paint:
     models = [(key, trial[key][channel]) for key in ("before", "after") if channel in (trial.get(key) or {})]
     columns = thin(trial["time"], trial["measured"][channel], *[values for _, values in models])
     time, measured, simulated = columns[0], columns[1], columns[2:]
-    unit = channel_unit(channel)
+    unit = trial.get("unit") or channel_unit(channel)
     colours = {"before": BEFORE, "after": AFTER}
     left = [measured - values for values in simulated]
     factor, name = fmt.scaled(unit, _largest(*left))
@@ -87,6 +87,24 @@ def held_out(trial: Mapping, channel: str) -> Paint:
         for ax in (top, low):
             quiet(ax)
         low.locator_params(axis="y", nbins=3)
+
+    return paint
+
+
+def from_above(tracks: Mapping) -> Paint:
+    """Tracks of all pushes from above, measured and simulated: places `[T, 2]` m of each under `measured`, `before`, `after`."""
+
+    def paint(figure: Figure) -> None:
+        ax = figure.subplots()
+        for key, colour, width in (("measured", MEASURED, 3.2), ("before", BEFORE, 1.1), ("after", AFTER, 1.1)):
+            for track in tracks.get(key) or []:
+                ax.plot(
+                    track[:, 0], track[:, 1], color=colour, linewidth=width, alpha=0.55 if key == "measured" else 0.9
+                )
+                ax.plot(track[-1:, 0], track[-1:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
+        ax.set(xlabel="x, m", ylabel="y, m", title="from above, each to its end")
+        ax.set_aspect("equal", adjustable="datalim")
+        quiet(ax)
 
     return paint
 

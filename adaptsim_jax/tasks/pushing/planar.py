@@ -83,17 +83,17 @@ def trajectory(
         return state, state
 
     still = 0.0 * action[0] + 0.0 * params[0]  # a zero of the inputs' type, so that the scan carries one type
-    edges = jnp.asarray(_edge(options)).reshape(-1, round(options.row / STEP), 6)
+    edges = jnp.asarray(edge_motion(options.duration)).reshape(-1, round(options.row / STEP), 6)
     _, (s, v) = jax.lax.scan(row, (still, still), edges, unroll=2)
     return jnp.stack([start[0] + s * heading[0], start[1] + s * heading[1], v * heading[0], v * heading[1]], -1)
 
 
-def _edge(options: PushOptions) -> np.ndarray:
+def edge_motion(duration: float, step: float = STEP) -> np.ndarray:
     """`[steps, 6]`: position, speed, acceleration of the edge at step starts, each as (per unit speed, by pitching)."""
-    steps = round(options.duration / STEP)
-    slope = pushing.slopes(STEP, steps)
-    rate = pushing.ramp(np.arange(steps) * STEP)
-    travel = np.concatenate([[0.0], np.cumsum(pushing.ramp(np.arange(1, steps) * STEP)) * STEP])
+    steps = round(duration / step)
+    slope = pushing.slopes(step, steps)
+    rate = pushing.ramp(np.arange(steps) * step)
+    travel = np.concatenate([[0.0], np.cumsum(pushing.ramp(np.arange(1, steps) * step)) * step])
     pitch, rate_p, slope_p = (pushing.PITCH_RATE * a for a in (travel, rate, slope))
     swing = pushing.EDGE_DROP * np.sin(pitch)
     swing_v = pushing.EDGE_DROP * np.cos(pitch) * rate_p

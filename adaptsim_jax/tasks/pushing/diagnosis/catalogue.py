@@ -1,0 +1,199 @@
+"""What a push may lack beside its declared parameters: each effect with its quantities, units, bounds, physics and excitation."""
+
+import itertools
+import math
+
+from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+
+DECLARED = ("mu", "log_e", "mu_p", "y_p")
+BOUNDS = {"mu": (0.02, 0.6), "log_e": (3.5, 7.0), "mu_p": (0.02, 1.2), "y_p": (-0.2, 0.2)}
+"""Wider than Omega: a target outside of it is no effect that the model lacks."""
+
+
+def _declared(name: str, scale: float) -> Quantity:
+    low, high = BOUNDS[name]
+    middle = {"mu": 0.12, "log_e": 5.0, "mu_p": 0.5, "y_p": 0.0}[name]
+    return Quantity(
+        name, "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "", middle, low, high, scale, high - low
+    )
+
+
+def _q(name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0) -> Quantity:
+    return Quantity(name, unit, neutral, low, high, scale, 2.0 * max(abs(low), abs(high)))
+
+
+QUANTITIES = (
+    _declared("mu", 0.01),
+    _declared("log_e", 0.2),
+    _declared("mu_p", 0.1),
+    _declared("y_p", 0.01),
+    _q("speed_scale", "", -0.3, 0.3, 0.02),
+    _q("speed_offset", "m/s", -0.15, 0.15, 0.01),
+    _q("heading_offset", "rad", -0.25, 0.25, 0.02),
+    _q("start_x", "m", -0.05, 0.05, 0.002),
+    _q("start_y", "m", -0.05, 0.05, 0.002),
+    _q("placed", "", -0.3, 1.3, 0.2),
+    _q("hardening", "", -2.0, 2.0, 0.2),
+    _q("plate_turn", "rad", -0.3, 0.3, 0.02),
+    _q("tilt_x", "rad", -0.1, 0.1, 0.005),
+    _q("tilt_y", "rad", -0.1, 0.1, 0.005),
+    _q("speed_friction", "s/m", -0.9, 5.0, 0.1),
+    _q("drag", "1/s", -1.0, 4.0, 0.1),
+    _q("grain_a", "", -0.8, 0.8, 0.1),
+    _q("grain_b", "", -0.8, 0.8, 0.1),
+    _q("patch_x", "m", -0.12, 0.15, 0.01),
+    _q("patch_size", "m", -0.04, 0.08, 0.005),
+    _q("other_x", "m", 0.6, 1.3, 0.01, 0.85),
+    _q("other_y", "m", -0.35, 0.35, 0.01),
+    _q("other_mu", "", -0.5, 1.0, 0.1),
+    _q("shift_x", "m", -0.1, 0.1, 0.002),
+    _q("shift_y", "m", -0.1, 0.1, 0.002),
+    _q("scale", "", -0.2, 0.2, 0.01),
+    _q("scale_start", "", -0.2, 0.2, 0.01),
+    _q("turn", "rad", -0.25, 0.25, 0.01),
+    _q("turn_start", "rad", -0.25, 0.25, 0.02),
+    _q("latency", "s", -0.1, 0.2, 0.005),
+    _q("clock", "", -0.2, 0.2, 0.01),
+)
+
+PLACES = tuple(
+    {"other_x": x, "other_y": y}
+    for x, y in itertools.product((0.68, 0.78, 0.88, 0.98), (-0.14, -0.07, 0.0, 0.07, 0.14))
+)
+_E = TrialEffect
+EFFECTS = (
+    _E(
+        "speed_scale",
+        "command",
+        ("speed_scale",),
+        "the plate runs faster or slower than commanded, by a share",
+        "fast and slow pushes",
+        absorbed=("mu", "log_e"),
+    ),
+    _E(
+        "speed_offset",
+        "command",
+        ("speed_offset",),
+        "the plate runs faster or slower than commanded, by as much",
+        "fast and slow pushes",
+        absorbed=("mu", "log_e"),
+    ),
+    _E(
+        "heading_offset",
+        "command",
+        ("heading_offset",),
+        "the plate runs along another heading than commanded",
+        "any push",
+    ),
+    _E(
+        "start_pose",
+        "command",
+        ("start_x", "start_y"),
+        "the bottle stands elsewhere than declared, always at the same place",
+        "any push",
+    ),
+    _E(
+        "placement",
+        "command",
+        ("placed",),
+        "the bottle is put down where the first rows of each track show it, not where declared",
+        "starts that differ",
+    ),
+    _E(
+        "hardening",
+        "contact",
+        ("hardening",),
+        "the hit is harder or softer with speed than declared",
+        "slow and fast pushes",
+        absorbed=("log_e",),
+    ),
+    _E("plate_turn", "contact", ("plate_turn",), "the plate's face is turned against its motion", "any push"),
+    _E("tilt", "force", ("tilt_x", "tilt_y"), "the table is not level", "pushes to either side", absorbed=("mu",)),
+    _E(
+        "speed_friction",
+        "force",
+        ("speed_friction",),
+        "friction grows or falls with speed",
+        "slow and fast pushes",
+        absorbed=("mu",),
+    ),
+    _E("drag", "force", ("drag",), "a drag proportional to speed", "slow and fast pushes", absorbed=("mu",)),
+    _E(
+        "grain",
+        "force",
+        ("grain_a", "grain_b"),
+        "friction is larger across a grain than along it",
+        "pushes over a wide range of angles",
+        absorbed=("mu",),
+    ),
+    _E(
+        "patch_place",
+        "force",
+        ("patch_x",),
+        "the patch lies nearer or farther than declared",
+        "pushes that stop beyond the patch",
+        absorbed=("mu_p",),
+    ),
+    _E(
+        "patch_size",
+        "force",
+        ("patch_size",),
+        "the patch is larger or smaller than declared",
+        "pushes across the patch's edges",
+        absorbed=("mu_p", "y_p"),
+    ),
+    _E(
+        "second_patch",
+        "force",
+        ("other_x", "other_y", "other_mu"),
+        "another patch of other friction",
+        "pushes over all of the table",
+        shapes=PLACES,
+    ),
+    _E("camera_shift", "measurement", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's", "any push"),
+    _E(
+        "camera_scale",
+        "measurement",
+        ("scale",),
+        "lengths are measured too long or too short, from the arm's base",
+        "any push",
+    ),
+    _E(
+        "camera_scale_at_start",
+        "measurement",
+        ("scale_start",),
+        "lengths are measured too long or too short, from the bottle's start",
+        "any push",
+    ),
+    _E("camera_turn", "measurement", ("turn",), "the camera is turned about the arm's base", "any push"),
+    _E(
+        "camera_turn_at_start",
+        "measurement",
+        ("turn_start",),
+        "the camera is turned about the bottle's start",
+        "any push",
+    ),
+    _E(
+        "latency",
+        "measurement",
+        ("latency",),
+        "tracks are told later than they happen",
+        "any push",
+        same=("late_start",),
+    ),
+    _E("clock_scale", "measurement", ("clock",), "the camera's clock runs fast or slow", "any push"),
+)
+"""A late start of the arm shifts all of a track in time, as a latency does: no push tells them apart, only the arm's own log."""
+
+
+def physical(values: dict) -> dict:
+    """Values as `slide.rollout` takes them: `e` in Pa."""
+    return {**values, "e": 10.0 ** values["log_e"]}
+
+
+def grain(a: float, b: float) -> tuple[float, float]:
+    """Ratio of friction across by along the grain, and the grain's direction in rad from x, of `grain_a`, `grain_b`."""
+    size = min(math.hypot(a, b), 0.999)
+    return math.sqrt((1 + size) / (1 - size)), (
+        0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2
+    ) % math.pi - math.pi / 2

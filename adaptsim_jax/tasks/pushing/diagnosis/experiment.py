@@ -1,0 +1,61 @@
+"""The pushes that tell the members of a class apart: of a grid of actions those whose tracks they predict most differently."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.trials.select import TrialSelection
+from adaptsim_jax.tasks.pushing import model
+from adaptsim_jax.tasks.pushing.diagnosis.problem import simulated
+from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
+
+SPEEDS, ANGLES, PUSHES = 5, 13, 3
+APART = 3.0  # times the camera's noise, between members, of a push worth making
+
+
+def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
+    """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid tells them apart.
+
+    None where nothing that was named has look-alikes.
+    """
+    pairs = [(n, other, m) for n in found.named for other, m in n.alternatives]
+    if not pairs:
+        return None
+    grid = np.stack(
+        np.meshgrid(
+            np.linspace(model.ACTION_LOW[0], model.ACTION_HIGH[0], SPEEDS),
+            np.linspace(model.ACTION_LOW[1], model.ACTION_HIGH[1], ANGLES),
+            indexing="ij",
+        ),
+        -1,
+    ).reshape(-1, 2)
+    time = np.arange(0.0, 1.3, 1 / 60)
+    many = replace(
+        pushed,
+        actions=grid,
+        starts=np.tile(model.START, (len(grid), 1)),
+        aside=np.zeros((len(grid), 2)),
+        time=np.tile(time, (len(grid), 1)),
+    )
+    said = lambda m: simulated(many, pushed.options, pushed.coefficients, np.tile(m.fit.values, (len(grid), 1)))
+    own = said(found.final)
+    apart = np.array([np.sqrt(np.square(said(m) - own).sum(-1).max(1)) for _, _, m in pairs])
+    n, other, _ = pairs[int(np.argmin(apart.max(1)))]
+    names = [n.effect.name, other.name]
+    score = apart[int(np.argmin(apart.max(1)))]
+    words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
+    if score.max() < APART * pushed.noise:
+        return {
+            "message": f"No push within the bounds tells {words} apart: their tracks differ by {1e3 * score.max():.2g} mm at most. Measure "
+            "one "
+            "of them by itself.",
+            "separates": names,
+            "rows": [],
+        }
+    order = np.argsort(-score)[:PUSHES]
+    return {
+        "message": f"Pushes whose tracks differ most, by up to {1e3 * score.max():.2g} mm, between {words}.",
+        "separates": names,
+        "rows": [tuple(map(float, grid[i])) for i in order],
+    }

@@ -1,0 +1,140 @@
+"""Pushes as a `TrialProblem`: what a camera would see of each slide, less what it saw, over its noise."""
+
+import itertools
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.tasks.pushing import model, slide
+from adaptsim_jax.tasks.pushing.diagnosis.catalogue import DECLARED, EFFECTS, QUANTITIES, physical
+from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
+from adaptsim_jax.tasks.pushing.model import PushOptions
+from adaptsim_jax.tasks.pushing.planar import PlanarCoefficients
+
+Array = Any
+NAMES = tuple(q.name for q in QUANTITIES)
+WIDTHS = (8, 40)  # numbers of columns that are compiled
+ASIDE = 0.2  # of a quantity's scale, to either side of where a column is taken
+ROUGH = 0.0025  # s, step of the scan for starts
+MARGIN = 0.05  # s simulated beyond the last row
+
+
+def seen(
+    values: Array, push: dict[str, Array], options: PushOptions, coefficients: PlanarCoefficients, step: float
+) -> Array:
+    """`[R, 2]` m: what the camera says of one push at `push["time"]`; values `[P]`."""
+    v = physical({n: values[i] for i, n in enumerate(NAMES)})
+    inner = {n: v[n] for n in (*model.PARAMETERS, *slide.NEUTRAL)}
+    start = push["start"] + v["placed"] * push["aside"]
+    rows = slide.rollout(inner, push["action"], options, coefficients, start, step)
+    at = at_times(rows, (1.0 + v["clock"]) * push["time"] - v["latency"])
+    origin = jnp.asarray(model.START)
+    local = origin + (1.0 + v["scale_start"]) * turned(at - origin, v["turn_start"])
+    return (1.0 + v["scale"]) * turned(local, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])
+
+
+def turned(xy: Array, angle: Array) -> Array:
+    """Points `[R, 2]` turned by `angle` rad."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], 1)
+
+
+def at_times(rows: Array, time: Array) -> Array:
+    """Places `[R, 2]` at times `[R]` s between rows `[N, 4]` of `slide.rollout` by Hermite's cubics; held before and after."""
+    place = jnp.clip(time / slide.ROW, 0.0, len(rows) - 1.0)
+    k = jnp.clip(jnp.floor(place).astype(int), 0, len(rows) - 2)
+    u = (place - k)[:, None]
+    a, b = rows[k], rows[k + 1]
+    h = slide.ROW
+    return (
+        (1 + 2 * u) * (1 - u) ** 2 * a[:, :2]
+        + u * (1 - u) ** 2 * h * a[:, 2:]
+        + u * u * (3 - 2 * u) * b[:, :2]
+        + u * u * (u - 1) * h * b[:, 2:]
+    )
+
+
+@lru_cache(maxsize=8)
+def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float):
+    return jax.jit(jax.vmap(partial(seen, options=options, coefficients=coefficients, step=step)))
+
+
+def packed(pushed: Pushed) -> dict[str, Array]:
+    """Actions, starts and times of all pushes as arrays, rows padded with the last."""
+    return {
+        "action": np.asarray(pushed.actions, np.float32),
+        "start": np.asarray(pushed.starts, np.float32),
+        "aside": np.asarray(pushed.aside, np.float32),
+        "time": np.asarray(pushed.time, np.float32),
+    }
+
+
+def prepare(
+    pushed: Pushed,
+    options: PushOptions,
+    coefficients: PlanarCoefficients,
+    effects: Sequence[TrialEffect] = EFFECTS,
+    step: float = slide.STEP,
+) -> TrialProblem:
+    """The problem of a recording, simulated up to its last row."""
+    last = np.ceil((float(pushed.time.max()) + MARGIN) / 0.05) * 0.05
+    options = PushOptions(**{**options.__dict__, "duration": float(np.round(max(last, model.PUSH_ENDS), 3))})
+    simulate, rough = (_program(options, coefficients, z) for z in (step, ROUGH))
+    pushes = packed(pushed)
+    weight = pushed.mask[..., None] / pushed.noise
+    count = len(pushed.names)
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        out = simulate(np.asarray(values, np.float32), pushes)
+        return (weight * (pushed.xy - np.asarray(out, float))).reshape(count, -1)
+
+    every = lambda times: {k: np.tile(v, (times, *[1] * (v.ndim - 1))) for k, v in pushes.items()}
+
+    def columns(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        # central differences over a fifth of a step that matters, all at once: faster here than forward-mode columns by ten times,
+        # and they smooth what a track does as it meets the patch's edge
+        width = next(w for w in WIDTHS if w >= len(basis))
+        moves = np.zeros((2, width, basis.shape[1]))
+        moves[0, : len(basis)], moves[1, : len(basis)] = ASIDE * basis, -ASIDE * basis
+        rows = np.repeat((values + moves).reshape(2 * width, -1), count, 0)
+        out = np.asarray(simulate(np.asarray(rows, np.float32), every(2 * width)), float)
+        up, down = out.reshape(2, width, *pushed.xy.shape)[:, : len(basis)]
+        return (weight * (up - down) / (2 * ASIDE)).reshape(len(basis), count, -1).transpose(1, 2, 0)
+
+    def scan(rows: np.ndarray) -> np.ndarray:
+        out = np.asarray(rough(np.repeat(np.asarray(rows, np.float32), count, 0), every(len(rows))), float)
+        r = weight * (pushed.xy - out.reshape(len(rows), *pushed.xy.shape))
+        return np.square(r).reshape(len(rows), -1).sum(1)
+
+    problem = TrialProblem(
+        QUANTITIES,
+        DECLARED,
+        tuple(effects),
+        residuals,
+        columns,
+        2.0 * pushed.mask.sum(1),
+        pushed.names,
+        np.zeros((0, 0)),
+        scan,
+    )
+    starts = []
+    for values in itertools.product(
+        (0.07, 0.13, 0.25), (4.2, 5.0, 5.6, 6.4), (0.15, 0.6), (-0.12, -0.06, 0.0, 0.06, 0.12)
+    ):
+        start = problem.neutral
+        start[problem.at(DECLARED)] = values
+        starts.append(start)
+    object.__setattr__(problem, "starts", np.array(starts))
+    return problem
+
+
+def simulated(
+    pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, values: np.ndarray, step: float = slide.STEP
+) -> np.ndarray:
+    """`[T, R, 2]` m: what the camera would say of these pushes; values `[T, P]`."""
+    return np.asarray(_program(options, coefficients, step)(np.asarray(values, np.float32), packed(pushed)))

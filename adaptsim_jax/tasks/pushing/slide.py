@@ -1,0 +1,160 @@
+"""The push as a slide in two dimensions: the planar model with lateral motion, and what may act on it beside the declared.
+
+The bottle is a disc that does not turn, at (x, y). The plate's face is a line with a normal; it meets the bottle along that
+normal as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where nothing acts sideways the
+motion is that of `planar`, where asked for with its step of 5 ms. A measured slide follows no step, and that one ends 5 mm from
+the converged motion (median; 28 mm at most), so that the default here is a scheme of second order with a step of 1 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.tasks.pushing import model as pushing
+from adaptsim_jax.tasks.pushing.model import PAPER, PushOptions
+from adaptsim_jax.tasks.pushing.planar import DEFAULT, IMPEDANCE, PlanarCoefficients, edge_motion
+
+Array = Any
+
+STEP = 0.001  # s
+ROW = 0.005  # s between the rows that are kept
+NEUTRAL = {
+    "speed_scale": 0.0,
+    "speed_offset": 0.0,
+    "heading_offset": 0.0,
+    "start_x": 0.0,
+    "start_y": 0.0,
+    "hardening": 0.0,
+    "plate_turn": 0.0,
+    "tilt_x": 0.0,
+    "tilt_y": 0.0,
+    "speed_friction": 0.0,
+    "drag": 0.0,
+    "grain_a": 0.0,
+    "grain_b": 0.0,
+    "patch_x": 0.0,
+    "patch_size": 0.0,
+    "other_x": 0.75,
+    "other_y": 0.0,
+    "other_mu": 0.0,
+}
+"""Every value that acts on the slide and is not declared, at which it does nothing (a second patch's place is free then):
+speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared start; hardening, the power of the
+hit's speed by which the contact is stiffer and more damped; plate_turn rad of the face against its motion; tilt_x, tilt_y rad,
+positive downhill towards +x, +y; speed_friction s/m, the growth of friction with speed, of its size; drag 1/s of speed by itself;
+grain_a, grain_b: friction larger by about that share along x than along y, and along the diagonal; patch_x m and patch_size m (half
+the growth of its side); other_x, other_y m and other_mu of a second patch, as large as the declared, and what it adds."""
+
+
+def rollout(
+    values: Mapping[str, Array],
+    action: Array,
+    options: PushOptions = PAPER,
+    coefficients: PlanarCoefficients = DEFAULT,
+    start: Array = pushing.START,
+    step: float = STEP,
+    as_planar: bool = False,
+) -> Array:
+    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, ...; pure, jit, vmap and differentiate it.
+
+    values: mu, e (Pa), mu_p, y_p (m), and any of `NEUTRAL`; action `[2]` (m/s, rad). `options`, `coefficients`, `step` static.
+    as_planar: semi-implicit Euler's steps as `planar` makes them (`step` 5 ms); else half a drift, a kick, half a drift.
+    """
+    v = NEUTRAL | dict(values)
+    speed = action[0] * (1.0 + v["speed_scale"]) + v["speed_offset"]
+    heading = action[1] + v["heading_offset"]
+    start = jnp.asarray(start) + jnp.stack([v["start_x"] + 0.0 * speed, v["start_y"] + 0.0 * speed])
+    advance = _make_step(v, speed, heading, start, options, coefficients, step, as_planar)
+    per_row = round(ROW / step)
+
+    def row(state, edges):
+        state, _ = jax.lax.scan(lambda s, e: (advance(s, e), None), state, edges)
+        return state, jnp.stack(state)
+
+    still = 0.0 * speed + 0.0 * heading + 0.0 * sum(jnp.asarray(z) for z in v.values())
+    edge = edge_motion(options.duration, step) if as_planar else edge_halfway(options.duration, step)
+    edges = jnp.asarray(edge).reshape(-1, per_row, 6)
+    _, rows = jax.lax.scan(row, (still,) * 4, edges)
+    rows = jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
+    return rows + jnp.concatenate([start, jnp.zeros(2)])[None]
+
+
+def edge_halfway(duration: float, step: float) -> np.ndarray:
+    """As `planar.edge_motion`, in the middle of each step and of the profile as it is: `[steps, 6]`."""
+    t = (np.arange(round(duration / step)) + 0.5) * step
+    begin = np.array([0.0, pushing.STILL, pushing.STILL + pushing.RAMP_UP])
+    corners = np.array([*begin, begin[-1] + pushing.HOLD, pushing.PUSH_ENDS])
+    travelled = np.concatenate(
+        [[0.0], np.cumsum(np.diff(corners) * (h := pushing.ramp(corners))[1:] - np.diff(corners) * np.diff(h) / 2)]
+    )
+    at = np.clip(np.searchsorted(corners, t, "right") - 1, 0, len(corners) - 1)
+    rate, slope = pushing.ramp(t), np.append(np.diff(h) / np.diff(corners), 0.0)[at]
+    travel = travelled[at] + (t - corners[at]) * (h[at] + rate) / 2
+    pitch, rate_p, slope_p = (pushing.PITCH_RATE * a for a in (travel, rate, slope))
+    swing = pushing.EDGE_DROP * np.sin(pitch)
+    swing_v = pushing.EDGE_DROP * np.cos(pitch) * rate_p
+    swing_a = pushing.EDGE_DROP * (np.cos(pitch) * slope_p - np.sin(pitch) * rate_p**2)
+    return np.stack([travel, swing, rate, swing_v, slope, swing_a], -1).astype(np.float32)
+
+
+def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoefficients, dt: float, as_planar: bool):
+    """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time."""
+    friction = pushing.frictions(jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction)
+    k, b = pushing.spring(c.elasticity, v["e"], speed, options.mass, jnp)
+    hit = jnp.exp(v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7))
+    k, b = k * hit, b * hit
+    along = (jnp.cos(heading), jnp.sin(heading))
+    turned = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))
+    normal, across = turned, (-turned[1], turned[0])
+    forward, aside = (along[0] * w[0] + along[1] * w[1] for w in (normal, across))
+    behind = (pushing.START[0] - start[0]) * normal[0] + (pushing.START[1] - start[1]) * normal[1]
+    behind -= (pushing.LINK_BACK - pushing.EDGE_RADIUS - pushing.RADIUS) * forward
+    points = pushing.sole().tolist()
+    g, d = pushing.GRAVITY, IMPEDANCE
+    pull = (g * jnp.sin(v["tilt_x"]), g * jnp.sin(v["tilt_y"]))
+    half = pushing.PATCH_SIDE / 2
+    before, after = (0.0, dt) if as_planar else (dt / 2, dt / 2)
+    within = 1.0 if as_planar else 1.0 / (1.0 + b * dt / 2)  # damping by the mean of the speeds before and after
+
+    def covered(x, y, px, py, size):
+        inside = lambda z: jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
+        return sum(inside(x + c.sole * a - px) * inside(y + c.sole * q - py) for a, q in points) / len(points)
+
+    def step(state, edge):
+        dx, dy, vx, vy = state
+        dx, dy = dx + before * vx, dy + before * vy
+        x, y = start[0] + dx, start[1] + dy
+        own = covered(x, y, pushing.PATCH_X + v["patch_x"], v["y_p"], half + v["patch_size"])
+        mu = friction.table + own * (friction.patch - friction.table)
+        mu = mu + covered(x, y, v["other_x"], v["other_y"], half) * v["other_mu"]
+        size = jnp.sqrt(vx * vx + vy * vy + 1e-16)
+        mu = jnp.maximum(mu * (1.0 + v["speed_friction"] * size), 0.0)
+        at, rate, gain = (speed * edge[2 * i] + edge[2 * i + 1] for i in range(3))
+        out, over = vx * normal[0] + vy * normal[1], vx * across[0] + vy * across[1]
+        depth = at * forward + behind - (dx * normal[0] + dy * normal[1])
+        free = gain * forward + jnp.where(out > 0, mu * g, 0.0)
+        closing = rate * forward - out
+        if as_planar:
+            touching = jnp.where(depth > 0, 1.0, 0.0)
+        else:  # the share of the step after the first touch: the damper's force begins at once, wherever a step begins
+            touching = jnp.clip(0.5 + depth / (dt * jnp.maximum(jnp.abs(closing), 1e-3)), 0.0, 1.0)
+            depth = jnp.where(touching < 1.0, 0.5 * touching * dt * closing, depth)
+        force = touching * jnp.maximum(within * (b * closing + k * depth + d * free), 0.0)
+        grip = friction.plate * force * dt
+        drag = jnp.clip(rate * aside - over, -grip, grip)
+        vx = vx + dt * (force * normal[0] + pull[0] - v["drag"] * vx) + drag * across[0]
+        vy = vy + dt * (force * normal[1] + pull[1] - v["drag"] * vy) + drag * across[1]
+        brake = mu * jnp.maximum(g - c.lift * force, 0.0)
+        # friction of greatest dissipation in an elliptic cone: its direction is B v, its size sqrt(v B v) of the speed
+        bx = (1.0 + v["grain_a"]) * vx + v["grain_b"] * vy
+        by = v["grain_b"] * vx + (1.0 - v["grain_a"]) * vy
+        share = dt * brake / jnp.sqrt(vx * bx + vy * by + 1e-16)
+        vx, vy = (jnp.where(share < 1.0, w - share * z, 0.0) for w, z in ((vx, bx), (vy, by)))
+        return dx + after * vx, dy + after * vy, vx, vy
+
+    return step

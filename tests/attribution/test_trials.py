@@ -1,0 +1,47 @@
+"""Selection over independent trials, on a linear problem whose truth is known."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
+from adaptsim_jax.attribution.trials.select import select
+
+TRIALS, ROWS = 14, 60
+
+
+def problem(truth, seed=0):
+    """Trials that are linear in four quantities: a is declared; b, c and the pair (d) that does what b does are effects."""
+    rng = np.random.default_rng(seed)
+    basis = rng.standard_normal((TRIALS, ROWS, 3))
+    basis = np.concatenate([basis, basis[..., 1:2] * 2.0], -1)
+    seen = basis @ np.array(truth) + rng.standard_normal((TRIALS, ROWS))
+    quantity = lambda n: Quantity(n, "", 0.0, -5.0, 5.0, 0.1, 10.0)
+    effect = lambda n: TrialEffect(n, "force", (n,), "a column", "any trial")
+    return TrialProblem(
+        tuple(map(quantity, "abcd")), ("a",), tuple(map(effect, "bcd")),
+        lambda values: seen - np.einsum("trk,tk->tr", basis, values), lambda values, b: basis @ b.T,
+        np.full(TRIALS, float(ROWS)), tuple(map(str, range(TRIALS))), np.zeros((1, 4)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_nothing_is_named_where_nothing_lacks(seed):
+    found = select(problem((0.7, 0.0, 0.0, 0.0), seed), Criteria())
+    assert not found.named
+    assert abs(found.final.fit.values[0] - 0.7) < 0.2
+    assert 0.8 < found.final.fit.held.mean() < 1.2
+
+
+def test_an_effect_is_named_and_its_size_found():
+    found = select(problem((0.7, 0.0, 0.8, 0.0)), Criteria())
+    (named,) = found.named
+    assert named.effect.name == "c"
+    assert not named.alternatives
+    assert abs(found.final.fit.values[2] - 0.8) < 0.2
+
+
+def test_two_effects_that_do_the_same_are_told_as_a_class():
+    found = select(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
+    (named,) = found.named
+    assert {named.effect.name, *[e.name for e, _ in named.alternatives]} == {"b", "d"}

@@ -1,0 +1,54 @@
+"""The push as a slide in two dimensions, against the planar model, a finer step, and what each effect has to do."""
+
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+
+from adaptsim_jax.tasks.pushing import model, planar, slide
+
+PARAMS, ACTIONS, _ = model.draw(0, 24)
+
+
+@partial(jax.jit, static_argnames=("step", "as_planar"))
+def batch(values, actions, step, as_planar):
+    return jax.vmap(lambda v, a: slide.rollout(v, a, step=step, as_planar=as_planar))(values, actions)
+
+
+def rolled(step=slide.STEP, as_planar=False, **more):
+    values = dict(zip(model.PARAMETERS, PARAMS.T, strict=True))
+    values |= {k: np.full(len(PARAMS), float(v)) for k, v in (slide.NEUTRAL | more).items()}
+    with jax.enable_x64(True):
+        return np.asarray(batch(values, ACTIONS, step, as_planar))
+
+
+def test_it_is_the_planar_model_where_nothing_acts_sideways():
+    with jax.enable_x64(True):
+        expected = np.asarray(jax.jit(jax.vmap(planar.trajectory))(PARAMS, ACTIONS))
+    np.testing.assert_allclose(rolled(planar.STEP, as_planar=True)[:, 2::2], expected, atol=1e-6)
+
+
+def test_the_step_of_1_ms_has_converged_but_for_a_fraction_of_a_millimetre():
+    apart = np.linalg.norm((rolled() - rolled(2.5e-4))[..., :2], axis=-1).max(1)
+    assert np.median(apart) < 5e-4
+    assert apart.max() < 5e-3
+
+
+def test_a_slope_across_bends_the_track_downhill_and_a_turned_heading_turns_it():
+    plain = rolled()
+    aside = lambda z: z[:, -1, 1] - plain[:, -1, 1]
+    assert (aside(rolled(tilt_y=0.02)) > 0.002).all()
+    assert (aside(rolled(heading_offset=0.05)) > 0.002).all()
+    assert np.isfinite(rolled(grain_a=0.4, grain_b=-0.2, drag=0.5, plate_turn=0.1)).all()
+
+
+def test_it_is_differentiable():
+    def end(tilt):
+        values = dict(zip(model.PARAMETERS, (0.1, 1e5, 0.5, 0.05), strict=True)) | {"tilt_y": tilt}
+        return slide.rollout(values, np.array([0.6, 0.2]), step=0.005)[-1, 1]
+
+    with jax.enable_x64(True):
+        run = jax.jit(lambda tilt: jax.jvp(end, (tilt,), (1.0,)))
+        slope = float(run(0.01)[1])
+        assert slope == pytest.approx(float(run(0.0101)[0] - run(0.0099)[0]) / 2e-4, rel=0.05)
