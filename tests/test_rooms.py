@@ -17,7 +17,7 @@ ROOMS = (
 )  # fmt: skip
 WITHIN = {
     "core": (
-        "errors", "given", "files", "progress", "config", "constants", "once", "trig", "parallel", "compile_cache",
+        "errors", "given", "files", "lock", "surroundings", "progress", "config", "constants", "once", "trig", "parallel", "compile_cache",
         "compile_flags", "memory", "kept_programs", "tree_store", "store",
     ),
     "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),

@@ -37,7 +37,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
     )
     parser.add_argument(
-        "--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out (of a mechanism)"
+        "--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05"
     )
     parser.add_argument(
         "--as-declared",
@@ -55,13 +55,14 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.sysid.io.recording import read_recording, without_trials
 
+    check_apart(Path(args.data), Path(args.out))
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
-    if args.without:
-        raise BadInput('--without takes trials of a mechanism; for task = "pendulum" move the files out of the folder')
-    recording = read_recording(args.data)  # refused within a second, and before JAX is loaded
+    # refused within a second, and before JAX is loaded
+    recording, without = read_recording(args.data), split_names(args.without)
+    without_trials(recording, without)
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
@@ -79,6 +80,17 @@ def run(args: argparse.Namespace) -> int:
 
     print_summary(result, Console(), out)
     return 0
+
+
+def check_apart(data: Path, out: Path) -> None:
+    """BadInput where the report would lie among the recordings, and be taken for one of them the next time."""
+    if data.is_dir() and out.exists() and out.resolve() == data.resolve():
+        raise BadInput(f"--out {out}: is the folder of the recordings; name another")
+
+
+def split_names(names: list[str]) -> list[str]:
+    """`03,05` as two names."""
+    return [part for name in names for part in name.split(",") if part]
 
 
 def of_a_mechanism(data: Path) -> bool:
@@ -99,9 +111,6 @@ def run_mechanism(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.read import read_with_model
 
-    out = Path(args.out)
-    if out.exists() and Path(args.data).exists() and out.resolve() == Path(args.data).resolve():
-        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     read_with_model(args.data, args.model)  # refused before anything is written
@@ -110,7 +119,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
 
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
-            args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(args.without),
+            args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(split_names(args.without)),
             progress=report, page=write_diagnosis, as_declared=args.as_declared,
         )  # fmt: skip
     from rich.console import Console
