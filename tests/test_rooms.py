@@ -17,8 +17,8 @@ ROOMS = (
 )  # fmt: skip
 WITHIN = {
     "core": (
-        "errors", "given", "files", "lock", "surroundings", "progress", "config", "constants", "once", "trig", "parallel", "compile_cache",
-        "compile_flags", "memory", "kept_programs", "tree_store", "store",
+        "errors", "given", "files", "lock", "surroundings", "progress", "config", "constants", "once", "trig", "parallel",
+        "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store", "store",
     ),
     "effects": ("base", "grids", "force", "actuator", "sensor", "base_motion", "layout", "registry"),
     "mechanisms": (
