@@ -16,7 +16,7 @@ import traceback
 from adaptsim_jax import __version__
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import Parser, command_parser
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import compile_cache, surroundings
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 
@@ -37,8 +37,12 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command line (default: `sys.argv`); returns the exit code and never raises for bad input."""
     argv = sys.argv[1:] if argv is None else list(argv)
     args = None
+    surroundings.legible_streams()
     try:
         args = parse(argv)
+        surroundings.check_process()
+        if word := surroundings.single_precision():
+            print(f"adaptsim: {word}", file=sys.stderr)
         _limit_blas_threads()
         _set_up_cache(args)
         _set_up_memory()

@@ -6,7 +6,6 @@ import argparse
 import shlex
 import sys
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
     )
-    parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out")
+    parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05")
     parser.add_argument("--json", action="store_true", help="print report.json")
     parser.add_argument(
         "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
@@ -61,13 +60,16 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.sysid.io.recording import read_recording, without_trials
 
+    check_apart(Path(args.data), Path(args.out))
     if args.model is None and of_pushes(Path(args.data)):
         return run_pushing(args)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
-    recording = without(read_recording(args.data), args.without)  # refused within a second, and before JAX is loaded
+    # refused within a second, and before JAX is loaded
+    recording, without = read_recording(args.data), split_names(args.without)
+    without_trials(recording, without)
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
@@ -77,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             exclude=args.exclude,
             progress=paced(report),
+            without=without,
             as_declared=args.as_declared,
             strict=args.strict,
         )
@@ -91,16 +94,20 @@ def declared_task(data: Path) -> str | None:
         return None
 
 
+def check_apart(data: Path, out: Path) -> None:
+    """BadInput where the report would lie among the recordings, and be taken for one of them the next time."""
+    if data.is_dir() and out.exists() and out.resolve() == data.resolve():
+        raise BadInput(f"--out {out}: is the folder of the recordings; name another")
+
+
+def split_names(names: list[str]) -> list[str]:
+    """`03,05` as two names."""
+    return [part for name in names for part in name.split(",") if part]
+
+
 def of_a_mechanism(data: Path) -> bool:
     """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
     return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
-
-
-def apart(args: argparse.Namespace) -> None:
-    """Refuses to write into the folder of the recordings."""
-    out, data = Path(args.out), Path(args.data)
-    if out.exists() and data.exists() and out.resolve() == data.resolve():
-        raise BadInput(f"--out {args.out}: is the folder of the recordings; name another")
 
 
 def of_pushes(data: Path) -> bool:
@@ -116,7 +123,6 @@ def run_pushing(args: argparse.Namespace) -> int:
     from adaptsim_jax.tasks.pushing.diagnosis.read import read
 
     data = Path(args.data)
-    apart(args)
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     if (data / "robot.toml").exists():
@@ -125,7 +131,7 @@ def run_pushing(args: argparse.Namespace) -> int:
         pushed = recorded_pushes(data)
     else:
         pushed = read(data)  # refused before anything is written
-    pushed = pushed.without(args.without)
+    pushed = pushed.without(split_names(args.without))
     from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
     from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
 
@@ -151,7 +157,6 @@ def run_mechanism(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.sysid.io.read import read_with_model
 
-    apart(args)
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     read_with_model(args.data, args.model)  # refused before anything is written
@@ -160,7 +165,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
 
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
-            args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(args.without),
+            args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(split_names(args.without)),
             progress=report, page=write_diagnosis, as_declared=args.as_declared,
         )  # fmt: skip
     return say(args, result, folder)
@@ -184,16 +189,6 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
     return 0
 
 
-def without(recording: Recording, names: Sequence[str]) -> Recording:
-    """The recording without these trials."""
-    known = [t.name for t in recording.trials]
-    if unknown := sorted(set(names) - set(known)):
-        raise BadInput(f"{recording.path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
-    if not set(known) - set(names):
-        raise BadInput(f"{recording.path}: --without leaves no trial; leave fewer out")
-    return recording.replace(trials=tuple(t for t in recording.trials if t.name not in set(names)))
-
-
 def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: Any) -> dict[str, Any]:
     """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`; where it names nothing
     although the declared model does not explain the data, what holds out by itself (`attribution.partly`), unless `strict`."""
@@ -201,7 +196,7 @@ def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: A
     from adaptsim_jax.commands.task_reward import task_reward
     from adaptsim_jax.report.diagnosis import write_diagnosis
     from adaptsim_jax.sysid import pipeline
-    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.sysid.io.recording import read_recording, without_trials
     from adaptsim_jax.sysid.quality.audit import audit, usable
 
     recording = read_recording(data) if isinstance(data, (str, Path)) else data
@@ -209,7 +204,8 @@ def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: A
     if strict or report["verdict"] != "structured_unattributed" or recording.model != "rigid_body":
         return report
     kept = {k: options[k] for k in ("out", "exclude") if k in options}
-    found = partly_explained(usable(recording, audit(recording)), report, page=write_diagnosis, **kept)
+    rest = without_trials(recording, options.get("without", ()))
+    found = partly_explained(usable(rest, audit(rest)), report, page=write_diagnosis, **kept)
     return found or report
 
 

@@ -73,6 +73,7 @@ def new(args: argparse.Namespace) -> None:
     from adaptsim_jax.adaptation.training import archive_size
     from adaptsim_jax.core import config, files
     from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.lock import one_writer
 
     folder = Path(args.dir)
     if (folder / SESSION).exists():
@@ -88,11 +89,12 @@ def new(args: argparse.Namespace) -> None:
     start_key, key = jax.random.split(jax.random.key(args.seed))
     used = archive_size(trained.phase1, trained.rounds)
     starts = draw_starts(start_key, trained.state.archive, used, args.starts)
-    sessions.save(session, session.loop.init(key, starts), [])
-    # written last: a folder with this file holds a whole session
-    config.write(folder / SESSION, table)
-    print(f"{session.part.opened(session, args.starts * (args.iterations + 1))} in {folder}")
-    ask(args, session)
+    with one_writer(folder):
+        sessions.save(session, session.loop.init(key, starts), [])
+        # written last: a folder with this file holds a whole session
+        config.write(folder / SESSION, table)
+        print(f"{session.part.opened(session, args.starts * (args.iterations + 1))} in {folder}")
+        ask(args, session)
 
 
 def ask(args: argparse.Namespace, session: Session) -> None:

@@ -103,6 +103,13 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         print(
             f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its goal: reward {float(reward):.3f}"
         )
+    from adaptsim_jax.tasks.pushing.measured import looks_mirrored
+
+    if looks_mirrored(_pushes(session, before), ends):
+        print(
+            "warning: the bottles came out on the other side of the line than they were pushed to: is the camera's y mirrored? If so "
+            f"turn the sign of y, take this record back (adaptsim robot undo --dir {session.folder}), and record it again"
+        )
     if done:
         return
     say_parameters(session, before, after)

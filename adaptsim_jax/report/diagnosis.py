@@ -39,6 +39,8 @@ from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.sysid.report import schema
 
+MOST_LINES = 6
+"""Warnings, and notes, that the terminal shows."""
 MOST_TRIALS = 6
 """Held-out trials that the page draws; each costs some 150 kB."""
 
@@ -226,6 +228,11 @@ def print_summary(report: dict, console: Console, out: Path | None = None) -> No
 
 def _summary_rows(report: Mapping) -> list[tuple[str, str]]:
     rows = [("data", _data_words(report["data"]))]
+    for key, word in (("warnings", "warning"), ("notes", "note")):
+        lines = report.get(key) or []
+        rows += [(word, line) for line in lines[:MOST_LINES]]
+        if len(lines) > MOST_LINES:
+            rows.append((word, f"and {len(lines) - MOST_LINES} more, see report.html"))
     for effect in rows_of.effect_rows(report):
         values = [f"{row['name']} = {row['value']}" for row in effect["parameters"]]
         rows.append(("effect", f"{effect['title']}: {', '.join(values)}" if values else effect["title"]))

@@ -107,11 +107,11 @@ def effect_names(report: Mapping) -> str:
 
 def headline(report: Mapping) -> str:
     """The verdict in a sentence."""
-    verdict, names = report["verdict"], effect_names(report)
+    verdict, names, rest = report["verdict"], effect_names(report), _rest(report["error"])
     if verdict == "explained":
-        return f"The declared model lacks {names}."
+        return f"The declared model lacks {names}{rest}."
     if verdict == "explained_class":
-        return f"The declared model lacks {names}; these trials cannot tell which." if names else ""
+        return f"The declared model lacks {names}; these trials cannot tell which{rest}." if names else ""
     if verdict == "partly_explained":
         return f"The declared model lacks {names}, and something more that has no name."
     if verdict == "confounded_with_declared":
@@ -127,6 +127,14 @@ def headline(report: Mapping) -> str:
         "underpowered": "These data cannot decide whether the declared model is complete.",
         "data_fault": "The data must be mended before a model can be judged.",
     }[verdict]
+
+
+def _rest(error: Mapping) -> str:
+    """A caveat where what a named effect leaves is many times the noise: its size may then be off by more than its interval."""
+    after, floor = error.get("after"), error.get("noise_floor")
+    if after is None or not floor or after < LOUD * floor:
+        return ""
+    return f", yet {after / floor:.0f} times the sensors' noise is left: its size is not sure"
 
 
 def _nothing_more(error: Mapping) -> str:

@@ -25,12 +25,13 @@ from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
 from adaptsim_jax.sysid.evaluate.power import Power, power, powered
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_diagnosis, residual_torque
 from adaptsim_jax.sysid.io.model_file import write_model
-from adaptsim_jax.sysid.io.recording import read_recording
+from adaptsim_jax.sysid.io.recording import read_recording, without_trials
 from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import timed
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, told
 from adaptsim_jax.sysid.quality.audit import Audit, audit, usable
 from adaptsim_jax.sysid.quality.pendulum_design import check_conventions
+from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.sysid.report.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.sysid.report.schema import check, new_report
@@ -77,6 +78,7 @@ def diagnose(
     progress: Progress | None = None,
     effects: Sequence[Effect] | None = None,
     exclude: Sequence[str] = (),
+    without: Sequence[str] = (),
     irrelevant: int = 0,
     settings: Criteria | None = None,
     follow_up: bool = True,
@@ -86,28 +88,34 @@ def diagnose(
 ) -> dict[str, Any]:
     """Diagnose a folder of measured data; returns the report and, with `out`, writes it with its model and next experiment.
 
-    effects: the catalogue to use (the task's own where None); exclude: names left out of it; irrelevant: so many useless
-    candidates are added, for tests. reward: what a named model is worth to a task, `(problem, found) -> {...} or None`; page:
-    writes the report into the folder in the place of a plain `report.json`, `(folder, report, evidence)`. `commands.diagnose`
-    gives both. as_declared: conventions that the motion contradicts are taken all the same. Raises BadInput where the data cannot
-    be read, or contradict what is declared of their columns.
+    effects: the catalogue to use (the task's own where None); exclude: names left out of it; without: trials left out;
+    irrelevant: so many useless candidates are added, for tests. reward: what a named model is worth to a task, `(problem,
+    found) -> {...} or None`; page: writes the report into the folder in the place of a plain `report.json`, `(folder, report,
+    evidence)`. `commands.diagnose` gives both. as_declared: conventions that the motion contradicts are taken all the same. Raises
+    BadInput where the data cannot be read, or contradict what is declared of their columns.
     """
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
-    recording = data if isinstance(data, Recording) else read_recording(data)
+    recording = without_trials(data if isinstance(data, Recording) else read_recording(data), without)
     known = tuple(effects or catalogue(recording.task))
     left_out = [effect_named(name, known).name for name in exclude]
-    run = {"version": adaptsim_jax.__version__, "seed": seed, "command": command_of(recording, seed, left_out)}
+    run = {
+        "version": adaptsim_jax.__version__,
+        "seed": seed,
+        "command": command_of(recording, seed, left_out, without, as_declared),
+    }
     say(1, STAGES, "audit")
     checked = audit(recording)
     if checked.fault:
-        report = faulty(recording, checked)
+        report = faulty(recording, checked) | told_in_short(recording, checked)
         return finish(report, {"audit": findings(checked)}, out, recording, run, began, None, page)
     chosen = tuple(e for e in known if e.name not in exclude) + useless(irrelevant)
     recording = usable(recording, checked)
     checked = checked if as_declared else replace(checked, findings=checked.findings + check_conventions(recording))
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Criteria(), seed, say)
+    result.report.update(told_in_short(recording, checked))
+    result.evidence["audit"] += [{"severity": "info", "where": "", "message": note} for note in recording.notes]
     if follow_up:
         add_follow_up(result, seed, say, reward)
     return finish(result.report, result.evidence, out, recording, run, began, result, page)
@@ -219,6 +227,22 @@ def findings(checked: Audit) -> list[dict[str, str]]:
     ]
 
 
+def told_in_short(recording: Recording, checked: Audit) -> dict[str, list[str]]:
+    """`warnings`: a sentence for each kind of warning and channel, and the trials left out; `notes`: of the reader."""
+    lines = [f"left out: {', '.join(checked.exclude)}"] if checked.exclude else []
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for f in checked.findings:
+        if f.severity == "warn":
+            groups.setdefault((f.kind, f.where if f.kind != "gap" else ""), []).append(f)
+    for (_, where), found in groups.items():
+        first = found[0]
+        place = f"{first.trial}: " if first.trial else ""
+        more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})" if len(found) > 1 else ""
+        own = "" if not where or first.message.startswith(where) or where in first.message else f"{where} "
+        lines.append(f"{place}{own}{first.message}{more}")
+    return {"warnings": lines, "notes": list(recording.notes)}
+
+
 def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:
     """The report on data that contradict themselves."""
     samples = sum(len(t.time) for t in recording.trials)
@@ -226,10 +250,15 @@ def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:
     return new_report(recording.task, recording.model, "data_fault", checked.message, data)
 
 
-def command_of(recording: Recording, seed: int, exclude: Sequence[str]) -> str:
+def command_of(
+    recording: Recording, seed: int, exclude: Sequence[str], without: Sequence[str] = (), as_declared: bool = False
+) -> str:
     """The command that gives the same answer."""
     words = ["adaptsim", "diagnose", str(recording.path), "--out", "again", *(["--seed", str(seed)] if seed else [])]
-    return shlex.join([*words, *(["--exclude", *exclude] if exclude else [])])
+    words += ["--as-declared"] if as_declared else []
+    for option, names in (("--exclude", exclude), ("--without", without)):
+        words += [option, *names] if names else []
+    return shlex.join(words)
 
 
 def finish(

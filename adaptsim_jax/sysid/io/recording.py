@@ -158,3 +158,13 @@ def _notes(read: list[tuple[Trial, str, tuple[str, ...]]]) -> tuple[str, ...]:
     if any(trial.v is None for trial, _, _ in read):
         notes.append("some trials have no velocities: v1, v2 are estimated from the angles")
     return tuple(notes)
+
+
+def without_trials(recording: Recording, names: Sequence[str]) -> Recording:
+    """The recording without these trials. BadInput where one of them is not there, or none would be left."""
+    known = [t.name for t in recording.trials]
+    if unknown := [name for name in names if name not in known]:
+        raise BadInput(f"{recording.path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
+    if not set(known) - set(names):
+        raise BadInput("--without: names every trial; leave some")
+    return recording.replace(trials=tuple(t for t in recording.trials if t.name not in names))

@@ -137,7 +137,7 @@ def hypotheses_of(words: Words, chain: Sequence[int] = ()) -> list[Hypothesis]:
             Hypothesis("angle_turned", turned, f"turn the signs of columns {words.q[j]} and {words.v[j]}",
                        lambda m, sign=sign: _scaled(m, sign))
         )  # fmt: skip
-        whole = f"{words.joints[j]} looks to be counted the other way round"
+        whole = f"{words.joints[j]} looks to be counted the other way round than the rest"
         out.append(
             Hypothesis(
                 "joint_reversed",

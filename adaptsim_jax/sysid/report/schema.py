@@ -8,6 +8,7 @@ them; all but the last two are checked:
     error.per_trial[i]    {trial, before, after, per_channel: {c: {before, after}}}
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
+    warnings, notes       [sentence]                                        of the audit and the reader; the terminal shows them too
     task_reward           {before, after, oracle}                           in [0, 1]
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
@@ -284,9 +285,10 @@ def _check_declared(found: _Problems, declared: Mapping) -> None:
 
 
 def _check_extensions(found: _Problems, report: Mapping) -> None:
-    sentences = report.get("not_established", [])
-    if not isinstance(sentences, list) or not all(isinstance(line, str) for line in sentences):
-        found.add("not_established", "a list of sentences is wanted")
+    for key in ("not_established", "warnings", "notes"):
+        sentences = report.get(key, [])
+        if not isinstance(sentences, list) or not all(isinstance(line, str) for line in sentences):
+            found.add(key, "a list of sentences is wanted")
     reward = report.get("task_reward")
     if reward is not None and not isinstance(reward, Mapping):
         found.add("task_reward", "a table with before and after is wanted")

@@ -1,0 +1,55 @@
+"""What a process is run in: forks of processes that used JAX, JAX's switches, and pipes that take ASCII alone."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from adaptsim_jax.core.errors import BadInput
+
+_forked_after_use = [False]
+_OFF = ("", "0", "false", "off", "no")
+
+
+def _note_fork() -> None:
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    initialised = getattr(bridge, "backends_are_initialized", lambda: False)
+    _forked_after_use[0] = _forked_after_use[0] or bool(initialised())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
+
+
+def check_process() -> None:
+    """BadInput in a forked worker of a process that had used JAX, whose threads are not there and would be waited for."""
+    if _forked_after_use[0]:
+        raise BadInput(
+            "this worker was forked from a process that had used JAX, and would hang: make workers by "
+            "multiprocessing.get_context('spawn'), or use JAX in the workers alone"
+        )
+
+
+def single_precision() -> str | None:
+    """Compute in single precision whatever the environment says; a word on it where it says otherwise.
+
+    BadInput where a program that called us turned double precision on: its arrays would not fit ours.
+    """
+    if "jax" in sys.modules:
+        import jax
+
+        if jax.config.jax_enable_x64:
+            raise BadInput("JAX computes in double precision here (jax_enable_x64), adaptsim in single: turn it off")
+        return None
+    if os.environ.get("JAX_ENABLE_X64", "").strip().lower() in _OFF:
+        return None
+    os.environ["JAX_ENABLE_X64"] = "0"
+    return "JAX_ENABLE_X64 is set and is not heeded: adaptsim computes in single precision"
+
+
+def legible_streams() -> None:
+    """Write what a terminal or pipe cannot encode as escapes, in the place of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        encoding = (getattr(stream, "encoding", None) or "").lower().replace("-", "")
+        if encoding not in ("utf8", "") and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
