@@ -37,9 +37,9 @@ def command_line() -> str:
     for name, summary in SUMMARIES.items():
         parser = command_parser(name)
         rows = [_row(action) for action in parser._actions if "--help" not in action.option_strings]
-        examples = parser.epilog.removeprefix("examples:\n")
+        examples = parser.epilog.removeprefix("examples:\n").strip("\n")
         parts.append(
-            f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | |\n| --- | --- |\n"
+            f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | meaning |\n| --- | --- |\n"
             + "\n".join(rows)
             + f"\n\n```text\n{examples}\n```"
         )

@@ -1,7 +1,10 @@
 """The documentation: its size, its generated pages, its tutorials as a reader would run them, and that every page is on the site."""
 
+import os
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -34,6 +37,18 @@ def test_the_reference_holds_every_key_with_its_default():
 def test_results_are_short():
     for page in (DOCS / "results").glob("*.md"):
         assert len(page.read_text().splitlines()) <= 150, page
+
+
+@pytest.mark.slow
+def test_the_site_builds_strictly(tmp_path):
+    """No broken link, no missing reference; with the extra `docs`."""
+    pytest.importorskip("mkdocs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "make_phase1" in (tmp_path / "reference" / "api.html").read_text()
 
 
 @pytest.mark.slow
