@@ -8,23 +8,28 @@ DEMO_OUT ?= demo_out
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
-.PHONY: demo test lint format bench clean help
+.PHONY: demo test test-all lint format bench docs clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    install into $(VENV), run 'adaptsim demo', leave figures and a page in $(DEMO_OUT)"
-	@echo "make test    run the test suite on $(JOBS) processes (JOBS=n for another number)"
+	@echo "make test    run the quick tests on $(JOBS) processes (JOBS=n for another number)"
+	@echo "make test-all  run all of them"
 	@echo "make lint    ruff and pyright"
 	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
+	@echo "make docs    the documentation as a site, strictly, in build/site"
 	@echo "make clean   remove $(VENV) and what the other targets wrote"
 
 demo: $(VENV)/.core
 	$(BIN)/adaptsim demo --out $(DEMO_OUT)
 
 # Most of the suite's time is compiling, and most programs run once: half the effort there pays.
-test: export XLA_FLAGS ?= --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=1 \
+test test-all: export XLA_FLAGS ?= --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=1 \
 	--xla_cpu_use_fusion_emitters=false
 test: $(VENV)/.test
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow" $(PYTEST_ARGS)
+
+test-all: $(VENV)/.test
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
 
 lint: $(VENV)/.dev
@@ -39,6 +44,10 @@ format: $(VENV)/.dev
 bench: $(VENV)/.core
 	$(BIN)/python benchmarks/table.py --out bench
 	@cat bench/table.md
+
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
+	@echo "open build/site/index.html"
 
 clean:
 	rm -rf $(VENV) .cache demo_out bench build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
@@ -61,6 +70,10 @@ $(VENV)/.core: $(VENV)/.made requirements.lock pyproject.toml
 
 $(VENV)/.test: $(VENV)/.core requirements-dev.lock
 	$(BIN)/python -m pip install --quiet -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.core requirements-docs.lock
+	$(BIN)/python -m pip install --quiet -r requirements-docs.lock
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.test

@@ -9,14 +9,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
-import importlib
 import os
 import sys
 import traceback
-from typing import NoReturn
 
 from adaptsim_jax import __version__
-from adaptsim_jax.commands import SUMMARIES, common
+from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.commands.parser import Parser, command_parser
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
@@ -32,17 +31,6 @@ _OUTSIDE = (
     errno.ENAMETOOLONG,
     errno.EFBIG,
 )
-
-
-class Parser(argparse.ArgumentParser):
-    """argparse that reports bad input as everything else here does: one line, code 2, the nearest name."""
-
-    def __init__(self, *args, **kwargs):
-        kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
-        super().__init__(*args, allow_abbrev=False, **kwargs)
-
-    def error(self, message: str) -> NoReturn:
-        raise BadInput(f"{message.removeprefix('argument ')}; see '{self.prog} --help'")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -84,12 +72,10 @@ def parse(argv: list[str]) -> argparse.Namespace:
     name, *after = argv
     if name not in SUMMARIES:
         raise BadInput(f"unknown command '{name}'; {suggest(name, SUMMARIES)}")
-    module = importlib.import_module(f"adaptsim_jax.commands.{name}")
-    command = _command(name, module)
+    command = command_parser(name)
     args, unknown = command.parse_known_args(after)
     if unknown:
         raise BadInput(_unknown_argument(command, unknown[0]))
-    args.run = module.run
     args.seed_given, args.seed = args.seed is not None, args.seed or 0
     return args
 
@@ -104,19 +90,6 @@ def _top() -> Parser:
         epilog=f"commands:\n{lines}\n\n'adaptsim COMMAND --help' shows its options and examples.",
     )
     parser.add_argument("--version", action="version", version=f"adaptsim_jax {__version__}")
-    return parser
-
-
-def _command(name: str, module) -> Parser:
-    parser = Parser(
-        prog=f"adaptsim {name}",
-        description=f"{SUMMARIES[name]}.",
-        epilog=f"examples:\n{module.EXAMPLES.rstrip()}",
-    )
-    module.arguments(parser)
-    shared = parser.add_argument_group("shared by all commands")
-    shared.add_argument("--seed", type=common.seed, metavar="N", help="random seed (default 0)")
-    shared.add_argument("--no-cache", action="store_true", help="keep no compiled programs on disk")
     return parser
 
 

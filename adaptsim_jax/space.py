@@ -103,7 +103,7 @@ class Space:
         u = jax.random.uniform(key, (*shape, self.dim))
         if not self.is_categorical.any():
             return u
-        steps, lead = self._categories().astype(u.dtype), (1,) * len(shape)
+        steps, lead = self.category_steps().astype(u.dtype), (1,) * len(shape)
         steps = jnp.asarray(steps).reshape(*lead, -1)
         drawn = jnp.minimum(jnp.floor(u * (steps + 1.0)), steps) / steps
         return jnp.where(jnp.asarray(self.is_categorical).reshape(*lead, -1), drawn, u)
@@ -116,10 +116,10 @@ class Space:
         if not self.is_categorical.any():
             return u
         lead = (1,) * (u.ndim - 1)
-        steps = jnp.asarray(self._categories().astype(u.dtype)).reshape(*lead, -1)
+        steps = jnp.asarray(self.category_steps().astype(u.dtype)).reshape(*lead, -1)
         return jnp.where(jnp.asarray(self.is_categorical).reshape(*lead, -1), jnp.round(u * steps) / steps, u)
 
-    def _categories(self) -> np.ndarray:
+    def category_steps(self) -> np.ndarray:
         """Steps from the first category to the last, `[D]`; 1 for other parameters."""
         return np.array([max(p.high - p.low, 1.0) if p.scale == "categorical" else 1.0 for p in self.parameters])
 
@@ -190,7 +190,7 @@ def step(space: Space, dist: Gaussian, action: jax.Array, delta: jax.Array | flo
 
     `delta` is a fraction of the range; a categorical parameter moves by a whole category. Clipped to the box.
     """
-    one = jnp.asarray(1.0 / space._categories(), dist.mean.dtype)
+    one = jnp.asarray(1.0 / space.category_steps(), dist.mean.dtype)
     size = jnp.where(jnp.asarray(space.is_categorical), one, delta)
     move = jnp.array([-1.0, 1.0, 0.0], dist.mean.dtype)[action] * size
     return dist._replace(mean=jnp.clip(dist.mean + move, 0.0, 1.0))

@@ -12,6 +12,7 @@ import numpy as np
 import adaptsim_jax
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit, run
 from adaptsim_jax.attribution.load import load
@@ -45,18 +46,27 @@ def diagnose(
     without: tuple[str, ...] = (),
     progress: Progress | None = None,
     page: Page | None = None,
+    as_declared: bool = False,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
-    writes it with `model.xml`. exclude: effects that are not considered; without: trials left out.
+    writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
+    as_declared: conventions that the motion contradicts are taken all the same.
 
-    Raises BadInput where the data or the model cannot be read.
+    Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
     say(0.02, 1.0, "reading")
-    machine = scaled(load(data, model).without(without), horizon)
+    machine = load(data, model).without(without)
+    say(0.03, 1.0, "conventions")
+    warned = () if as_declared else check_conventions(machine)
+    machine = scaled(machine, horizon)
     folder = None if out is None else output_folder(out)
     report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
+    report["warnings"] = [f.message for f in warned]
+    evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
+        "audit"
+    ]
     report["run"] = evidence["run"] = {
         "version": adaptsim_jax.__version__, "seed": 0, "command": command_of(data, model, exclude, without),
         "seconds": round(time.monotonic() - began, 1),

@@ -235,7 +235,7 @@ def normal(problem: Problem, residual: Sequence[np.ndarray], start, shared) -> N
     for r, x, s in zip(residual, start, shared, strict=True):
         live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
         rp, sp = project(x, r[..., None], s[..., live])
-        fold = _fold(problem, len(r))
+        fold = padded_fold(problem, len(r))
         for k in range(folds):
             mine = rows(sp[fold == k])
             hess[k][np.ix_(live, live)] += mine.T @ mine
@@ -248,7 +248,7 @@ def rows(columns: np.ndarray) -> np.ndarray:
     return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
 
 
-def _fold(problem: Problem, width: int) -> np.ndarray:
+def padded_fold(problem: Problem, width: int) -> np.ndarray:
     return (
         np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
         if width > len(problem.fold)

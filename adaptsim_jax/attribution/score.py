@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
-from adaptsim_jax.attribution.estimate import Linear, _fold, candidate_columns, project, rows
+from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach
@@ -159,7 +159,7 @@ class _Sums:
     def __init__(self, problem: Problem, lin: Linear, count: int):
         self.problem, self.lin = problem, lin
         width = len(lin.residual[0])
-        self.fold = _fold(problem, width)
+        self.fold = padded_fold(problem, width)
         self.slope = np.zeros((width, count))
         self.cross = {}
         self.kept = []

@@ -15,13 +15,13 @@ from adaptsim_jax.attribution.estimate import (
     Fit,
     Linear,
     Weights,
-    _fold,
     bounded_step,
     candidate_columns,
     fit,
     linear,
     losses,
     normal,
+    padded_fold,
     residuals,
     run,
     settled,
@@ -120,7 +120,7 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     steps = np.array(
         [bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)]
     )
-    fold = _fold(problem, len(now.loss))
+    fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
     _, _, kept = settled(problem, lin, now.vector, (starts, now.starts), rows, refine=2)

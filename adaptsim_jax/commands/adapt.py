@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=positive, default=2, metavar="N", help="initial distributions (2)")
     parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)")
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
+    parser.add_argument("--json", action="store_true", help="print result.json")
     parser.add_argument(
         "--video", action="store_true", help="pushing, scooping: a film too (mp4 with the extra [video], else gif)"
     )
@@ -42,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     import jax
 
     from adaptsim_jax.adaptation.training import load_run
-    from adaptsim_jax.commands.common import output, read_target
+    from adaptsim_jax.commands.common import next_step, output, print_file, read_target
     from adaptsim_jax.core.files import write_json
 
     trained = load_run(folder)
@@ -55,11 +57,15 @@ def run(args: argparse.Namespace) -> int:
         result = part.adapt(trained, options, jax.random.key(args.seed), params, args.starts, args.iterations)
         found = describe(result, task, name, params, args)
         write_json(out / "result.json", found)
+    lines = part.show(trained, options, found, result, out, args.video) if part.show is not None else ()
+    if args.json:
+        print_file(out / "result.json")
+        return 0
     _show(found)
     print(f"written: {out / 'result.json'}")
-    if part.show is not None:
-        for line in part.show(trained, options, found, result, out, args.video):
-            print(line)
+    for line in lines:
+        print(line)
+    next_step(f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot")
     return 0
 
 

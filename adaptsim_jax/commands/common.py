@@ -81,3 +81,13 @@ def _whole(text: str, low: int, high: int) -> int:
     if not low <= value <= high:
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}; try {low}")
     return value
+
+
+def next_step(command: str) -> None:
+    """The line that says what a person may do now; the last of a command's output."""
+    print(f"next: adaptsim {command}")
+
+
+def print_file(path: Path) -> None:
+    """What `--json` prints of a command that writes its answer to a file."""
+    print(path.read_text(encoding="utf-8"), end="")

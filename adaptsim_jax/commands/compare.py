@@ -32,6 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
     parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
     parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
+    parser.add_argument("--json", action="store_true", help="print results.json")
     parser.add_argument(
         "--set",
         action="append",
@@ -43,7 +44,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Table 1 of the paper for one task."""
-    from adaptsim_jax.commands.common import check_task, output
+    from adaptsim_jax.commands.common import check_task, output, print_file
 
     check_task(args.task)
     from adaptsim_jax.baselines.compare import compare
@@ -54,9 +55,13 @@ def run(args: argparse.Namespace) -> int:
     with output(args.out) as out, progress(f"compare {args.task}") as report:
         results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]))
         paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
+    if args.json:
+        print_file(out / "results.json")
+        return 0
     print(table(results))
     for path in paths:
         print(f"written: {path}")
+    print(f"next: open {out / 'report.html'}")
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import tomllib
 from collections.abc import Sequence
@@ -39,6 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
     )
     parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out")
+    parser.add_argument("--json", action="store_true", help="print report.json")
     parser.add_argument(
         "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
     )
@@ -77,12 +79,7 @@ def run(args: argparse.Namespace) -> int:
             as_declared=args.as_declared,
             strict=args.strict,
         )
-    from rich.console import Console
-
-    from adaptsim_jax.report.diagnosis import print_summary
-
-    print_summary(result, Console(), out)
-    return 0
+    return say(args, result, out)
 
 
 def declared_task(data: Path) -> str | None:
@@ -148,16 +145,31 @@ def run_mechanism(args: argparse.Namespace) -> int:
         compile_flags.small_steps()
     read_with_model(args.data, args.model)  # refused before anything is written
     from adaptsim_jax.attribution import diagnose as machines
-    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+    from adaptsim_jax.report.diagnosis import write_diagnosis
 
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
             args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(args.without),
-            progress=report, page=write_diagnosis,
+            progress=report, page=write_diagnosis, as_declared=args.as_declared,
         )  # fmt: skip
+    return say(args, result, folder)
+
+
+def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
+    """The summary for a person and what to do next, or all of the report as JSON."""
+    from adaptsim_jax.commands.common import next_step, print_file
+
+    if args.json:
+        print_file(out / "report.json")
+        return 0
     from rich.console import Console
 
-    print_summary(result, Console(), folder)
+    from adaptsim_jax.report.diagnosis import print_summary
+
+    print_summary(result, Console(), out)
+    model = next((out / name for name in ("model.toml", "model.xml") if (out / name).exists()), None)
+    if model is not None and args.model is None:
+        next_step(f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the mended model over a recording")
     return 0
 
 

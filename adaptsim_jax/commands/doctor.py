@@ -20,6 +20,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 where everything that the core needs works here, else 1."""
     from adaptsim_jax.commands import doctor_checks as doctor
+    from adaptsim_jax.commands.common import next_step
 
     found = doctor.examine()
     if args.costs and args.json:
@@ -33,6 +34,8 @@ def run(args: argparse.Namespace) -> int:
 
         for row in _costs():
             print(line(row), flush=True)
+    if not args.json and not found["faults"]:
+        next_step("demo    the tour, a few minutes")
     return 1 if found["faults"] else 0
 
 

@@ -26,7 +26,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
-    from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax.commands.common import check_task, next_step
     from adaptsim_jax.core.config import pick
     from adaptsim_jax.core.errors import BadInput
 
@@ -46,6 +46,8 @@ def run(args: argparse.Namespace) -> int:
         for effect in effects:
             _show(effect)
         print(LEGEND)
+    if not args.json:
+        next_step("new effect NAME    an effect of your own")
     return 0
 
 

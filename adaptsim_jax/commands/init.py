@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 
 EXAMPLES = """
@@ -29,6 +30,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Writes the file and says how the data read with it."""
+    from adaptsim_jax.commands.common import next_step
     from adaptsim_jax.sysid.io.begin import begin
 
     topics = {"state_topic": args.state_topic, "command_topic": args.command_topic}
@@ -46,4 +48,5 @@ def run(args: argparse.Namespace) -> int:
     )
     for note in log.notes:
         print(f"  {note}")
+    next_step(f"diagnose {shlex.quote(str(begun.path.parent))} --out out")
     return 0

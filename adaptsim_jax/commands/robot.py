@@ -22,8 +22,8 @@ RUN is the folder of `adaptsim train`. `next` says the policy or the actions eac
 FILE, a CSV (or npz), of the pendulum: one trial, from the moment of letting go: columns time [s], q1, q2 [rad, zero
 upright], tau1, tau2 [N m], and v1, v2 [rad/s] where measured. Of the push: all pushes that `next` wrote to actions.csv:
 columns trial, time [s since the arm's start], x, y [m, arm's base frame] of the bottle. Of scooping likewise: trial, time, x, y of
-the piece [m, x along the spatula's way], and on, 1 where it lies on the spatula. Where the robot cannot finish a pendulum's policy, that has no
-return, and its start is given up; pushes and scoops that failed are asked again.
+the piece [m, x along the spatula's way], and on, 1 where it lies on the spatula. Where the robot cannot finish a pendulum's
+policy, that has no return and its start is given up; pushes and scoops that failed are asked again.
 """
 STEPS = ("new", "next", "record", "undo")
 

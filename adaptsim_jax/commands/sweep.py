@@ -150,12 +150,14 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
 
 def _finish(folder: Any) -> int:
     from adaptsim_jax.adaptation.sweep_results import write_results
+    from adaptsim_jax.commands.common import next_step
     from adaptsim_jax.report.figures_sweep import draw
 
     found = write_results(folder)
     draw(found, folder.path)
     _print(found)
     print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures")
+    next_step(f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs")
     return 0
 
 

@@ -33,6 +33,10 @@ class Criteria:
     clear: float = 0.1
     promising: float = 0.6
     large: float = 0.3
+    surely: float = 100.0  # log-likelihood that an effect gains which is small beside the torque, and yet no chance
+    least_gain: float = 0.97  # error with an effect over without it: above this it is not shown by left-out trials
+    far: float = 4.0  # times the squared error without an effect: beyond this it is shown without leaving trials out
+    very_far: float = 25.0  # the same by a fit of the search, which may lack the finer shapes of the final model
     predicted: float = 0.8  # error of a flexible model over the declared model's: below this its forces are no chance
     well_predicted: float = (
         0.4  # below this they are structure whatever the linear scores say, where the error is beyond noise

@@ -104,7 +104,7 @@ def confirmed(
     """
     if not verdict.named or after.rmse() < settings.least_confirmed * before.rmse():
         return verdict
-    if not _predicted(left, settings) and confirms(after, before) and _everywhere(found, before, settings):
+    if not _predicted(left, settings) and confirms(after, before, settings) and _everywhere(found, before, settings):
         return verdict
     message = (
         "A candidate fits, but it does not simulate held-out trials better than the declared model; no name is given."

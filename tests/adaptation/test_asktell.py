@@ -66,6 +66,7 @@ def recorded(policy, seconds=2.6, rate=500.0, velocities=True):
     return {"time": time + 12.5, **{name: np.asarray(value, float) for name, value in names.items()}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("velocities", [True, False])
 def test_a_measured_trial_has_the_return_and_observation_of_the_task(made, velocities):
     """Torques held from row to row are late by half a row; the loop decays at about 8/s, so 2 * 8 * 0.25 ms."""

@@ -34,6 +34,7 @@ def _bits(tree):
     return [np.asarray(x).tobytes() for x in jax.tree.leaves(tree)]
 
 
+@pytest.mark.slow
 def test_cut_anywhere_it_ends_with_the_same_bits(small):
     _, init, run = small
     hyper = traced(PLAIN)
@@ -113,6 +114,7 @@ def test_shaped_reward_by_hand():
     np.testing.assert_array_equal(mixed[4:], 0.0)
 
 
+@pytest.mark.slow
 def test_it_learns_to_reach_the_target():
     """The known answer: every parameter within half a step (0.05) of the target after at most ten steps."""
     task = make_toy(2)

@@ -35,7 +35,7 @@ def test_written_as_mjcf_it_has_the_same_base_parameters_and_gravity(tmp_path, z
         for angle in (0.0, 0.2):
             turned = tilted(np.asarray(tree.gravity), 0.0, angle)
             told = dynamics.gravity_force(tree, jnp.asarray(tree.inertial), jnp.asarray(q), jnp.asarray(turned))
-            right = base_gravity(jnp.asarray(THETA), geometry, jnp.asarray([*q, angle, 0.0]))
+            right = base_gravity(jnp.asarray(THETA), geometry, jnp.asarray(q + np.array([angle, 0.0])))
             np.testing.assert_allclose(np.abs(told), np.abs(right), rtol=1e-6)
 
 

@@ -86,6 +86,7 @@ def pendulum_bounds():
     return problem, targets, best_in_omega(problem, targets, points=5, starts=1)
 
 
+@pytest.mark.slow
 def test_pendulums_best_beats_the_targets_own_lqr_within_omega(pendulum_bounds):
     """LQR is optimal for an endless horizon; over 2.5 s a neighbour may be a little better, never much."""
     problem, targets, best = pendulum_bounds
@@ -95,6 +96,7 @@ def test_pendulums_best_beats_the_targets_own_lqr_within_omega(pendulum_bounds):
     assert best.mean[1, 1] == 0.0  # OOD-1 has m2 = 0.3: the best m2 of [1, 2] is the lowest
 
 
+@pytest.mark.slow
 def test_pendulums_udr_over_a_speck_is_its_lqr():
     """What the mean over starts is for: with nothing to average over, UDR is the policy that everyone else uses."""
     tiny = PendulumConfig(m1=(1.5, 1.5001), m2=(1.5, 1.5001), b1=(1.5, 1.5001), b2=(1.5, 1.5001))

@@ -53,6 +53,7 @@ def cell(found, method, setting):
     return next(r for r in found[0] if (r["method"], r["setting"]) == (method, setting))
 
 
+@pytest.mark.slow
 def test_every_method_has_a_row_in_every_setting(found):
     assert [(r["method"], r["setting"]) for r in found[0]] == [(m, s) for m in METHODS for s in ("wd", "ood-1")]
     for r in found[0]:
@@ -208,6 +209,7 @@ def test_what_compare_writes_says_what_a_reward_is(found, tmp_path):
     assert "0 is UDR" not in paths[-1].read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "task, change, says",
     [

@@ -33,6 +33,7 @@ def outcome(request):
     return run(jax.random.split(jax.random.key(0), 3), targets)
 
 
+@pytest.mark.slow
 def test_the_target_is_identified(outcome):
     np.testing.assert_allclose(
         outcome.means[0, :, -1], np.tile([0.3, 0.8], (3, 1)), atol=0.03
@@ -56,6 +57,7 @@ def test_policies_are_retrained_on_what_was_inferred(outcome):
     np.testing.assert_allclose(seen[:, 2], 0.5 * u[1] + outcome.means[0, :, 1, 1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_seeds_differ_and_repeat():
     task, target = probe_task(), jnp.array([1.3, 26.0])
     run = jax.jit(make_sysid_point(task, CONFIG))

@@ -173,6 +173,7 @@ def test_a_disk_that_fills_while_a_run_is_made(tmp_path, capsys, monkeypatch, ca
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_while_results_are_written(tmp_path, capsys, monkeypatch):
     """The comparison of bounds alone is quick; its files are whole or not there."""
 

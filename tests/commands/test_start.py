@@ -1,9 +1,9 @@
 """How fast the command answers, and that it answers before JAX is loaded."""
 
 import os
+import resource
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -27,13 +27,14 @@ def test_help_loads_no_jax(command):
     assert not command or any(line == "examples:" for line in out)
 
 
-def test_help_is_under_a_second():
-    """The best of five, as a person on an idle machine has it; other tests run beside this one."""
+def test_help_takes_less_than_a_second_of_the_processor():
+    """The best of three; its own time, not that of what runs beside it."""
     times = []
-    for _ in range(5):
-        start = time.perf_counter()
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run([sys.executable, "-m", "adaptsim_jax.cli", "--help"], capture_output=True, check=True)
-        times.append(time.perf_counter() - start)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert min(times) < 1.0
 
 
@@ -55,6 +56,8 @@ def test_every_command_takes_a_seed():
         "parity": ["pendulum"],
         "replay": ["m", "d"],
         "sweep": ["show", "d"],
+        "new": ["effect", "e"],
+        "completion": ["bash"],
     }
     for name in SUMMARIES:
         args = parse([name, *least.get(name, []), "--seed", "7"])

@@ -47,6 +47,7 @@ def relative_difference(ours, theirs, systems):
     return np.linalg.norm(P - reference, axis=(1, 2)) / np.linalg.norm(reference, axis=(1, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n, m", [(2, 1), (4, 2), (6, 3)])
 @pytest.mark.parametrize("kind", ["care", "dare"])
 def test_random_systems_match_scipy_in_double(x64, kind, n, m):
@@ -59,6 +60,7 @@ def test_pendulum_settings_match_scipy_in_double(x64):
     assert relative_difference(*SOLVERS["care"], pendulum_systems(SETTINGS)).max() < 1e-11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["care", "dare"])
 def test_single_precision_is_usable(kind):
     systems = [x.astype(np.float32) for x in random_systems(3, 50, 4, 2, radius=1.2 if kind == "dare" else None)]
@@ -97,6 +99,7 @@ def test_nested_vmap_agrees_with_one_at_a_time(x64):
         np.testing.assert_allclose(P[i], solve_care(A[i], B[i], Q[i // 3], R[0]).P, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["care", "dare"])
 def test_derivatives_in_both_modes_and_twice(x64, kind):
     A, B, Q, R = (x[0] for x in random_systems(1, 1, 3, 2, radius=0.9))
@@ -116,6 +119,7 @@ def test_derivatives_under_vmap(x64):
         np.testing.assert_allclose(batched[i], one(*(x[i] for x in systems)), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_refinement_lowers_a_single_precision_residual():
     systems = pendulum_systems(SETTINGS.astype(np.float32))
     plain = jax.vmap(solve_care)(*systems).residual

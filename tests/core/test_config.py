@@ -132,6 +132,7 @@ _table = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(_table)
 def test_any_table_is_written_as_toml(table):

@@ -11,6 +11,7 @@ from adaptsim_jax.core.trig import sin_cos
 ANGLES = np.linspace(-7.0, 9.0, 33)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x64", [False, True])
 @pytest.mark.parametrize("turn", [1.0, -1.0])  # the first angle decides the branch
 def test_values_and_derivatives(x64, turn):

@@ -121,6 +121,7 @@ def test_size_does_something_in_the_default_precision(effect, x64):
     assert max(float(np.abs(a - b).max()) for a, b in zip(on, off, strict=True)) > 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
 def test_gradients_are_finite_and_right_where_smooth(effect, x64):
     p = parameters(effect)

@@ -35,6 +35,7 @@ def table_with(name, joint=0, **changes):
     return build
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_nothing_at_zero_size(name):
     short = {"n_trials": 2, "seconds": 0.6}

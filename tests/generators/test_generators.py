@@ -95,6 +95,7 @@ def test_suites_are_reproducible_and_their_seeds_apart():
         assert ("tilt" in c.exclude) == ("encoder_offset" in c.exclude)
 
 
+@pytest.mark.slow
 def test_the_shipped_sample_is_what_its_script_makes(tmp_path):
     make_sample.main(tmp_path)
     shipped = make_sample.FOLDER

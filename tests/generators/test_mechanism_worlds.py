@@ -25,6 +25,7 @@ def replay(w: World, trial: int, row: int, rows: int) -> np.ndarray:
     return np.array(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["torque", "position"])
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_true_parameters_of_a_null_world_move_as_recorded(machine, mode):
@@ -36,6 +37,7 @@ def test_the_true_parameters_of_a_null_world_move_as_recorded(machine, mode):
         assert np.all(np.sqrt(np.mean(error**2, 0)) < 0.5 * noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", ["double_pendulum", "arm3"])
 @pytest.mark.parametrize("effect", ["coulomb", "delay", "spring", "armature"])
 def test_an_effect_changes_the_motion_beyond_the_noise(machine, effect):

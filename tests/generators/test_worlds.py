@@ -129,6 +129,7 @@ ENGINE_TOLERANCE = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(ENGINE_TOLERANCE))
 def test_mujoco_s_own_features_agree(name):
     hidden = ((name, 0 if name == "tilt" else 2, 3.0),) if name else ()
@@ -148,6 +149,7 @@ def test_mujoco_s_own_features_agree(name):
         assert effect > 3e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["rigid_body", "linearized"])
 def test_without_effects_the_declared_model_explains_everything(world):
     """In every condition the unexplained torque of a quiet null run is a small part of what just matters."""

@@ -194,6 +194,7 @@ def _throw_reward(relabel, rounds=40, policies=4):
     return run(jax.random.key(0))
 
 
+@pytest.mark.slow
 def test_relabelled_goals_learn_a_throw_that_unrelabelled_ones_do_not():
     """800 trials and 400 updates a policy. Every goal can be reached, so the optimum is 1."""
     before, relabelled = _throw_reward(1.0)
@@ -202,6 +203,7 @@ def test_relabelled_goals_learn_a_throw_that_unrelabelled_ones_do_not():
     assert relabelled.mean() > 0.85 and relabelled.mean() > plain.mean() + 0.05
 
 
+@pytest.mark.slow
 def test_together_is_each_alone_and_past_its_rounds_a_policy_rests():
     naf, problem = make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=(8,))), _throw_problem()
     learner = make_goal_learner(naf, problem, GoalConfig(block=10, updates=2, batch=8, capacity=40))

@@ -73,6 +73,7 @@ def both(params, nominal):
     return pd.rollout(params, pd.optimal_gain(nominal).gain)
 
 
+@pytest.mark.slow
 def test_single_precision_is_good_enough_for_rewards():
     """The reward is 1 - 10 (J/J* - 1): 1e-4 of cost is 1e-3 of reward. Gains here come from inside the box."""
     rng = np.random.default_rng(0)
@@ -97,6 +98,7 @@ def test_unstable_and_overflowing_loops_are_told_not_nan():
     assert len({rollout_message(c) for c in (OK, UNSTABLE, OVERFLOW)}) == 3
 
 
+@pytest.mark.slow
 def test_gradients_through_riccati_and_rollout(x64):
     target = jnp.asarray(SETTINGS[1])
     cost = jax.jit(lambda nominal: both(target, nominal).cost / 1e6)

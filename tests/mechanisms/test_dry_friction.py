@@ -28,6 +28,7 @@ def mean(v, torque, width):
         return np.asarray(mean_friction(v, torque, LEVEL * one, width * one, INERTIA * one, STEP * one)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [0.002, 0.01, 0.05])
 def test_the_mean_is_that_of_the_motion(width):
     rng = np.random.default_rng(5)
@@ -49,6 +50,7 @@ def test_a_held_joint_creeps_at_its_equilibrium(share):
     np.testing.assert_allclose(mean(np.zeros(1), np.array([share * LEVEL]), 0.0), -share * LEVEL, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x64", [False, True], ids=["float32", "x64"])
 def test_derivatives_are_finite_at_rest_and_where_one_joint_is_sharp(x64):
     with jax.enable_x64(x64):
@@ -62,6 +64,7 @@ def test_derivatives_are_finite_at_rest_and_where_one_joint_is_sharp(x64):
             assert all(np.isfinite(s).all() for s in slopes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("argument", range(5))
 def test_slopes_are_those_of_differences(argument):
     """Also at rest, where a joint that is held creeps with the torque; reverse mode gives the same."""
@@ -102,6 +105,7 @@ START = (0.3, -0.9, -1.0, 4.0)
 FRICTION = (0.02, 0.06, 1.5, 0.0)  # level, excess, speed, width
 
 
+@pytest.mark.slow
 def test_friction_that_changes_with_speed_is_of_second_order_where_joints_move_each_other():
     once, plant, theta = _slide(1, True)
     twice = _slide(2, True)[0]

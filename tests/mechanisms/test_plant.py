@@ -35,6 +35,7 @@ def case(request):
     return plant, args
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x64", [False, True])
 def test_values_are_those_of_a_general_solver(case, x64):
     plant, args = case
@@ -44,6 +45,7 @@ def test_values_are_those_of_a_general_solver(case, x64):
         chex.assert_trees_all_close(plant.deriv(*args), solved(plant, *args), rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [jax.jacfwd, jax.jacrev])
 def test_derivatives_are_those_of_a_general_solver(case, way):
     plant, args = case
@@ -54,6 +56,7 @@ def test_derivatives_are_those_of_a_general_solver(case, way):
         chex.assert_trees_all_close(jax.jit(ours)(*args), general(*args), rtol=1e-10, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("argument", range(5))
 def test_a_derivative_by_one_argument_alone_and_the_second_one(case, argument):
     plant, args = case

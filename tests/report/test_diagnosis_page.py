@@ -71,6 +71,7 @@ def test_fixtures_cover_every_verdict():
     assert tuple(REPORTS) == VERDICTS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_page_is_self_contained(written, verdict):
     out, page = written[verdict]

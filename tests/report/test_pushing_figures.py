@@ -90,6 +90,7 @@ def test_the_drawn_plate_meets_the_bottle_when_it_begins_to_move(clip):
     assert forward == pytest.approx(0.7 * (0.1 + 0.1 + 0.25), abs=2e-3)  # half the ramps and the hold
 
 
+@pytest.mark.slow
 def test_a_drawing_shows_the_bottle_going_to_where_it_went(clip):
     first, *_, last = frames = list(drawn_frames([clip]))
     assert len(frames) == 65 + push_video.HOLD and first.shape == (360, 640, 3) and first.dtype == np.uint8

@@ -4,7 +4,7 @@
 from unexplained into explained. Nothing is adapted to it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -37,14 +37,17 @@ SHORTEST = 1e-3
 
 @dataclass(frozen=True)
 class Words:
-    """How columns are called, each `[n]`: angles `q`, velocities `v`, torques `tau`; `joints`; `swap`: how to exchange two joints."""
+    """How columns are called, each `[n]`: angles `q`, velocities `v`, torques `tau`; `joints`. What to write: `swap` to exchange two
+    joints, `reverse(j)` to turn a joint with all its columns, `absolute(j, parent)` for an angle measured from the world."""
 
     joints: tuple[str, ...]
     q: tuple[str, ...]
     v: tuple[str, ...]
     tau: tuple[str, ...]
     hinges: tuple[bool, ...]
-    swap: str = "exchange their columns"
+    swap: str
+    reverse: Callable[[int], str]
+    absolute: Callable[[int, int], str]
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,15 @@ def hypotheses_of(words: Words, chain: Sequence[int] = ()) -> list[Hypothesis]:
             Hypothesis("angle_turned", turned, f"turn the signs of columns {words.q[j]} and {words.v[j]}",
                        lambda m, sign=sign: _scaled(m, sign))
         )  # fmt: skip
+        whole = f"{words.joints[j]} looks to be counted the other way round"
+        out.append(
+            Hypothesis(
+                "joint_reversed",
+                whole,
+                words.reverse(j),
+                lambda m, sign=sign: replace(_scaled(m, sign), tau=m.tau * sign),
+            )
+        )
         if words.hinges[j]:
             deg = np.where(np.arange(n) == j, np.pi / 180.0, 1.0)
             out.append(

@@ -21,6 +21,8 @@ FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3
 WORDS = Words(
     ("joint 1", "joint 2"), ("q1", "q2"), ("v1", "v2"), ("tau1", "tau2"), (True, True),
     "exchange q1 and q2, v1 and v2, tau1 and tau2 in the header of each file",
+    lambda j: f"turn the signs of columns q{j + 1}, v{j + 1} and tau{j + 1}",
+    lambda j, parent: "write q2 - q1 into column q2, and so v2 - v1 into v2",
 )  # fmt: skip
 
 

@@ -18,10 +18,6 @@ from adaptsim_jax.sysid.select.equivalence import class_of
 from adaptsim_jax.sysid.select.refine import lowest
 from adaptsim_jax.sysid.select.result import SearchResult
 
-LEAST_GAIN = 0.97  # held-out error with an effect over without it: above this it is not shown by other trials
-FAR = 4.0  # times the squared error: beyond this it is shown without leaving trials out
-VERY_FAR = 25.0  # the same by a fit of the search, which may not have had the finer shapes that the final model has
-
 
 def backward_eliminated(
     problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria
@@ -32,13 +28,13 @@ def backward_eliminated(
     while len(found.added) > 1:
         whole = cross_validate(problem, found.final, found.view or first) if whole is None else whole
         doubted = parallel_map(
-            lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect), found.added
+            lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect, settings), found.added
         )
         without = [(e, w) for e, w in zip(found.added, doubted, strict=True) if w is not None]
         for effect, less in sorted(without, key=lambda ew: -ew[1].total):
             seen = view(problem, less)
             other = cross_validate(problem, less, seen)
-            if not confirms(whole, other):
+            if not confirms(whole, other, settings):
                 found, whole = _dropped(problem, found, effect, less, seen, settings), other
                 break
         else:
@@ -46,15 +42,17 @@ def backward_eliminated(
     return found, whole
 
 
-def confirms(with_effect: CrossValidation, without: CrossValidation) -> bool:
+def confirms(with_effect: CrossValidation, without: CrossValidation, settings: Criteria) -> bool:
     """Whether left-out trials are simulated better with an effect: on the whole, and at least half of them."""
     squared = [h.squared.sum(1) for h in (with_effect, without)]
     trials = np.unique(without.trial[without.fold >= 0])
     better = [squared[0][without.trial == t].sum() < squared[1][without.trial == t].sum() for t in trials]
-    return bool(with_effect.rmse() < LEAST_GAIN * without.rmse() and 2 * sum(better) >= len(better))
+    return bool(with_effect.rmse() < settings.least_gain * without.rmse() and 2 * sum(better) >= len(better))
 
 
-def _nearly(problem: Problem, found: SearchResult, whole: CrossValidation, effect: Instance) -> Fit | None:
+def _nearly(
+    problem: Problem, found: SearchResult, whole: CrossValidation, effect: Instance, settings: Criteria
+) -> Fit | None:
     """The final model refitted without one of its effects; None where that runs away, or is far off. One that is near is polished
     as the final model was: else what its refit left undone would speak for the effect."""
     c, seen = found.final.candidate, found.view
@@ -62,16 +60,16 @@ def _nearly(problem: Problem, found: SearchResult, whole: CrossValidation, effec
         return None
     rest = tuple(a for a in found.final.active if a != effect)
     known = [t for t in found.tried if set(t.active) == set(rest)]
-    if known and _far(problem, whole, max(known, key=lambda t: t.total), VERY_FAR):
+    if known and _far(problem, whole, max(known, key=lambda t: t.total), settings.very_far):
         return None
     try:
         less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
-        return None if _far(problem, whole, less) else lowest(problem, less, found.base, seen)
+        return None if _far(problem, whole, less, settings.far) else lowest(problem, less, found.base, seen)
     except Diverged:
         return None
 
 
-def _far(problem: Problem, whole: CrossValidation, less: Fit, times: float = FAR) -> bool:
+def _far(problem: Problem, whole: CrossValidation, less: Fit, times: float) -> bool:
     """Whether a model without an effect simulates the trials that it is fitted to far worse than the one with it does trials that
     it is not fitted to, on the whole and in most trials: left out they would not come closer."""
     c = less.candidate

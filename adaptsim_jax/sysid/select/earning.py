@@ -7,8 +7,6 @@ from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.select.result import SearchResult
 
-NO_CHANCE = 100.0  # of log-likelihood, gained by an effect
-
 
 def choose(problem: Problem, trials: list[Fit], base: Fit, settings: Criteria) -> Fit | None:
     """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter, and would be named if
@@ -54,7 +52,7 @@ def _small_but_all(new: Fit, old: Fit, base: Fit, settings: Criteria) -> bool:
     """Whether one effect or two, small as they may be beside the torque, are nearly all that the declared model lacks, and surely
     no chance."""
     count = len(new.active) - len(base.active)
-    sure = new.total - base.total > NO_CHANCE * count
+    sure = new.total - base.total > settings.surely * count
     return old is base and count <= 2 and sure and force_ratio(new, base) < settings.clear
 
 
@@ -78,5 +76,5 @@ def needed(problem: Problem, new: Fit, without: Fit, found: SearchResult, settin
         return earns(problem, new, without, found.base, settings)
     if force_ratio(new, without) > 1.0 - 0.5 * settings.least_fall or not pays(new, without, settings):
         return False
-    small = _small_but_all(new, found.base, found.base, settings) and new.total - without.total > NO_CHANCE
+    small = _small_but_all(new, found.base, found.base, settings) and new.total - without.total > settings.surely
     return small or matters(problem, new, without, found.base, settings)

@@ -23,7 +23,7 @@ from adaptsim_jax.mechanisms.stepping import make_model
 from adaptsim_jax.space import Parameter, Space, gaussian
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum.augmented_policy import make_world, train_policy
-from adaptsim_jax.tasks.pendulum.task import SETTINGS, _paper_scaling
+from adaptsim_jax.tasks.pendulum.task import SETTINGS, paper_scaling
 
 SPREAD = 16  # points of Omega whose policies a rigid body's reference is the best of
 
@@ -92,7 +92,7 @@ def make_mended_pendulum(source: str | Path | Mapping[str, Any] | ModelFile, rew
     return Task(
         name="pendulum", space=space, targets=space, obs_dim=24, settings=settings,
         init_policy=lambda key: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), empty),
-        train=train, rollout=rollout, observe=_paper_scaling, score=lambda trajectory: -trajectory.cost,
+        train=train, rollout=rollout, observe=paper_scaling, score=lambda trajectory: -trajectory.cost,
         reference=reference, reward=lambda trajectory, best: 1.0 - reward_gain * (trajectory.cost / best - 1.0),
     )  # fmt: skip
 

@@ -126,7 +126,7 @@ def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:
         init_policy=lambda key: PendulumPolicy(jnp.zeros((2, 4)), jnp.zeros((), jnp.int32)),
         train=train,
         rollout=rollout,
-        observe=_paper_scaling if config.scaling == "paper" else _whitening(space, indices, config.components),
+        observe=paper_scaling if config.scaling == "paper" else _whitening(space, indices, config.components),
         score=lambda trajectory: -trajectory.cost,
         reference=reference,
         reward=lambda trajectory, best: 1.0 - config.reward_gain * (trajectory.cost / best - 1.0),
@@ -164,7 +164,7 @@ def best_in_space(space: Space, halvings: int = 4):
     return search
 
 
-def _paper_scaling(trajectory: PendulumTrajectory) -> jax.Array:
+def paper_scaling(trajectory: PendulumTrajectory) -> jax.Array:
     """`[24]`: q1 by pi about the start, q2 in rad."""
     q1, q2 = trajectory.angles[:, 0], trajectory.angles[:, 1]
     return jnp.stack([(q1 + jnp.pi) / jnp.pi, q2], -1).reshape(-1)

@@ -56,6 +56,7 @@ def test_regression_starts_near_the_truth(model, clean):
     np.testing.assert_allclose(start(model, clean), TRUE, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_declared_fit_finds_the_truth_within_its_errors(model, clean):
     result, windows = fitted(model, clean)
     assert result.ok and result.names == model.plant.theta_names
@@ -103,6 +104,7 @@ def test_known_parameters_stay(clean):
     assert result.theta[4] == 0.06 and "b1" not in result.names
 
 
+@pytest.mark.slow
 def test_joint_one_offset_is_reported_as_singular_with_the_tilt(clean):
     effects = tuple(e for e in catalogue() if e.name in ("tilt", "encoder_offset"))
     plant = make_plant("rigid_body", "hanging", GEOMETRY)
@@ -112,6 +114,7 @@ def test_joint_one_offset_is_reported_as_singular_with_the_tilt(clean):
     assert {"tilt/base/angle", "encoder_offset/joint1/offset"} <= set(shares)
 
 
+@pytest.mark.slow
 def test_without_velocities_and_unevenly(model):
     trials = make_trials(seed=5, count=3, velocity=False)
     keep = np.random.default_rng(0).random(len(trials[0].time)) > 0.1
@@ -151,6 +154,7 @@ def test_commands_keep_their_impulse_through_merging_and_splitting(model, clean)
             np.testing.assert_allclose(got[k], (u[first:last] * dt[first:last, None]).sum(0), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_simulation_agrees_with_scipy_to_the_last_micro_radian(model):
     (trial,) = make_trials(seed=6, count=1, noise=0.0)
     windows = cut_windows([trial], SIGMA, duration=1.0)

@@ -48,6 +48,7 @@ def test_the_information_is_what_the_curvature_is_on_average():
     np.testing.assert_allclose(made / 60, seen / 60, rtol=0.15, atol=0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [(1.0, 1e-2, 1e-2), (1.0, 1e-7, 1e-7), (0.1, 1e3, 1e3)])
 @pytest.mark.parametrize(
     ("sizes", "stray"), [((1.0, 0.5, 0.0), 0.0), ((1.0, 1e-3, 40.0), 0.0), ((1.0, 0.0, 0.0), 300.0)]

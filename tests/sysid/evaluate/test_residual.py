@@ -25,6 +25,7 @@ def left(folder, extra, shares=None) -> ResidualDiagnosis:
     return residual_diagnosis(problem, first, base.parts, force if shares is None else np.asarray(shares))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_scale_of_the_torque_is_told_at_both_joints(tmp_path, joint):
     """Masses are in units of the torque: the other joint's inverse scale makes the same motion."""
@@ -35,6 +36,7 @@ def test_a_scale_of_the_torque_is_told_at_both_joints(tmp_path, joint):
     assert "the torque's scale" in what.beside()
 
 
+@pytest.mark.slow
 def test_a_hidden_spring_is_placed_by_its_force_and_where_forces_are_alike_by_what_explains_more(tmp_path):
     spring = lambda t, q, v, u: np.array([0.0, -0.15 * np.sin(3.0 * q[1])])
     what = left(tmp_path, spring)

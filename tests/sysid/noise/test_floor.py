@@ -32,6 +32,7 @@ def recorded(folder, motions, q_std, v_std, seed=0, meta=META):
     return read_recording(write(folder, trials, meta))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "within"), [(500, 0.10), (200, 0.10), (100, 0.15)])
 @pytest.mark.parametrize(("q_std", "v_std"), [(2e-4, 0.01), (1e-3, 0.03), (5e-3, 0.1)])
 def test_noise_is_estimated_on_uneven_grids_and_with_dry_friction(truth, tmp_path, rate, within, q_std, v_std):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
 from adaptsim_jax.sysid.report.union_intervals import reach_over_classes
 from adaptsim_jax.sysid.select import backward
@@ -28,7 +29,7 @@ def cross_validate(errors):
     ],
 )
 def test_left_out_trials_confirm_an_effect(with_effect, without, expected):
-    assert confirms(cross_validate(with_effect), cross_validate(without)) is expected
+    assert confirms(cross_validate(with_effect), cross_validate(without), Criteria()) is expected
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,8 @@ def test_trials_need_not_be_left_out_where_the_fit_to_all_of_them_is_twice_as_fa
     monkeypatch.setattr(backward, "initial_states", lambda *_: SimpleNamespace(residual=4.0 * error))
     problem = SimpleNamespace(windows=SimpleNamespace(weight=np.full_like(error, 4.0)))
     candidate = SimpleNamespace(active=(), theta=None, eff=None, refit=SimpleNamespace(point=SimpleNamespace(x0=None)))
-    assert backward._far(problem, cross_validate([1.0, 1.0, 1.0, 1.0]), SimpleNamespace(candidate=candidate)) is far
+    less, times = SimpleNamespace(candidate=candidate), Criteria().far
+    assert backward._far(problem, cross_validate([1.0, 1.0, 1.0, 1.0]), less, times) is far
 
 
 def test_an_effect_that_the_search_has_shown_to_be_needed_is_not_left_out_again(monkeypatch):
@@ -54,9 +56,10 @@ def test_an_effect_that_the_search_has_shown_to_be_needed_is_not_left_out_again(
     searched = SimpleNamespace(active=(("drag", "joint1"),), candidate=candidate, total=0.0)
     final = SimpleNamespace(active=(("drag", "joint1"), ("lag", "joint2")), candidate=candidate, parts=None)
     found = SimpleNamespace(final=final, view=SimpleNamespace(response=None), base=None, tried=[searched])
-    assert backward._nearly(problem, found, cross_validate([1.0] * 4), ("lag", "joint2")) is None and made == []
-    assert backward._nearly(problem, found, cross_validate([2.0] * 4), ("lag", "joint2")) is None and len(made) == 1
-    assert backward._nearly(problem, found, cross_validate([5.0] * 4), ("lag", "joint2")) is searched
+    nearly = lambda errors: backward._nearly(problem, found, cross_validate(errors), ("lag", "joint2"), Criteria())
+    assert nearly([1.0] * 4) is None and made == []
+    assert nearly([2.0] * 4) is None and len(made) == 1
+    assert nearly([5.0] * 4) is searched
 
 
 def model(active, z, error):

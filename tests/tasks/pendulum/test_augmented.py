@@ -41,6 +41,7 @@ def costs(given: ModelFile, *trainings):
     return [float(c) for c in run()]
 
 
+@pytest.mark.slow
 def test_descent_beats_the_stand_ins_for_dry_friction():
     """No affine force is dry friction: gains found by descent cost less than any that were tried."""
     given = mended(("coulomb", "joint1", {"level": (5.4, "N m")}))
@@ -48,6 +49,7 @@ def test_descent_beats_the_stand_ins_for_dry_friction():
     assert after < 0.99 * tried
 
 
+@pytest.mark.slow
 def test_narrow_friction_is_sharp_to_the_task():
     """What a width of 10 mrad/s adds to the cost is less than a thousandth; a wide one is simulated."""
     friction = lambda width: mended(("coulomb", "joint1", {"level": (5.4, "N m"), "width": (width, "rad/s")}))
@@ -62,6 +64,7 @@ def test_narrow_friction_is_sharp_to_the_task():
     assert cost[0] == pytest.approx(cost[1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_without_effects_it_is_the_plain_task():
     """Commands are held for 5 ms here and continuous there: the optimal cost moves by less than 2 %."""
     before, after = costs(mended(), plain_policy, train_policy)
@@ -71,6 +74,7 @@ def test_without_effects_it_is_the_plain_task():
     assert before == pytest.approx(exact, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(CASES))
 def test_a_policy_that_knows_the_effect_is_cheaper(name):
     before, after = costs(mended(CASES[name]), plain_policy, train_policy)
@@ -85,6 +89,7 @@ def test_omega_has_the_effects_amplitudes_around_what_was_fitted():
     assert 0.0 <= low < 6.0 < high
 
 
+@pytest.mark.slow
 def test_it_is_a_task_as_any_other():
     task = make_mended_pendulum(mended(SPRING))
     key = jax.random.key(0)
@@ -104,6 +109,7 @@ def test_it_is_a_task_as_any_other():
     assert float(off) < float(reward)
 
 
+@pytest.mark.slow
 def test_a_plain_run_meets_a_mended_target():
     task = make_task("pendulum", {})
     params, there = in_world(task, mended(SPRING))

@@ -31,6 +31,7 @@ def reference(inputs):
     return pendulum.make_backend("native").simulate(*inputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TOLERANCE)
 def test_backend_agrees_with_native_mujoco(name, inputs, reference):
     if name == "drake":

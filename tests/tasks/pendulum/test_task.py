@@ -37,6 +37,7 @@ def _simulate(params, gain):
     return states, np.sum(states**2) + np.sum((states @ gain.T) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETTINGS)
 def test_reward_and_observation_against_scipy(name):
     task = make_pendulum(PendulumConfig(scaling="paper", reference="optimum"))
@@ -69,6 +70,7 @@ def test_settings_are_those_of_table_a2():
     )
 
 
+@pytest.mark.slow
 def test_best_in_omega_against_a_dense_grid():
     """Rewards are scaled by a quick search; here it is held against 9^4 means for wide targets."""
     task = make_pendulum(PendulumConfig(reference="omega"))
@@ -93,6 +95,7 @@ def test_observations_are_finite_where_the_loop_diverges():
     assert np.all(np.isfinite(task.observe(trajectory))) and np.isfinite(task.score(trajectory))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observation", ["full", "late"])
 def test_whitened_observations_have_unit_spread_before_compression(observation):
     task = make_pendulum(PendulumConfig(scaling="whitened", observation=observation, components=8))

@@ -50,6 +50,7 @@ def test_rows_that_do_not_count_or_failed_change_nothing():
     np.testing.assert_array_equal(failed(ACTIONS[1]), without(ACTIONS[1]))
 
 
+@pytest.mark.slow
 def test_the_mean_moves_to_parameters_that_explain_the_pushes_and_stays_within_omega():
     space = pushing.pushing_space()
     end = lambda u, a: planar.rollout(space.physical(u), pushing.physical_action(a))[-1]
@@ -73,6 +74,7 @@ def test_the_mean_moves_to_parameters_that_explain_the_pushes_and_stays_within_o
     assert beyond[0] < mean[0] - 0.1 and np.all(beyond >= 0.0) and np.all(beyond <= 1.0)
 
 
+@pytest.mark.slow
 def test_a_goal_that_no_step_leads_to_is_found_by_searching():
     """Faster pushes go less far at first (a bottle that is caught), and the farthest only beyond."""
     far = lambda x: jnp.where(x > 0.5, 0.9 + 0.1 * x, 0.8 - 0.15 * (x + 0.5))
@@ -103,6 +105,7 @@ def test_memory_shares_between_the_starts_of_a_seed_and_with_no_one_else():
     np.testing.assert_array_equal(there.actions[4], there.actions[5])
 
 
+@pytest.mark.slow
 def test_a_corrected_policy_earns_more_in_a_target_that_its_mean_of_e_does_not_explain():
     config = PushingConfig(pretrain=True, refine=6, correct=True, tests=8, goals="drawn")
     one, space = make_pushing_one_shot(config), pushing.pushing_space(config)
@@ -119,6 +122,7 @@ def test_a_corrected_policy_earns_more_in_a_target_that_its_mean_of_e_does_not_e
     assert (1.0 - mended) < 0.4 * (1.0 - plain)  # by gaps over the actions alone: 0.885 and 0.974
 
 
+@pytest.mark.slow
 def test_pushes_that_fail_in_the_target_do_not_count_and_are_null_in_a_file(monkeypatch):
     config = PushingConfig(pretrain=True, refine=1, correct=True, tests=2, hidden=(8,), trajectories=4)
     fails = lambda params, action: jnp.where(action[1] > 0, jnp.nan, jnp.full((1, 2), 0.8))
@@ -146,6 +150,7 @@ def test_correction_without_refining_is_refused():
         pushing.make_pushing(replace(PushingConfig(pretrain=True), correct=True))
 
 
+@pytest.mark.slow
 def test_deployed_pushes_are_visited_and_shown_for_the_goals_that_e_expects_of_them():
     options = {"pretrain": True, "refine": 2, "correct": True, "tests": 2, "show_gap": True, "hidden": (8,)}
     config = PushingConfig(visits="deployed", **options)

@@ -88,6 +88,7 @@ def test_planar_is_near_native(reference, batch):
     assert np.median(apart(out, reference)) < 6 and apart(out, reference).max() < 60
 
 
+@pytest.mark.slow
 def test_calibration_finds_a_spring_again():
     """Pushes of a planar model with other coefficients: the fit must come back to millimetres from centimetres."""
     truth = pushing_planar.DEFAULT._replace(

@@ -47,6 +47,7 @@ def test_the_best_of_the_trials_is_given_and_one_trial_changes_nothing():
     np.testing.assert_array_equal(refine(push, goal, start, 1), start)
 
 
+@pytest.mark.slow
 def test_refined_pushes_end_at_their_goals_in_the_simulator():
     params = pushing.pushing_space().physical(blank().at)
     goals = pushing.goal_lattice(12)
@@ -66,6 +67,7 @@ def test_a_policy_for_no_e_is_not_refined_and_refinement_without_a_mean_is_refus
         pushing.make_pushing(replace(PLAIN, rehearsal=(-1, 0)))
 
 
+@pytest.mark.slow
 def test_without_tuning_a_policy_is_only_moved_and_phase_1_has_tests_of_its_own():
     task = pushing.make_pushing(replace(REFINED, tune=False, rehearsal=(3, 2)))
     means = jnp.array([[0.2, 0.9, 0.4, 0.6]])
@@ -82,6 +84,7 @@ def test_without_tuning_a_policy_is_only_moved_and_phase_1_has_tests_of_its_own(
     assert float(whole.rewards.mean()) != float(part.rewards.mean()) and float(whole.tested) != float(part.tested)
 
 
+@pytest.mark.slow
 def test_a_refined_policy_is_read_back_from_its_file(tmp_path):
     config, policy = replace(REFINED, mu=(0.05, 0.3), friction="coupled"), blank((0.3, 0.6, 0.2, 0.7))
     path = tmp_path / "best.toml"
@@ -97,6 +100,7 @@ def test_a_refined_policy_is_read_back_from_its_file(tmp_path):
         pushing_measured.read_policy(path)
 
 
+@pytest.mark.slow
 def test_the_gap_to_what_e_expects_is_observed_and_is_0_where_the_target_is_e():
     config = replace(REFINED, refine=2, show_gap=True)
     task = pushing.make_pushing(config)

@@ -71,6 +71,7 @@ def test_a_bottle_lost_from_sight_gives_reward_0_and_no_nan_to_a_network():
     assert trajectory.rewards.tolist() == [0.0, 0.0] and np.isfinite(pushing.observed(trajectory, SHORT)).all()
 
 
+@pytest.mark.slow
 def test_rollout_is_the_models_push_of_the_policys_action():
     task, act = make_pushing(SHORT), make_policy(SHORT)
     policy = jax.jit(task.init_policy)(jax.random.key(3))
@@ -108,6 +109,7 @@ def test_training_reaches_most_of_what_the_model_allows():
     assert reward(trained) > 0.9 * best
 
 
+@pytest.mark.slow
 def test_training_several_is_training_each_with_its_own_budget():
     task = make_pushing(SHORT)
     keys = jax.random.split(jax.random.key(0), 2)
@@ -120,6 +122,7 @@ def test_training_several_is_training_each_with_its_own_budget():
     np.testing.assert_array_equal(together.weights[1], policies.weights[1])
 
 
+@pytest.mark.slow
 def test_phase_1_and_2_with_reused_policies():
     """Steps smaller than the threshold: visits after a start borrow, budgets shrink, and nothing is traced anew."""
     task = make_pushing(SHORT)

@@ -61,6 +61,7 @@ def test_rows_that_do_not_count_change_nothing():
     assert np.abs(chance(Told(ACTIONS, WON, KNOWN & False), TRIED, DOUBT) - one).max() > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("won", [0.0, 1.0])
 def test_what_was_seen_outweighs_the_bank_where_it_was_seen_and_not_far_from_it(won):
     """32 scoops at one action, all lost or all won, where the bank is sure of the contrary."""
@@ -86,6 +87,7 @@ def test_expected_odds_are_of_the_mean_chance_over_errors():
     assert 0.02 < each.mean() < 0.98 and abs(jax.nn.sigmoid(got) - each.mean()) < 0.01
 
 
+@pytest.mark.slow
 def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
     config = ScoopingConfig(correct=True)
     act, naf = jax.jit(make_choice(config)), scooping.make_scooping_naf(config)
@@ -105,6 +107,7 @@ def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
     assert without.at is None and len(jax.tree.leaves(without)) == 1
 
 
+@pytest.mark.slow
 def test_the_last_scoop_of_a_visit_is_a_probe():
     config = ScoopingConfig(correct=True, hidden=(16,), tests=2)
     task, contexts = scooping.make_scooping(config), jnp.asarray(scooping.test_contexts(2))

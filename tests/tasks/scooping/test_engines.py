@@ -30,6 +30,7 @@ def found(ours):
     return params, actions, ours(params, actions, np.zeros((BATCH, 2)))
 
 
+@pytest.mark.slow
 def test_trials_end_well_and_pieces_stay_above_the_table(found):
     params, _, out = found
     assert out.state.shape == (BATCH, 100, 6) and np.isfinite(out.state).all()
@@ -77,6 +78,7 @@ def test_trends_that_the_physics_must_show(ours, shape, name, sign):
     assert sign * row["difference"] > 0 and (most < 0 if sign < 0 else least > 0), row
 
 
+@pytest.mark.slow
 def test_gradient_of_an_early_place_by_the_action():
     """Where the piece is shortly after the blade met it, by distance, against finite differences in double precision."""
     with jax.enable_x64(True):
@@ -100,6 +102,7 @@ def test_bad_backends_are_refused(name, says):
         backends.make_backend(name, **settings.get(name, {}))
 
 
+@pytest.mark.slow
 def test_settings_may_be_given_as_a_table():
     """What the table leaves out is as it is by default."""
     params, actions = model.draw(2, 2)

@@ -136,6 +136,7 @@ def test_convergence_in_step(run):
     assert fine < 0.6 * coarse and fine < 1e-3
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_differences(x64):
     """Of where a sliding, then resting piece is after 80 ms by friction, modulus, height and first speed."""
 

@@ -99,6 +99,7 @@ def test_the_blade_follows_its_motion_and_codes_tell_what_is_amiss(native):
     np.testing.assert_allclose(out.state[0, :, 3:] - [0.5, 0, 0], pose[scene.rows(scene.DT)], atol=3e-5)
 
 
+@pytest.mark.slow
 def test_mjx_ends_as_native_does(native):
     """48 random trials of all three shapes in one program: one may end otherwise (over 200, docs/results/scooping.md)."""
     params, actions = model.draw(7, 48)

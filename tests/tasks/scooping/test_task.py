@@ -62,6 +62,7 @@ def test_a_piece_lost_from_sight_is_no_success_and_no_nan_to_a_network():
     assert trajectory.success.tolist() == [0.0, 1.0] and np.isfinite(scooping.observed(trajectory)).all()
 
 
+@pytest.mark.slow
 def test_rollout_is_the_engines_trial_of_the_policys_action():
     """One program for both, so that nothing is compiled twice: the task's rollout beside its own trials."""
     task, naf = make_scooping(SHORT), scooping.make_scooping_naf(SHORT)
@@ -103,6 +104,7 @@ def test_points_of_the_bank_fill_their_box(box):
     assert actions[:, 1].min() < -0.29 and abs(np.mean(actions[:, 1] < 0) - 0.5) < 0.01
 
 
+@pytest.mark.slow
 def test_the_bank_is_of_this_engine():
     """Outcomes in the file against the engine, for a few of its trials; and the networks against all of them."""
     about, arrays = scooping_bank.read_bank()
@@ -126,6 +128,7 @@ def test_the_bank_is_of_this_engine():
         assert about["accuracy"][box] > 0.85
 
 
+@pytest.mark.slow
 def test_a_fit_learns_what_decides_a_trial():
     """A rule instead of the engine: low pitches lift ellipsoids, high ones the others; what is lifted goes as far as it is high."""
     params, actions = scooping_bank.points(4096, 5, "wide")

@@ -1,0 +1,88 @@
+"""Conventions of a mechanism's log told from data, by `sysid.quality.contradictions`: the torque by unit of each body's inertia."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from adaptsim_jax.attribution.load import Machine
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.dynamics import regressor
+from adaptsim_jax.mechanisms.tree import Tree
+from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, Words, contradiction, late_finding, lateness
+from adaptsim_jax.sysid.quality.hypotheses import MOST, Design, Hypothesis, Motion, Track
+from adaptsim_jax.sysid.quality.signals import Finding
+
+FACTORS = {1e-3: "millimetres", 1e-2: "centimetres"}
+ALIKE = 0.99
+
+
+def check_conventions(machine: Machine) -> tuple[Finding, ...]:
+    """What the motion says of the declared columns. Raises BadInput where it contradicts them, with what to write instead."""
+    tree, log = machine.tree, machine.log
+    if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
+        return ()
+    tracks = [Track(t.time, t.q, t.v, _force(machine, t.q, t.v, t.u)) for t in machine.tracks]
+    program = _program(tree.n)
+    declared = _design(tree, program)
+    commanded = log.input_kind == "command"
+    if commanded and np.any(machine.actuator[2:4]):
+        return ()  # a servo's force is of the angles themselves
+    more = []
+    for factor, unit in FACTORS.items():
+        says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion (was it written in {unit}?)"
+        more.append(Hypothesis("length", says, "write it in metres", design=_design(_resized(tree, factor), program)))
+    if told := contradiction(tracks, declared, _words(tree, log.input_kind), more, _chain(tree)):
+        raise BadInput(f"{log.path}: {told.message}; {AS_DECLARED}")
+    late = lateness(tracks, declared)
+    step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))
+    return () if late is None else late_finding(log.path, late, step, ("the input columns",))
+
+
+def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
+    """`[T, n]` at the joints, by the declared law of the actuators."""
+    gain, bias, angle, speed, low, high = machine.actuator
+    inner = gain * u + bias + angle * q + (0.0 if v is None else speed * v)
+    return machine.gear * np.clip(inner, low, high)
+
+
+def _program(n: int):
+    """Compiled once for all hypotheses: rows are filled up to one count."""
+    by_body = lambda tree, q, v, a, g: regressor(tree, q, v, a, g)
+    return jax.jit(by_body)
+
+
+def _design(tree: Tree, program) -> Design:
+    """A body's declared inertia as one column, and an armature at each joint."""
+
+    def columns(m: Motion, gravity: bool) -> np.ndarray:
+        k, n = m.q.shape
+        fill = lambda x: np.concatenate([x, np.zeros((MOST - k, n))]).T
+        pull = np.asarray(tree.gravity) * (1.0 if gravity else 0.0)
+        table = np.asarray(program(tree, fill(m.q), fill(m.v), fill(m.a), pull))[:, :, :k].reshape(n, n, 10, k)
+        bodies = np.einsum("ibpk,bp->kib", table, np.asarray(tree.inertial))
+        return np.concatenate([bodies, m.a[:, :, None] * np.eye(n)], 2)
+
+    return columns
+
+
+def _resized(tree: Tree, factor: float) -> Tree:
+    size = np.array([1.0, *[factor] * 3, *[factor**2] * 6])
+    return replace(tree, place=factor * np.asarray(tree.place), inertial=np.asarray(tree.inertial) * size)
+
+
+def _chain(tree: Tree) -> list[int]:
+    """The parent of each hinge whose axis is parallel to its own, else -1."""
+    turned = [float(np.asarray(tree.rotation)[j][2, 2]) for j in range(tree.n)]
+    both = lambda j: tree.parent[j] >= 0 and tree.kinds[j] == tree.kinds[tree.parent[j]] == "hinge"
+    return [tree.parent[j] if both(j) and turned[j] > ALIKE else -1 for j in range(tree.n)]
+
+
+def _words(tree: Tree, kind: str) -> Words:
+    names, stem = tree.joint_names, "tau" if kind == "torque" else kind
+    return Words(
+        reverse=lambda j: f'write reversed = ["{names[j]}"] under [angles] in meta.toml',
+        absolute=lambda j, parent: f'write convention = {{{names[j]} = "absolute"}} under [angles] in meta.toml',
+        joints=names, q=tuple(f"q_{n}" for n in names), v=tuple(f"v_{n}" for n in names), tau=tuple(f"{stem}_{n}" for n in names),
+        hinges=tuple(k == "hinge" for k in tree.kinds), swap="exchange their columns, or their names in the header or under [columns]",
+    )  # fmt: skip

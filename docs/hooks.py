@@ -1,0 +1,121 @@
+"""Pages of the site that are made from the code: the command line from its parsers, configuration keys from their dataclasses.
+
+MkDocs calls `on_files`. `python docs/hooks.py DIR` writes the same pages into a folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any
+
+from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.commands.parser import command_parser
+
+TASKS = ("pendulum", "pushing", "scooping")
+
+
+def pages() -> dict[str, str]:
+    """Text of the generated pages by their place under `docs/`."""
+    return {"reference/cli.md": command_line(), "reference/config.md": configuration()}
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """MkDocs: adds the generated pages."""
+    from mkdocs.structure.files import File
+
+    for place, text in pages().items():
+        files.append(File.generated(config, place, content=text))
+    return files
+
+
+def command_line() -> str:
+    """A section for each command: options with their help, examples."""
+    parts = ["# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 (stopped)."]
+    for name, summary in SUMMARIES.items():
+        parser = command_parser(name)
+        rows = [_row(action) for action in parser._actions if "--help" not in action.option_strings]
+        examples = parser.epilog.removeprefix("examples:\n")
+        parts.append(
+            f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | |\n| --- | --- |\n"
+            + "\n".join(rows)
+            + f"\n\n```text\n{examples}\n```"
+        )
+    return "\n\n".join(parts) + "\n"
+
+
+def _row(action: argparse.Action) -> str:
+    words = action.metavar or ("|".join(map(str, action.choices)) if action.choices else "")
+    takes = action.nargs != 0 and (words or action.type)
+    name = ", ".join(action.option_strings) or words or action.dest
+    value = f" {words or action.dest.upper()}" if action.option_strings and takes else ""
+    needed = " (needed)" if action.option_strings and action.required else ""
+    text = (action.help or "").replace("%%", "%").replace("|", "\\|")
+    return f"| `{name}{value}`{needed} | {text} |"
+
+
+def configuration() -> str:
+    """Every key of a run's configuration, by task and block, with its default; what a class says of its fields beneath."""
+    from adaptsim_jax.adaptation.presets import PRESETS, default_config
+    from adaptsim_jax.core.config import dumps, to_table
+
+    presets = ", ".join(f"`{name}`" for name in PRESETS)
+    text = [
+        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` changes one, `--config FILE`"
+        f" starts from a file of them, `--preset` from one of: {presets}. Times are in s, angles in rad,"
+        " lengths in m unless a note says otherwise."
+    ]
+    for task in TASKS:
+        config, options = default_config(task), _options(task)
+        table = to_table(config) | {"task": to_table(options)}
+        text.append(
+            f"## {task.capitalize()}\n\nDefaults of `adaptsim train {task}`:\n\n```toml\n{dumps(table).strip()}\n```"
+        )
+    seen: set[type] = set()
+    text.append("## What the keys mean")
+    for task in TASKS:
+        for kind in _classes(task):
+            if kind not in seen and kind.__doc__ and not kind.__doc__.startswith(f"{kind.__name__}("):
+                seen.add(kind)
+                text.append(f"### {kind.__name__}\n\n{_prose(kind.__doc__)}")
+    return "\n\n".join(text) + "\n"
+
+
+def _options(task: str) -> Any:
+    """The task's options as its preset has them, every one filled in."""
+    from adaptsim_jax.adaptation.presets import default_config
+    from adaptsim_jax.core.config import from_table
+    from adaptsim_jax.tasks.registry import TASKS as KINDS
+
+    entry = KINDS[task]
+    return from_table(getattr(entry, "config", None) or entry[0], dict(default_config(task).task), "preset")
+
+
+def _classes(task: str) -> list[type]:
+    from adaptsim_jax.adaptation.presets import default_config
+
+    def walk(value: Any) -> list[type]:
+        if not dataclasses.is_dataclass(value):
+            return []
+        return [type(value), *(k for f in dataclasses.fields(value) for k in walk(getattr(value, f.name)))]
+
+    return walk(default_config(task)) + walk(_options(task))
+
+
+def _prose(text: str) -> str:
+    import inspect
+
+    return inspect.cleandoc(text).replace("<", "&lt;")
+
+
+def main() -> None:
+    for place, text in pages().items():
+        path = Path(sys.argv[1]) / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""The documentation: its size, its generated pages, its tutorials as a reader would run them, and that every page is on the site."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+from adaptsim_jax.commands import SUMMARIES
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+TUTORIALS = sorted(path.stem for path in (DOCS / "tutorials").glob("*.md"))
+
+
+def test_every_page_is_on_the_site_and_every_entry_is_a_page():
+    named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2]))
+    made = {"reference/cli.md", "reference/config.md"}
+    assert named - made == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
+
+
+def test_the_reference_holds_every_command_and_its_options():
+    text = runpy.run_path(str(DOCS / "hooks.py"))["command_line"]()
+    assert re.findall(r"^## adaptsim (\w+)", text, re.M) == list(SUMMARIES)
+    assert "`--horizon S`" in text and "`--run DIR` (needed)" in text
+
+
+def test_the_reference_holds_every_key_with_its_default():
+    text = runpy.run_path(str(DOCS / "hooks.py"))["configuration"]()
+    assert text.count("```toml") == 3
+    assert "delta = 0.1\n" in text and "### Phase1Config" in text and "### ScoopingConfig" in text
+
+
+def test_results_are_short():
+    for page in (DOCS / "results").glob("*.md"):
+        assert len(page.read_text().splitlines()) <= 150, page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_runs(name, tmp_path):
+    """Its blocks run in an empty folder, in order; what they print is shown in the page, but numbers may differ by machine."""
+    run_page = runpy.run_path(str(DOCS / "run_blocks.py"))["run_page"]
+    page = DOCS / "tutorials" / f"{name}.md"
+    text = run_page(page, tmp_path)
+    for figure in re.findall(r"\]\(figures/([\w.-]+)\)", text):
+        assert (tmp_path / figure).exists()
+    shown = [len(re.findall(r"^```text$", t, re.M)) for t in (text, page.read_text())]
+    assert shown[0] == shown[1]
