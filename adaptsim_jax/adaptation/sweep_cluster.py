@@ -77,6 +77,10 @@ def _gpus(ray: Any, address: str | None) -> int:
         raise BadInput(
             f"--ray {address}: {' '.join(str(error).split())[:200]}; start it with `ray start --head`"
         ) from None
+    except Exception as error:  # of no class of its own
+        if "timed out during startup" not in str(error):
+            raise
+        raise BadInput("--ray: Ray did not start within its 30 s; on a busy machine try again, with --resume") from None
     return int(ray.cluster_resources().get("GPU", 0))
 
 
