@@ -84,7 +84,10 @@ def test_folders_that_move(run, tmp_path, capsys):
 
 SPOILED = {
     "ms": (lambda t: t * [1e3, 1, 1, 1, 1, 1, 1], "milliseconds"),
-    "preroll": (lambda t: np.r_[np.c_[np.arange(-1, 0, 1e-3), np.tile(t[0, 1:], (1000, 1))], t], "before it was let go"),
+    "preroll": (
+        lambda t: np.r_[np.c_[np.arange(-1, 0, 1e-3), np.tile(t[0, 1:], (1000, 1))], t],
+        "before it was let go",
+    ),
     "hole": (lambda t: t[(t[:, 0] < 0.4) | (t[:, 0] > 1.2)], "nothing was recorded from"),
     "degrees": (lambda t: t * [1, 57.29578, 57.29578, 57.29578, 57.29578, 1, 1], "degrees"),
     "speeds": (lambda t: t * [1, 1, 1, 57.29578, 57.29578, 1, 1], "column v1"),
@@ -107,7 +110,7 @@ def test_spoiled_trials_are_refused_and_a_turn_is_no_matter(session, tmp_path, c
     flipped = table.copy()
     flipped[:, 1:3] = np.angle(np.exp(1j * flipped[:, 1:3]))
     returns = []
-    for name, t in (("plus", table + np.array([0, 2 * np.pi, 0, 0, 0, 0, 0])), ("flip", flipped), ("good", table)):
+    for name, t in (("plus", table + np.eye(7)[1] * 2 * np.pi), ("flip", flipped), ("good", table)):
         save(tmp_path / f"{name}.csv", t)
         assert robot("record", tmp_path / f"{name}.csv", "--dir", session) == 0
         returns.append(float(capsys.readouterr().out.split("return ")[1].split()[0].rstrip(",")))
