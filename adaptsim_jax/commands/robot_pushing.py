@@ -16,6 +16,7 @@ TURN = "iteration"
 COLUMNS = ("goal_x", "goal_y", "speed", "angle")  # of actions.csv, after the trial
 HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that speed and angle, and track the bottle for {duration:g} s
 write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""
+ENOUGH = 6  # pushes from which a diagnosis may say something; 12 to 24 serve
 GRID = 24  # goals in best_actions.csv
 
 
@@ -103,6 +104,9 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         print(
             f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its goal: reward {float(reward):.3f}"
         )
+    pushes = int(after.told) * _config(session).trajectories
+    if pushes >= ENOUGH:
+        print(f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} --out OUT")
     if done:
         return
     say_parameters(session, before, after)

@@ -47,9 +47,8 @@ def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if score.max() < APART * pushed.noise:
         return {
-            "message": f"No push within the bounds tells {words} apart: their tracks differ by {1e3 * score.max():.2g} mm at most. Measure "
-            "one "
-            "of them by itself.",
+            "message": f"No push within the bounds tells {words} apart: their tracks differ by {1e3 * score.max():.2g} mm at most. "
+            "Measure one of them by itself.",
             "separates": names,
             "rows": [],
         }
