@@ -16,6 +16,7 @@ TURN = "iteration"
 COLUMNS = ("goal_x", "goal_y", "speed", "angle")  # of actions.csv, after the trial
 HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that speed and angle, and track the bottle for {duration:g} s
 write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""
+ENOUGH = 6  # pushes from which a diagnosis may say something; 12 to 24 serve
 GRID = 24  # goals in best_actions.csv
 
 
@@ -110,6 +111,9 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
             "warning: the bottles came out on the other side of the line than they were pushed to: is the camera's y mirrored? If so "
             f"turn the sign of y, take this record back (adaptsim robot undo --dir {session.folder}), and record it again"
         )
+    pushes = int(after.told) * _config(session).trajectories
+    if pushes >= ENOUGH:
+        print(f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} --out OUT")
     if done:
         return
     say_parameters(session, before, after)

@@ -33,9 +33,9 @@ def seen(
     start = push["start"] + v["placed"] * push["aside"]
     rows = slide.rollout(inner, push["action"], options, coefficients, start, step)
     at = at_times(rows, (1.0 + v["clock"]) * push["time"] - v["latency"])
-    origin = jnp.asarray(model.START)
+    origin = jnp.asarray(model.START)[None]
     local = origin + (1.0 + v["scale_start"]) * turned(at - origin, v["turn_start"])
-    return (1.0 + v["scale"]) * turned(local, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])
+    return (1.0 + v["scale"]) * turned(local, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])[None]
 
 
 def turned(xy: Array, angle: Array) -> Array:
