@@ -15,6 +15,7 @@ class Criteria:
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
+    glance: rounds by which candidates of short trials (pushes) are sorted; the better half of them is fitted whole.
     explained: held-out error over the noise floor up to which nothing is left to explain.
     """
 
@@ -27,4 +28,5 @@ class Criteria:
     most_effects: int = 8
     tried: int = 4
     rounds: int = 12
+    glance: int = 2
     explained: float = 1.5

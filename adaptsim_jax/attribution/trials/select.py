@@ -177,7 +177,7 @@ def _forward(problem, base: TrialModel, scores, criteria: Criteria, refused, say
         tries.append((*added(problem, base, s, criteria.glance), s))
     tries.sort(key=lambda t: t[1])
     best = None
-    for values, _, s in tries[: criteria.fitted]:
+    for values, _, s in tries[: criteria.tried // 2]:
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
         test = paired(base.fit.held, model.fit.held)
         if test.gain < criteria.size or test.p > criteria.confidence:
