@@ -9,8 +9,8 @@ import types
 
 import pytest
 
-from adaptsim_jax import cli
 from adaptsim_jax.cli import main
+from adaptsim_jax.commands import parser
 from adaptsim_jax.commands.common import check_task
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.registry import TASKS
@@ -75,7 +75,7 @@ def command(monkeypatch):
 
     def replace(run):
         module = types.SimpleNamespace(EXAMPLES="", arguments=lambda parser: None, run=run)
-        monkeypatch.setattr(cli.importlib, "import_module", lambda _name: module)
+        monkeypatch.setattr(parser.importlib, "import_module", lambda _name: module)
 
     return replace
 
@@ -147,10 +147,10 @@ HEED = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\
 
 def test_interrupt_of_a_real_process():
     code = HEED + (
-        "import sys, time, types; from adaptsim_jax import cli\n"
+        "import sys, time, types; from adaptsim_jax import cli; from adaptsim_jax.commands import parser\n"
         "def run(args):\n    args.resume_hint = 'go on'; print('ready', flush=True); time.sleep(60)\n"
         "module = types.SimpleNamespace(EXAMPLES='', arguments=lambda p: None, run=run)\n"
-        "cli.importlib.import_module = lambda name: module\n"
+        "parser.importlib.import_module = lambda name: module\n"
         "sys.exit(cli.main(['doctor']))"
     )
     with subprocess.Popen(

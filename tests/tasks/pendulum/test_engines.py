@@ -71,7 +71,7 @@ def test_a_motion_that_diverges_is_told(inputs):
 
 
 def test_bad_names_and_steps_are_refused():
-    with pytest.raises(BadInput, match="backend 'mujoco' is unknown; use one of rigid_body, native"):
+    with pytest.raises(BadInput, match="backend 'mujoco' is unknown; known: rigid_body, native"):
         pendulum.make_backend("mujoco")
     with pytest.raises(BadInput, match="out of range"):
         pendulum.make_backend("native", dt=1.0)

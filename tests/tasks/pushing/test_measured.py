@@ -149,7 +149,7 @@ def test_a_bad_record_is_refused_with_its_row(tmp_path, case):
         ("trial,time,x,y\n", "has 0 data rows"),
         ("3,0,0.56,0\n3,0.1,0.56,0\n", "add a header line such as trial,time,x,y"),
         ("trial,time,x,y\n3,0,0.56,here\n", "line 2: column y is 'here', not a number"),
-        ("trial,time,x,y\n3,0,,0\n", "line 2: column x is empty"),
+        ("trial,time,x,y\n3,0,,0\n", "column x holds no number in any row"),
         ("trial,time,x,y\n3,0,0.56\n", "line 2: has 3 values, the header has 4"),
         ("trial;time;x;y\n3;0,1;0,56;0\n", "decimal comma"),
     ],

@@ -104,7 +104,7 @@ def test_options_go_through_a_config_file():
 
 
 def test_unknown_backends_are_refused():
-    with pytest.raises(BadInput, match="backend 'mujoco' is unknown; use one of native, mjx, planar, drake"):
+    with pytest.raises(BadInput, match="backend 'mujoco' is unknown; known: native, mjx, planar, drake"):
         make_backend("mujoco")
     assert set(BACKENDS) == {"native", "mjx", "planar", "drake"}
 
