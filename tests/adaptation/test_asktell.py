@@ -90,7 +90,7 @@ def test_bad_trials_are_refused_in_a_line(made):
     policy = task.train(jax.random.key(0), jax.tree.map(lambda x: x[0], _gaussians(task, starts)), None)
     good = recorded(policy)
     bad = [
-        ({**good, "time": good["time"][::-1]}, "time does not increase"),
+        ({**good, "time": good["time"][::-1]}, "time runs backwards"),
         ({name: column[:300] for name, column in good.items()}, "run the policy for 2.5 s"),
         ({**good, "q1": good["q1"] + np.pi}, "the task starts hanging"),
         ({**good, "q1": np.degrees(good["q1"])}, "the task starts hanging"),
