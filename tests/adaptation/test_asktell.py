@@ -93,7 +93,7 @@ def test_bad_trials_are_refused_in_a_line(made):
         ({**good, "time": good["time"][::-1]}, "time runs backwards"),
         ({name: column[:300] for name, column in good.items()}, "run the policy for 2.5 s"),
         ({**good, "q1": good["q1"] + np.pi}, "the task starts hanging"),
-        ({**good, "q1": np.degrees(good["q1"])}, "the task starts hanging"),
+        ({**good, "q1": np.degrees(good["q1"])}, "column v1 is 0.0175 times the slope of q1"),
         ({name: column for name, column in good.items() if name != "tau2"}, "column 'tau2' is missing"),
     ]
     for columns, says in bad:

@@ -1,5 +1,7 @@
 """A convention that the motion contradicts is told with the column and what to write; a healthy recording is not doubted."""
 
+import re
+
 import numpy as np
 import pytest
 
