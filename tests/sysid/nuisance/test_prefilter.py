@@ -25,7 +25,7 @@ def recording(tmp_path, weights):
     (dataset,) = make_datasets([Spec(41, "low_noise")])
     read = read_recording(write_dataset(dataset, tmp_path / "set"))
     half = len(weights) // 2
-    smooth = lambda x: np.concatenate([x[:half], np.convolve(x, weights, "valid"), x[-half:]])
+    smooth = lambda x: np.concatenate([x[:half], np.convolve(x, weights, "valid"), x[len(x) - half :]])
     filtered = tuple(replace(t, q=np.stack([smooth(q) for q in t.q.T], 1)) for t in read.trials)
     checked = audit(read)
     return usable(read, checked), usable(read.replace(trials=filtered), checked), checked
