@@ -36,7 +36,7 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
         raise BadInput(f"{log.path}: {told.message}; {AS_DECLARED}")
     late = lateness(tracks, declared)
     step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))
-    return () if late is None else late_finding(log.path, late, step, ("the input columns",))
+    return () if late is None else late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
 
 
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:

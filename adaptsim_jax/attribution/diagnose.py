@@ -74,7 +74,8 @@ def diagnose(
     report = check(report)
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        write_model(folder, machine, problem, found, criteria or Criteria(), told)
+        write_mjcf(folder, machine, problem, found, criteria or Criteria())
+        write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told).encode())
         (page or plain)(folder, report, evidence)
     return report
 
@@ -88,16 +89,13 @@ def command_of(data: str | Path, model: str | Path | None, exclude: Sequence[str
     return shlex.join(words)
 
 
-def write_model(
-    folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria, told: Mapping[str, Any]
-) -> None:
-    """`declared.xml`, `model.xml` and `model.toml` into the folder; what an earlier run of another kind left there goes."""
+def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:
+    """`declared.xml` and `model.xml` into the folder; what an earlier run of another kind left there goes."""
     for name in (*OTHERS, MODEL):
         (folder / name).unlink(missing_ok=True)
     made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
     write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
     write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
-    write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told).encode())
 
 
 def plain(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:

@@ -1,6 +1,5 @@
 """From a recording and a model file to what is identified."""
 
-import tomllib
 from pathlib import Path
 
 from adaptsim_jax.attribution import model_toml
@@ -8,17 +7,10 @@ from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.pendulum import pendulum_machine
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.io.read import META, read_with_model
+from adaptsim_jax.sysid.io.meta import declared_task
+from adaptsim_jax.sysid.io.read import read_with_model
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.quality.audit import audit, usable
-
-
-def task_of(data: str | Path) -> str | None:
-    """The task that a folder's meta.toml declares; None where there is none, or none that can be read (its reader says why)."""
-    try:
-        return tomllib.loads((Path(data) / META).read_text(encoding="utf-8")).get("task")
-    except (OSError, ValueError):
-        return None
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:
@@ -26,16 +18,17 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
 
     Raises BadInput that names file, key and mend.
     """
-    if task_of(data) != "pendulum":
+    if declared_task(data) != "pendulum":
         if model is None or Path(model).suffix.lower() != ".toml":
             return machine(*read_with_model(data, model))
-        beside = config.read(Path(model)).get("model")
-        if config.read(Path(model)).get("task") != "mechanism" or not isinstance(beside, str):
+        given = config.read(Path(model))
+        beside = given.get("model")
+        if given.get("task") != "mechanism" or not isinstance(beside, str):
             raise BadInput(
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"
             )
         made = machine(*read_with_model(data, Path(model).parent / beside))
-        return model_toml.read(Path(model), made)
+        return model_toml.applied(given, str(model), made)
     if model is None:
         raise BadInput(f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml of it")
     recording = read_recording(data)

@@ -15,7 +15,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,9 +52,9 @@ def text_of(problem: Problem, model: Model, told: Mapping[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def read(path: Path, machine: Machine) -> Machine:
-    """The machine of the declared model with what the file says. Raises BadInput that names the key."""
-    given, tree = config.read(path), machine.tree
+def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
+    """The machine of the declared model with what the table of the file at `path` says. Raises BadInput that names the key."""
+    tree = machine.tree
     joints, known = tree.joint_names, {e.name: e for e in MACHINE}
     inertial = np.array(tree.inertial, float)
     for name, row in given.get("inertial", {}).items():

@@ -14,11 +14,11 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, plain, write_model
+from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, plain, write_mjcf
 from adaptsim_jax.attribution.pendulum import DECLARED, declared_machine, in_the_plane, model_file
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES
-from adaptsim_jax.sysid.io.model_file import write_model as write_toml
+from adaptsim_jax.sysid.io.model_file import write_model
 from adaptsim_jax.sysid.report.schema import check
 from adaptsim_jax.sysid.types import Recording
 
@@ -59,7 +59,7 @@ def partly_explained(
         report = check(report)
         if out is not None:
             folder = output_folder(out)
-            write_model(folder, machine, problem, found, criteria or Criteria(), told)
-            write_toml(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
+            write_mjcf(folder, machine, problem, found, criteria or Criteria())
+            write_model(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
             (page or plain)(folder, report, evidence)
         return report

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,19 +78,12 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             exclude=args.exclude,
             progress=paced(report),
+            effects_progress=report,
             without=without,
             as_declared=args.as_declared,
             strict=args.strict,
         )
     return say(args, result, out)
-
-
-def declared_task(data: Path) -> str | None:
-    """The task that a folder's meta.toml declares; None where it does not, or cannot be read (its reader says why)."""
-    try:
-        return tomllib.loads((data / "meta.toml").read_text(encoding="utf-8")).get("task")
-    except (OSError, ValueError):
-        return None
 
 
 def check_apart(data: Path, out: Path) -> None:
@@ -107,11 +99,15 @@ def split_names(names: list[str]) -> list[str]:
 
 def of_a_mechanism(data: Path) -> bool:
     """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
+    from adaptsim_jax.sysid.io.meta import declared_task
+
     return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
 
 
 def of_pushes(data: Path) -> bool:
     """Whether DATA is a folder of pushes, or a session of `adaptsim robot`."""
+    from adaptsim_jax.sysid.io.meta import declared_task
+
     return (data / "robot.toml").exists() or declared_task(data) == "pushing"
 
 
@@ -189,9 +185,12 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
     return 0
 
 
-def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: Any) -> dict[str, Any]:
+def diagnose(
+    data: str | Path | Recording, *, strict: bool = False, effects_progress: Report | None = None, **options: Any
+) -> dict[str, Any]:
     """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`; where it names nothing
-    although the declared model does not explain the data, what holds out by itself (`attribution.partly`), unless `strict`."""
+    although the declared model does not explain the data, what holds out by itself (`attribution.partly`), unless `strict`.
+    effects_progress: told of that second part, whose length is not known beforehand."""
     from adaptsim_jax.attribution.partly import partly_explained
     from adaptsim_jax.commands.task_reward import task_reward
     from adaptsim_jax.report.diagnosis import write_diagnosis
@@ -205,7 +204,7 @@ def diagnose(data: str | Path | Recording, *, strict: bool = False, **options: A
         return report
     kept = {k: options[k] for k in ("out", "exclude") if k in options}
     rest = without_trials(recording, options.get("without", ()))
-    found = partly_explained(usable(rest, audit(rest)), report, page=write_diagnosis, **kept)
+    found = partly_explained(usable(rest, audit(rest)), report, progress=effects_progress, page=write_diagnosis, **kept)
     return found or report
 
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 def recorded_pushes(folder: Path) -> Pushed:
     """All pushes told to the session in `folder`, from the files that `robot record` was given. Raises BadInput where a file is
     gone or another by now, or the session is of another task."""
-    from adaptsim_jax.core import config, store
+    from adaptsim_jax.commands.robot_session import located
+    from adaptsim_jax.core import store
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.tasks.pushing.diagnosis.read import assemble
 
@@ -33,7 +34,7 @@ def recorded_pushes(folder: Path) -> Pushed:
             raise BadInput(f"{path}: is not the file that was told to the session in {folder}; put that one back")
         files.append(path)
         rows += [f"{p['trial']},{p['action'][0]},{p['action'][1]}" for p in visit["pushes"]]
-    run = config.read(folder / "robot.toml")["run"]
+    run = located(folder)["run"]
     task = store.RunFolder.open(run).config.get("task", {})
     meta = {k: task[k] for k in ("friction", "coefficients") if k in task}
     with tempfile.TemporaryDirectory() as scratch:

@@ -29,6 +29,17 @@ class Session(NamedTuple):
 def open_session(folder: Path, moved: str | None = None) -> Session:
     """The session in `folder`; `moved`: where its run is now, which is written down once that run is known to be the one."""
     from adaptsim_jax.core import config
+
+    table = located(folder, moved)
+    session = make_session(folder, table)
+    if moved is not None:
+        config.write(folder / SESSION, table)
+    return session
+
+
+def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
+    """robot.toml of the session in `folder`, with its run where it is now."""
+    from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
 
     if not (folder / SESSION).exists():
@@ -39,19 +50,16 @@ def open_session(folder: Path, moved: str | None = None) -> Session:
             raise BadInput(f"{folder / SESSION}: key '{name}' is missing or no {kind.__name__}; restore the file")
     told = table["run"]
     if moved is not None:
-        table = table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
-    elif not Path(told).is_dir():
+        return table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
+    if not Path(told).is_dir():
         near = folder / str(table.get("run_from_here", ""))
         if "run_from_here" not in table or not near.is_dir():
             raise BadInput(
                 f"{told}: no such run folder, which the session in {folder} goes by; if it was moved, say where it is: "
                 f"adaptsim robot next --dir {folder} --run RUN"
             )
-        table = table | {"run": str(near.resolve())}
-    session = make_session(folder, table)
-    if moved is not None:
-        config.write(folder / SESSION, table)
-    return session
+        return table | {"run": str(near.resolve())}
+    return table
 
 
 def places(run: str, folder: Path) -> dict[str, str]:

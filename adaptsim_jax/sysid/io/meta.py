@@ -1,6 +1,7 @@
 """The schema of `meta.toml`: what a person declares about a recording, checked key by key."""
 
 import math
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,14 @@ class Meta:
     scale: dict[str, float] = field(default_factory=dict)
     angle_stated: bool = False
     notes: tuple[str, ...] = ()
+
+
+def declared_task(folder: str | Path) -> str | None:
+    """The task that a folder's meta.toml declares; None where there is none, or none that can be read (its own reader says why)."""
+    try:
+        return tomllib.loads((Path(folder) / "meta.toml").read_text(encoding="utf-8")).get("task")
+    except (OSError, ValueError):
+        return None
 
 
 def read_meta(path: str | Path) -> Meta:

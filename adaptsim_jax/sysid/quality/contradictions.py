@@ -225,14 +225,27 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
     return Late(float(best), left, float(found[i]))
 
 
-def late_finding(path: str, late: Late, step: float, columns: Sequence[str]) -> tuple[Finding, ...]:
+def late_finding(
+    path: str, late: Late, step: float, columns: Sequence[str], names_late_logs: bool = False
+) -> tuple[Finding, ...]:
     """A warning where the motion follows the torque late, which an effect may be. BadInput where it is before its torque, which
-    nothing can be. `step` s between rows."""
+    nothing can be, unless the search to come names logs that are late: then a warning too. `step` s between rows."""
     ms, names = f"{1e3 * abs(late.seconds):.2g} ms", ", ".join(columns)
     if late.seconds > 0.75 * step:
         rows = f"{late.seconds / step:.1f}".removesuffix(".0")
         what = f"the motion is {ms} ahead of the torque that makes it: {names} are logged about {ms} ({rows} rows) late"
         mend = f"move {names} up by {rows} rows against time and the angles, or bring both onto one clock"
+        if names_late_logs:
+            return (
+                Finding(
+                    "late_torque",
+                    "warn",
+                    "",
+                    names,
+                    f"{what}; {mend}, or take the delay below zero that is named",
+                    late.seconds,
+                ),
+            )
         raise BadInput(f"{path}: {what}; {mend}; {AS_DECLARED}")
     if late.seconds > 0.0:
         return ()  # a torque that is not held from row to row looks half a row late
