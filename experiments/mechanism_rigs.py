@@ -22,7 +22,8 @@ import numpy as np
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.diagnose import HORIZON, diagnose, examined
 from adaptsim_jax.attribution.load import load
-from adaptsim_jax.attribution.pendulum import DECLARED, declared_machine, in_the_plane
+from adaptsim_jax.attribution.model_toml import DECLARED
+from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.replay import Replay, replay
 from adaptsim_jax.sysid import catalogue, read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor

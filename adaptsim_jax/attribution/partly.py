@@ -15,7 +15,8 @@ import numpy as np
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, plain, write_mjcf
-from adaptsim_jax.attribution.pendulum import DECLARED, declared_machine, in_the_plane, model_file
+from adaptsim_jax.attribution.model_toml import DECLARED
+from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane, model_file
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES
 from adaptsim_jax.sysid.io.model_file import write_model

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine, machine
+from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TILT, Problem, values_of
 from adaptsim_jax.attribution.select import Selection
@@ -21,7 +22,6 @@ from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
 from adaptsim_jax.sysid.io.pendulum_log import log_of
 from adaptsim_jax.sysid.types import Recording
 
-DECLARED = "declared.xml"
 SAME = {
     "quadratic_drag": ("drag",), "spring": ("stiffness", "preload"), "bias": ("torque",),
     "cogging": ("sine", "cosine", "order"), "hard_stop": ("stiffness", "angle", "side", "loss", "damping", "exponent"),

@@ -1,0 +1,224 @@
+"""The report on a mechanism, and the arrays behind its page."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.estimate import run
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.problem import TILT, Problem
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.select import Model, Named, Selection
+from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.sysid.report.schema import new_report
+
+
+def place(problem: Problem, c: Candidate) -> str:
+    """Where a candidate acts, in words."""
+    if c.effect == TILT:
+        return "base"
+    if len(c.joints) == problem.joints and problem.joints > 1:
+        return "all joints"
+    return ", ".join(problem.joint_names[j] for j in c.joints)
+
+
+def held_error(problem: Problem, model: Model) -> np.ndarray:
+    """Held-out error of each stretch and joint [W, n], rad or m."""
+    return np.sqrt(model.held.squared[: len(problem.fold), : problem.joints])
+
+
+def _numbers(error: np.ndarray) -> float:
+    return float(np.median(error))
+
+
+def reported(
+    machine: Machine, problem: Problem, found: Selection, criteria: Criteria, horizon: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report, and the arrays behind its page."""
+    before, after = held_error(problem, found.null), held_error(problem, found.final)
+    noise = problem.floor[: problem.joints]
+    floor = float(np.median(noise))
+    over = float(np.median(after / np.maximum(noise, 1e-12)))
+    named = found.named
+    kind = _kind(named, over, criteria)
+    effects = [_effect(problem, found, n) for n in named]
+    log = machine.log
+    data = {"trials": len(machine.tracks), "samples": log.samples, "held_out_trials": len(np.unique(problem.fold))}
+    remaining = {
+        "error": _numbers(after), "times_floor": over,
+        "joints": {name: {"error": float(np.median(after[:, j])), "times_floor": float(np.median(after[:, j]) / max(noise[j], 1e-12))}
+                   for j, name in enumerate(problem.joint_names)},
+    }  # fmt: skip
+    report = new_report(
+        "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over), data,
+        effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
+        candidates=_candidates(problem, found),
+        declared={"before": _declared(problem, found.null), "after": _declared(problem, found.final)},
+        not_established=_doubts(problem, found), remaining=remaining, notes=[*log.notes, *machine.mechanism.notes],
+        stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
+                for m in (*found.stages, found.final)],
+    )  # fmt: skip
+    evidence = {"held_out": _held_out(problem, found), "audit": [
+        {"severity": "info", "where": "", "message": note} for note in report["notes"]
+    ]}  # fmt: skip
+    return report, evidence
+
+
+def _kind(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
+    if not named:
+        return "within_noise" if over <= criteria.explained else "structured_unattributed"
+    if over > criteria.explained:
+        return "partly_explained"
+    return "explained_class" if any(n.alternatives for n in named) else "explained"
+
+
+def message(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float) -> str:
+    """What was found, in a few sentences."""
+    unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
+    size = lambda e: f"{1e3 * np.median(e):.3g}"
+    if not found.named:
+        told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor."
+        return f"{told} No effect of the catalogue holds out." if over > 1.5 else f"{told} Nothing need be added."
+    lines = []
+    for n in found.named:
+        c, t = n.candidate, n.test
+        lines.append(
+            f"{c.effect.replace('_', ' ')} at {place(problem, c)} holds out in {t.better} of {t.folds} "
+            f"(takes {100 * t.gain:.0f} % off the squared error beside all others, p {t.p:.2g})"
+        )
+    told = "; ".join(lines)
+    told = told[:1].upper() + told[1:]
+    rest = f"Left-out error {size(before)} to {size(after)} {unit}; what remains is {over:.1f} times the noise floor"
+    worst = int(np.argmax(np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)))
+    where = f", most of it at {problem.joint_names[worst]}" if over > 1.5 and problem.joints > 1 else ""
+    return f"{told}. {rest}{where}."
+
+
+def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
+    c, model = n.candidate, found.final
+    spread = model.spread
+    numbers = {}
+    for i, e in enumerate(model.fit.vector.entries):
+        if e.owner == c.effect and set(e.joints) <= set(c.joints):
+            value, width = float(model.fit.vector.values[i]), NINETY * float(spread[i])
+            own = len(e.joints) == 1 and len(c.joints) > 1
+            key = f"{e.name}[{problem.joint_names[e.joints[0]]}]" if own else e.name
+            low, high = max(value - width, min(e.low, value)), min(value + width, max(e.high, value))
+            numbers[key] = {"value": value, "low": low, "high": high, "unit": e.unit}
+    tilt = c.effect == TILT
+    effect = None if tilt else problem.effect(c.effect)
+    return {
+        "name": c.effect, "where": place(problem, c), "joints": [problem.joint_names[j] for j in c.joints], "parameters": numbers,
+        "physics": "gravity pulls along another direction: the base is not level" if effect is None else effect.physics,
+        "alternatives": [f"{a.effect}@{place(problem, a)}" for a in n.alternatives],
+        "held_out_gain": n.test.gain, "p_value": n.test.p, "better": n.test.better, "folds": n.test.folds,
+        "size_over_scatter": min(n.steady, 1e3),
+    }  # fmt: skip
+
+
+def _error(problem: Problem, found: Selection, before, after, noise, floor: float, horizon: float) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    some = bool(found.named)
+    pair = lambda pick: {"before": float(np.median(pick(before))), "after": float(np.median(pick(after)))}
+    channels = {}
+    for j, name in enumerate(problem.joint_names):
+        unit = "rad" if problem.kinds[j] == "hinge" else "m"
+        channels[name] = {"unit": unit, **pair(lambda e, j=j: e[:, j]), "noise_floor": float(noise[j])}
+    per_trial = []
+    for k, name in enumerate(problem.folds):
+        mine = problem.fold == k
+        if mine.any():
+            own = {n: pair(lambda e, j=j, mine=mine: e[mine][:, j]) for j, n in enumerate(problem.joint_names)}
+            per_trial.append({"trial": name, **pair(lambda e, mine=mine: e[mine]), "per_channel": own})
+    draws = rng.integers(0, len(before), (400, len(before)))
+    interval = lambda e: [float(z) for z in np.quantile([np.median(e[d]) for d in draws], [0.025, 0.975])]
+    hinge = all(k == "hinge" for k in problem.kinds)
+    return {
+        "metric": f"median over left-out stretches of {horizon:g} s and joints of the RMS error of simulated angles, starts fitted",
+        "unit": "rad" if hinge else "1", "stretch_s": horizon, **pair(lambda e: e), "noise_floor": floor, "ceiling": None,
+        "per_channel": channels, "per_trial": per_trial, "noise_floor_source": "third differences of the angles",
+        "intervals": {"before": interval(before), "after": interval(after) if some else interval(before)},
+    }  # fmt: skip
+
+
+def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
+    names = {(n.candidate.effect, n.candidate.joints) for n in found.named}
+    alike = {(a.effect, a.joints) for n in found.named for a in n.alternatives}
+    why = {}
+    for s in found.trace:
+        if s.candidate is not None and s.test is not None and s.action in ("refused", "dropped"):
+            why[s.candidate.effect, s.candidate.joints] = (
+                f"{s.action}: {s.why}, held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
+            )
+    total = max(float(found.null.held.loss.sum()), 1e-12)
+    rows = []
+    for s in found.first:
+        key = s.candidate.effect, s.candidate.joints
+        if s.held_out <= 0.0 and key not in names | alike:
+            continue
+        status = "accepted" if key in names else "look-alike" if key in alike else "rejected"
+        rows.append({
+            "name": key[0], "where": place(problem, s.candidate), "held_out_gain": float(np.clip(s.held_out / total, -1.0, 1.0)),
+            "p_value": float(min(1.0, s.p * len(found.first))), "accepted": key in names, "status": status,
+            "why": why.get(key, "named" if key in names else "does as well" if key in alike else "gains less than what was taken"),
+        })  # fmt: skip
+    return rows[:40]
+
+
+def _declared(problem: Problem, model: Model) -> dict[str, Any]:
+    """Fitted inertial parameters by body (mass and what gravity and motion see of it) and dampings."""
+    spread = model.spread
+    out: dict[str, Any] = {}
+    for i, e in enumerate(model.fit.vector.entries):
+        if e.owner in (INERTIA, "viscous"):
+            value, width = float(model.fit.vector.values[i]), NINETY * float(spread[i])
+            name = f"{e.name} of {problem.joint_names[e.joints[0]]}"
+            known = e.owner == "viscous" or float(spread[i]) < 0.5 * e.prior
+            out[name] = {
+                "value": value,
+                "low": value - width,
+                "high": value + width,
+                "unit": e.unit,
+                "identifiable": bool(known),
+            }
+    return out
+
+
+def _doubts(problem: Problem, found: Selection) -> list[str]:
+    out = []
+    for s in found.trace:
+        if s.action == "dropped" and s.candidate is not None:
+            name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
+            out.append(f"{name} helped at first, but does not hold out beside the others ({s.why}).")
+    return out
+
+
+def _held_out(problem: Problem, found: Selection) -> list[Mapping[str, Any]]:
+    """Measured and simulated angles, trial by trial, stretches one after the other."""
+    pair = [run(problem, m.fit.vector, m.fit.starts) for m in (found.null, found.final)]
+    s = problem.groups[0].stretches
+    out = []
+    for k, name in enumerate(s.names):
+        lanes = [w for w in range(len(problem.fold)) if s.trial[w] == k][:12]
+        if not lanes:
+            continue
+        entry: dict[str, Any] = {
+            "trial": name,
+            "time": np.concatenate([np.append(s.time[:, w], s.time[-1, w]) for w in lanes]),
+        }
+        flat = lambda z, lanes=lanes: np.concatenate([np.append(z[:, w], np.nan) for w in lanes])
+        for key in ("measured", "before", "after"):
+            entry[key] = {}
+        for g, a, b in zip(problem.groups, *pair, strict=True):
+            for at, j in enumerate(g.joints):
+                name_j = problem.joint_names[j]
+                entry["measured"][name_j] = flat(np.where(g.stretches.seen[:, at] > 0, g.stretches.q[:, at], np.nan))
+                entry["before"][name_j], entry["after"][name_j] = flat(a.sensed[:, at]), flat(b.sensed[:, at])
+        if not found.named:
+            entry["after"] = None
+        out.append(entry)
+    return out
