@@ -5,7 +5,7 @@
 
 `report` keeps `sysid.report.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
 
-    held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None}],
+    held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None, units {channel: unit}}],
                      NaN where windows join; the first trial is shown, the others fold out
     tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table, seen from above
     residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model

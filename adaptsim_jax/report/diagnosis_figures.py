@@ -70,7 +70,7 @@ def held_out(trial: Mapping, channel: str) -> Paint:
     models = [(key, trial[key][channel]) for key in ("before", "after") if channel in (trial.get(key) or {})]
     columns = thin(trial["time"], trial["measured"][channel], *[values for _, values in models])
     time, measured, simulated = columns[0], columns[1], columns[2:]
-    unit = trial.get("unit") or channel_unit(channel)
+    unit = (trial.get("units") or {}).get(channel) or trial.get("unit") or channel_unit(channel)
     colours = {"before": BEFORE, "after": AFTER}
     left = [measured - values for values in simulated]
     factor, name = fmt.scaled(unit, _largest(*left))

@@ -95,9 +95,13 @@ def _named(alternative: str, where: str) -> tuple[str, str]:
     return name, place or where
 
 
+NOWHERE = ("", "all", "whole", "command", "contact", "force", "measurement")
+"""What `where` says that is no part of a machine."""
+
+
 def _at(text: str, where: str) -> str:
     place = plain(where)
-    return text if place in ("", "all", "whole") else f"{text} at {place}"
+    return text if place in NOWHERE else f"{text} at {place}"
 
 
 def effect_names(report: Mapping) -> str:
