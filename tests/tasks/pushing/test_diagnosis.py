@@ -90,7 +90,8 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
         config_hash="x",
         extra={"history": [visit]},
     )
-    config.write(session / "robot.toml", {"run": str(run.path)})
+    told = {"schema": 1, "run": str(run.path), "seed": 0, "starts": 1, "iterations": 1}
+    config.write(session / "robot.toml", told)
     pushed = recorded_pushes(session)
     assert pushed.coefficients == DRAKE
     np.testing.assert_allclose(pushed.actions, ACTIONS, atol=1e-9)
