@@ -93,18 +93,17 @@ def _pushes(made: Any, result: Any, start: int, target: np.ndarray) -> tuple[np.
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax.tasks.pushing import planar
     from adaptsim_jax.tasks.pushing import task as pushing
-    from adaptsim_jax.tasks.pushing.model import PushOptions
+    from adaptsim_jax.tasks.pushing.simulator import make_guide, make_simulator
 
     policy = jax.tree.map(lambda x: x[start], result.history.policy)
-    options = PushOptions(friction=made.friction, duration=made.duration)
+    simulate = make_guide(made) or make_simulator(made)
     goals, act = jnp.asarray(GOALS), pushing.make_policy(made)
 
     @jax.jit
     def run(policy):
         actions = jax.vmap(lambda p: act(p, goals))(policy)
-        one = lambda a: planar.rollout(jnp.asarray(target, jnp.float32), a, options)
+        one = lambda a: simulate(jnp.asarray(target, jnp.float32), a)
         tracks = jax.vmap(jax.vmap(one))(actions)
         return actions, tracks, pushing.push_reward(tracks[..., -1, :], goals[None])
 

@@ -16,6 +16,7 @@ EXAMPLES = """
   adaptsim train pushing --run runs/p
   adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
+  adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
 """
 
 
@@ -64,21 +65,26 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
 
     start = config.from_table(TrainConfig, with_defaults(args.task, table), args.config or f"{args.folder}/config.toml")
     if args.model:
-        start = replace(start, task=dict(start.task) | {"model": _model_table(args)})
+        start = replace(start, task=dict(start.task) | _of_model(args))
     settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]
     return config.with_settings(start, settings)
 
 
-def _model_table(args: argparse.Namespace) -> dict[str, Any]:
-    """The table of `--model`, checked; it goes into the run's config, which is then whole without the file."""
+def _of_model(args: argparse.Namespace) -> dict[str, Any]:
+    """Options of the task by `--model`; they go into the run's config, which is then whole without the file."""
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
-    from adaptsim_jax.mechanisms.model_file import model_of
+    from adaptsim_jax.tasks.registry import TASKS
 
-    table = config.read(args.model)
-    if model_of(table, args.model).task != args.task:
-        raise BadInput(f"{args.model}: is of task '{table['task']}', not '{args.task}'; name another file")
-    return {key: value for key, value in table.items() if key not in ("covariance", "provenance")}
+    table, kind = config.read(args.model), TASKS[args.task]
+    if kind.of_model is None:
+        raise BadInput(f"--model: policies of task '{args.task}' are trained on no mended model yet; leave it out")
+    if table.get("task") != args.task:
+        raise BadInput(f"{args.model}: is of task '{table.get('task')}', not '{args.task}'; name another file")
+    options = kind.of_model(table, args.model)
+    for name in options.pop("left_out", ()):
+        print(f"{args.model}: {name} is of the measurement, not of the simulator; it is left out: mend what measures")
+    return options
 
 
 def _folder(args: argparse.Namespace) -> Any:

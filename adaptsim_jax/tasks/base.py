@@ -61,8 +61,9 @@ class TaskKind:
     config: a frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`; BadInput says what an option
     would lead to. one_shot: `(config) -> OneShot`, of tasks whose policies are learned: `adaptsim compare` needs it. train: what
     `adaptsim train` starts from, a table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
-    model file that stands under the option `model`. backends: the engines that it runs in, by name; make_backend: one of them,
-    `(name, options, **settings) -> Backend` (`tasks/engine.py`).
+    model file that stands under the option `model`. of_model: `(model file as a table, its name) -> options`, what `adaptsim train
+    --model` lays over the options (`left_out`: effects of the file that are none of the simulator's). backends: the engines that it
+    runs in, by name; make_backend: one of them, `(name, options, **settings) -> Backend` (`tasks/engine.py`).
     """
 
     config: type
@@ -70,5 +71,6 @@ class TaskKind:
     one_shot: Callable[[Any], Any] | None = None
     train: Mapping[str, Any] = field(default_factory=dict)
     augmented: Callable[[dict[str, Any], str], Task] | None = None
+    of_model: Callable[[dict[str, Any], str], dict[str, Any]] | None = None
     backends: Mapping[str, Any] = field(default_factory=dict)
     make_backend: Callable[..., Any] | None = None

@@ -27,6 +27,17 @@ def augmented(options: dict[str, Any], where: str) -> Task:
     return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 
 
+def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
+    """The option `model`: the checked file, less what is only for people."""
+    model_of(table, where)
+    return {"model": {key: value for key, value in table.items() if key not in ("covariance", "provenance")}}
+
+
 TASK = TaskKind(
-    PendulumConfig, make_pendulum, augmented=augmented, backends=registry.BACKENDS, make_backend=registry.make_backend
+    PendulumConfig,
+    make_pendulum,
+    augmented=augmented,
+    of_model=of_model,
+    backends=registry.BACKENDS,
+    make_backend=registry.make_backend,
 )

@@ -10,6 +10,7 @@ from adaptsim_jax.learners.naf_shared import SharedConfig
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.slide import Lacking
 
 # Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
 SETTINGS = {
@@ -47,6 +48,8 @@ class PushingConfig:
     samples at once; for GPUs, on a CPU a quarter of the speed of `native`). coefficients: the planar model as a twin of that
     scene or of Drake's.
     friction, duration: of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p: Omega.
+    mended: what measured pushes showed that the planar model lacks; it is then a slide in two dimensions (`slide`, in steps of
+    2.5 ms). fitted: mu, e Pa, mu_p, y_p m as fitted to them, the setting `fitted`; both of a model.toml of `adaptsim diagnose`.
     """
 
     observation: Literal["points", "final"] = "points"
@@ -83,6 +86,8 @@ class PushingConfig:
     e: tuple[float, float] = (model.LOW[1], model.HIGH[1])
     mu_p: tuple[float, float] = (model.LOW[2], model.HIGH[2])
     y_p: tuple[float, float] = (model.LOW[3], model.HIGH[3])
+    mended: Lacking = field(default_factory=Lacking)
+    fitted: tuple[float, ...] = ()
 
 
 class PushingPolicy(NamedTuple):

@@ -2,9 +2,15 @@
 
 from adaptsim_jax.tasks.base import TaskKind
 from adaptsim_jax.tasks.pushing.engines import registry
+from adaptsim_jax.tasks.pushing.mended import of_model
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
 
 TASK = TaskKind(
-    PushingConfig, make_pushing, make_pushing_one_shot, backends=registry.BACKENDS, make_backend=registry.make_backend
+    PushingConfig,
+    make_pushing,
+    make_pushing_one_shot,
+    of_model=of_model,
+    backends=registry.BACKENDS,
+    make_backend=registry.make_backend,
 )

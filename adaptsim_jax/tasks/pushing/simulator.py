@@ -2,16 +2,18 @@
 
 import functools
 from collections.abc import Callable
+from dataclasses import asdict
 
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.tasks.pushing import model, planar
+from adaptsim_jax.tasks.pushing import model, planar, slide
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.model import PushOptions
 
 TWINS = {"native": planar.DEFAULT, "drake": planar.DRAKE}
 POINTS = 6
+STEP = 0.0025  # s, of a mended slide
 
 Push = Callable[[jax.Array, jax.Array], jax.Array]
 
@@ -53,4 +55,12 @@ def _in_mjx(options: PushOptions) -> Push:
 
 def _twin(config: PushingConfig) -> Push:
     options, twin = PushOptions(friction=config.friction, duration=config.duration), TWINS[config.coefficients]
-    return lambda params, action: planar.rollout(params, action, options, twin)
+    if config.mended == slide.Lacking():
+        return lambda params, action: planar.rollout(params, action, options, twin)
+    lacking, every = asdict(config.mended), round(options.row / slide.ROW)
+
+    def push(params, action):
+        values = lacking | {name: params[i] for i, name in enumerate(model.PARAMETERS)}
+        return slide.rollout(values, action, options, twin, step=STEP)[every::every, :2]
+
+    return push

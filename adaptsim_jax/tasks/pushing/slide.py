@@ -9,6 +9,7 @@ the converged motion (median; 28 mm at most), so that the default here is a sche
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import jax
@@ -23,32 +24,40 @@ Array = Any
 
 STEP = 0.001  # s
 ROW = 0.005  # s between the rows that are kept
-NEUTRAL = {
-    "speed_scale": 0.0,
-    "speed_offset": 0.0,
-    "heading_offset": 0.0,
-    "start_x": 0.0,
-    "start_y": 0.0,
-    "hardening": 0.0,
-    "plate_turn": 0.0,
-    "tilt_x": 0.0,
-    "tilt_y": 0.0,
-    "speed_friction": 0.0,
-    "drag": 0.0,
-    "grain_a": 0.0,
-    "grain_b": 0.0,
-    "patch_x": 0.0,
-    "patch_size": 0.0,
-    "other_x": 0.75,
-    "other_y": 0.0,
-    "other_mu": 0.0,
-}
-"""Every value that acts on the slide and is not declared, at which it does nothing (a second patch's place is free then):
-speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared start; hardening, the power of the
-hit's speed by which the contact is stiffer and more damped; plate_turn rad of the face against its motion; tilt_x, tilt_y rad,
-positive downhill towards +x, +y; speed_friction s/m, the growth of friction with speed, of its size; drag 1/s of speed by itself;
-grain_a, grain_b: friction larger by about that share along x than along y, and along the diagonal; patch_x m and patch_size m (half
-the growth of its side); other_x, other_y m and other_mu of a second patch, as large as the declared, and what it adds."""
+
+
+@dataclass(frozen=True)
+class Lacking:
+    """What acts on the slide and is not declared; 0 does nothing (a second patch's place is free then).
+
+    speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared start; hardening, the power of the
+    hit's speed by which the contact is stiffer and more damped; plate_turn rad of the face against its motion; tilt_x, tilt_y rad,
+    positive downhill towards +x, +y; speed_friction s/m, the growth of friction with speed, of its size; drag 1/s of speed by itself;
+    grain_a, grain_b: friction larger by about that share along x than along y, and along the diagonal; patch_x m and patch_size m
+    (half the growth of its side); other_x, other_y m and other_mu of a second patch, as large as the declared, and what it adds.
+    """
+
+    speed_scale: float = 0.0
+    speed_offset: float = 0.0
+    heading_offset: float = 0.0
+    start_x: float = 0.0
+    start_y: float = 0.0
+    hardening: float = 0.0
+    plate_turn: float = 0.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    speed_friction: float = 0.0
+    drag: float = 0.0
+    grain_a: float = 0.0
+    grain_b: float = 0.0
+    patch_x: float = 0.0
+    patch_size: float = 0.0
+    other_x: float = 0.75
+    other_y: float = 0.0
+    other_mu: float = 0.0
+
+
+NEUTRAL = asdict(Lacking())
 
 
 def rollout(

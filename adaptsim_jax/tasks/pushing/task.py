@@ -43,9 +43,10 @@ from adaptsim_jax.tasks.pushing.goals import (
     unseen,
     visit_goals,
 )
-from adaptsim_jax.tasks.pushing.model import PushOptions
+from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
 from adaptsim_jax.tasks.pushing.refine import refine, search
 from adaptsim_jax.tasks.pushing.simulator import POINTS, TWINS, make_guide, make_simulator
+from adaptsim_jax.tasks.pushing.slide import Lacking
 
 # what of the task lies in other files, so that users have it all from here
 __all__ = [
@@ -121,7 +122,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:  # noqa: B008
         space=space,
         targets=space if config.targets == "omega" else wide_space(),
         obs_dim=_obs_dim(config),
-        settings=SETTINGS,
+        settings=SETTINGS | _fitted(config),
         init_policy=lambda key: _blank(naf.init(key).online, config, space),
         train=train,
         rollout=_make_rollout(config),
@@ -133,6 +134,10 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:  # noqa: B008
         rehearse=None if rehearsed == config else _make_rollout(rehearsed),
         pretrain=_pretrain(config, space, simulate) if config.pretrain else None,
     )
+
+
+def _fitted(config: PushingConfig) -> dict[str, dict[str, float]]:
+    return {"fitted": dict(zip(PARAMETERS, config.fitted, strict=True))} if config.fitted else {}
 
 
 def _make_rollout(config: PushingConfig) -> Callable:
@@ -253,6 +258,12 @@ def _checked(config: PushingConfig) -> PushOptions:
     for name in ("learning_rate", "tuning_rate"):
         if getattr(config, name) <= 0:
             raise BadInput(f"pushing, {name} = {getattr(config, name)}: give a positive one, such as 1e-3")
+    if config.mended != Lacking() and config.simulator != "planar":
+        raise BadInput(
+            f"pushing, simulator = {config.simulator}: a mended push is simulated by the planar model; leave simulator out"
+        )
+    if len(config.fitted) not in (0, len(PARAMETERS)):
+        raise BadInput(f"pushing, fitted = {list(config.fitted)}: give {', '.join(PARAMETERS)}, or leave it out")
     if min(config.refine, *config.rehearsal) < 0:
         raise BadInput(
             f"pushing, refine = {config.refine}, rehearsal = {config.rehearsal}: give numbers of pushes, 0 for none"
