@@ -1,5 +1,6 @@
 """The push as the baselines see it: one push for a goal, tried in any of the four engines."""
 
+from dataclasses import asdict
 from typing import Any
 
 import jax
@@ -38,7 +39,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     policies = naf_policies(naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials)
 
     def world(backend, /, **settings):
-        own = {"coefficients": config.coefficients} if backend == "planar" else {}
+        own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)} if backend == "planar" else {}
         return pushing_world(backend, options, **(own | settings))
 
     def oracle(world, params):

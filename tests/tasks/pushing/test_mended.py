@@ -14,6 +14,7 @@ from adaptsim_jax.tasks.pushing import planar, slide
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.mended import of_model
 from adaptsim_jax.tasks.pushing.simulator import make_simulator
+from adaptsim_jax.tasks.registry import make_one_shot
 
 PARAMS, ACTION = jnp.array([0.1, 1e5, 0.6, 0.05]), jnp.array([0.6, 0.1])
 MODEL = {
@@ -84,3 +85,14 @@ def test_it_is_trained_and_adapted_from_the_command_line(tmp_path, capsys, monke
     result = json.loads(next((tmp_path / "r").glob("adapt-*/result.json")).read_text())
     assert result["target"]["params"]["mu"] == 0.12
     assert cli.main(["train", "scooping", "--run", "s", "--model", "model.toml"]) == 2
+
+
+def test_a_target_may_lack_what_the_simulator_has_not():
+    level, tilted = (
+        make_one_shot("pushing", {}).world("planar", **settings) for settings in ({}, {"lacking": {"tilt_y": 0.03}})
+    )
+    goals, actions = np.array([[0.9, 0.0]]), np.zeros((1, 2), np.float32)
+    places = [world.run(np.asarray(PARAMS)[None], goals, actions)[0][0, -1] for world in (level, tilted)]
+    assert places[1][1] > places[0][1] + 0.005
+    mended = make_one_shot("pushing", {"mended": {"tilt_y": 0.03}}).world("planar")
+    np.testing.assert_allclose(mended.run(np.asarray(PARAMS)[None], goals, actions)[0][0, -1], places[1], atol=1e-6)
