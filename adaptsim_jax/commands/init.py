@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 from pathlib import Path
+from typing import Any
 
 EXAMPLES = """
   adaptsim init logs --model robot.xml                      writes logs/meta.toml
@@ -26,6 +28,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--state-topic", metavar="NAME", help="ROS topic of joint states (default: the largest)")
     parser.add_argument("--command-topic", metavar="NAME", help="ROS topic of commands")
+    parser.add_argument("--json", action="store_true", help="print what was written and how it reads as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -35,6 +38,9 @@ def run(args: argparse.Namespace) -> int:
 
     topics = {"state_topic": args.state_topic, "command_topic": args.command_topic}
     begun = begin(args.data, args.out, args.model, {key: name for key, name in topics.items() if name})
+    if args.json:
+        print(json.dumps(_told(begun), indent=1))
+        return 0
     print(f"wrote {begun.path}")
     guesses = sum("# guess" in line for line in begun.text.splitlines())
     print(f"{guesses} guesses in it: check each line marked 'guess'")
@@ -50,3 +56,14 @@ def run(args: argparse.Namespace) -> int:
         print(f"  {note}")
     next_step(f"diagnose {shlex.quote(str(begun.path.parent))} --out out")
     return 0
+
+
+def _told(begun: Any) -> dict[str, Any]:
+    """The file, its lines that are guesses, and the log as it reads (None, and what is to be mended, where it does not)."""
+    log = begun.log
+    reads = None if log is None else {
+        "trials": len(log.trials), "joints": list(log.joint_names), "input": log.input_kind, "notes": list(log.notes),
+        "seconds": sum(float(trial.time[-1] - trial.time[0]) for trial in log.trials),
+    }  # fmt: skip
+    guesses = [line for line in begun.text.splitlines() if "# guess" in line]
+    return {"written": str(begun.path), "guesses": guesses, "reads": reads, "to_mend": None if log else begun.to_mend}

@@ -36,12 +36,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dir", required=True, metavar="DIR", help="where the state is kept between calls")
     parser.add_argument("--failed", action="store_true", help="record: the robot could not finish; no FILE")
     parser.add_argument("--run", dest="moved", metavar="RUN", help="where the session's run is now, if it was moved")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout; what is for people on stderr")
     parser.add_argument("--starts", type=positive, default=2, metavar="N", help="new: initial distributions (2)")
     parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="new: adaptation steps (10)")
 
 
 def run(args: argparse.Namespace) -> int:
     """One step of ask/tell adaptation."""
+    import contextlib
+    import json
+    import sys
+
+    with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
+        answer = stepped(args)
+    if args.json:
+        print(json.dumps(answer, indent=1))
+    return 0
+
+
+def stepped(args: argparse.Namespace) -> dict[str, Any]:
+    """What `--json` prints of a step: where the session stands and, of new and next, what is to be run now."""
     from adaptsim_jax.core.config import pick
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.files import output_folder
@@ -57,15 +71,16 @@ def run(args: argparse.Namespace) -> int:
     if step == "new":
         if args.moved:
             raise BadInput("--run: of a session that is there; 'robot new RUN' takes the run as it is")
-        new(args)
-        return 0
+        return new(args)
     session = sessions.open_session(Path(args.dir), args.moved)
     with one_writer(output_folder(args.dir)):
-        {"next": ask, "record": failed if args.failed else record, "undo": undo}[step](args, session)
-    return 0
+        if step == "next":
+            return ask(args, session)
+        {"record": failed if args.failed else record, "undo": undo}[step](args, session)
+        return stands(session)
 
 
-def new(args: argparse.Namespace) -> None:
+def new(args: argparse.Namespace) -> dict[str, Any]:
     """Start a session in an empty folder."""
     import jax
 
@@ -94,10 +109,21 @@ def new(args: argparse.Namespace) -> None:
         # written last: a folder with this file holds a whole session
         config.write(folder / SESSION, table)
         print(f"{session.part.opened(session, args.starts * (args.iterations + 1))} in {folder}")
-        ask(args, session)
+        return ask(args, session)
 
 
-def ask(args: argparse.Namespace, session: Session) -> None:
+def stands(session: Session) -> dict[str, Any]:
+    """How many turns are told, and what the last and the best of them returned."""
+    import math
+
+    state, history = sessions.load(session)
+    best = float(state.best_score)
+    told = {"told": len(history), "of": session.loop.trials(state), "turn": session.part.turn}
+    last = history[-1]["score"] if history else None
+    return told | {"last_return": last, "best_return": best if math.isfinite(best) else None}
+
+
+def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
     """Say and write what to run now; when all is told, the best policy."""
     import math
 
@@ -111,7 +137,7 @@ def ask(args: argparse.Namespace, session: Session) -> None:
         print(
             "train where the robot can follow (a softer target, narrower ranges), or take records back: adaptsim robot undo"
         )
-        return
+        return stands(session) | {"done": True}
     mean, policy = (state.best_mean, state.best_policy) if done else (state.mean, state.policy)
     policy = session.part.deployed(session, policy, history)
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
@@ -125,6 +151,7 @@ def ask(args: argparse.Namespace, session: Session) -> None:
         print(f"all {total} {session.part.turn}s are told; best return {float(state.best_score):.6g}")
     else:
         print(f"then: adaptsim robot record FILE --dir {args.dir}")
+    return stands(session) | {"done": done, "params": params, "policy": str(path)}
 
 
 def record(args: argparse.Namespace, session: Session) -> None:

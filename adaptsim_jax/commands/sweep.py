@@ -43,6 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="devices of this machine; on CPUs N groups of cores (default: a core each)",
     )
     parser.add_argument("--save-every", type=float, default=30.0, metavar="S", help="seconds between checkpoints (30)")
+    parser.add_argument("--json", action="store_true", help="print results.json")
     many = parser.add_argument_group("many machines (docs/sweeps.md)")
     many.add_argument(
         "--ray", nargs="?", const="", metavar="ADDRESS", help="share batches out by Ray (extra [cluster])"
@@ -61,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.words[0] == "show":
         if len(args.words) != 2:
             raise BadInput("show: write `adaptsim sweep show DIR`")
-        return _show(Path(args.words[1]))
+        return _show(Path(args.words[1]), args.json)
     if len(args.words) != 1:
         raise BadInput(f"'{args.words[1]}': one SPEC.toml at a time; or write `adaptsim sweep show DIR`")
     if not args.out and not args.estimate:
@@ -106,7 +107,7 @@ def _sweep(args: argparse.Namespace) -> int:
     if args.ray is not None:  # a batch goes to a worker, which has a device of its own
         devices, at_once = 1, at_once or sweep_plan.PER_CORE
     plan = sweep_plan.make_plan(sweep, devices=devices, at_once=at_once)
-    if first:
+    if first and not args.json:
         print(f"{len(sweep.members)} members of {sweep.spec.task}, {len(sweep.spec.targets)} targets each")
         print("\n".join(sweep_plan.described(plan)), flush=True)
     if args.estimate:
@@ -131,7 +132,7 @@ def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
             run_on_ray(sweep, folder, args.ray or None, progress=report, save_after=args.save_every)
         else:
             run_sweep(sweep, folder, progress=report, save_after=args.save_every)
-    return _finish(folder) if sweep_devices.first() else 0
+    return _finish(folder, args.json) if sweep_devices.first() else 0
 
 
 def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
@@ -148,23 +149,26 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
     return SweepFolder.reopen(out, sweep)
 
 
-def _finish(folder: Any) -> int:
+def _finish(folder: Any, as_json: bool) -> int:
     from adaptsim_jax.adaptation.sweep_results import write_results
-    from adaptsim_jax.commands.common import next_step
+    from adaptsim_jax.commands.common import next_step, print_file
     from adaptsim_jax.report.figures_sweep import draw
 
     found = write_results(folder)
     draw(found, folder.path)
+    if as_json:
+        print_file(folder.path / "results.json")
+        return 0
     _print(found)
     print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures")
     next_step(f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs")
     return 0
 
 
-def _show(path: Path) -> int:
+def _show(path: Path, as_json: bool) -> int:
     from adaptsim_jax.adaptation.sweep_folder import SweepFolder
 
-    return _finish(SweepFolder.load(path))
+    return _finish(SweepFolder.load(path), as_json)
 
 
 def _print(found: dict[str, Any]) -> None:

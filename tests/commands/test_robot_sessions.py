@@ -1,5 +1,6 @@
 """Sessions of `adaptsim robot` on odd days: a robot that trips, a record taken back, folders that move, two writers at once."""
 
+import json
 import shutil
 import tomllib
 
@@ -42,6 +43,11 @@ def test_a_robot_that_trips_a_record_taken_back_and_a_second_writer(session, tmp
     out = capsys.readouterr().out
     assert "trial 1 of 4 failed: no return; with it 1 more of the same start are given up" in out
     assert robot("next", "--dir", session) == 0 and "trial 3 of 4" in capsys.readouterr().out
+    assert robot("next", "--dir", session, "--json") == 0
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert (answer["told"], answer["of"], answer["done"], answer["best_return"]) == (2, 4, False, None)
+    assert answer["policy"] == str(session / "policy.toml") and "m2" in answer["params"] and "trial 3 of 4" in err
     assert robot("undo", "--dir", session) == 0
     assert robot("next", "--dir", session) == 0
     assert contents(session) == first

@@ -1,5 +1,6 @@
 """`adaptsim init`: what it writes, what it guesses, what it refuses."""
 
+import json
 import tomllib
 
 import numpy as np
@@ -67,7 +68,9 @@ def test_a_file_needs_out_and_is_named_by_the_new_meta(tmp_path, capsys):
     run = write_csv(tmp_path / "run.csv", numbered(M, "q", "tau"))
     assert init(run) == 2
     assert "name a folder for meta.toml by --out" in capsys.readouterr().err
-    assert init(run, "--out", tmp_path / "rig") == 0
+    assert init(run, "--out", tmp_path / "rig", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["written"] == str(tmp_path / "rig" / "meta.toml") and told["guesses"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["rig", "run.csv"]
     log = read_log(tmp_path / "rig")
     assert [trial.name for trial in log.trials] == ["run"]
