@@ -18,8 +18,8 @@ from adaptsim_jax.core import compile_flags, memory
 from adaptsim_jax.sysid import Criteria, Recording, catalogue, read_recording
 from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, fit_plain, initial_states, prepare
+from adaptsim_jax.sysid.examine import Diagnosis, examine
 from adaptsim_jax.sysid.noise.floor import noise_floor
-from adaptsim_jax.sysid.pipeline import Diagnosis, examine
 from adaptsim_jax.sysid.quality.audit import audit, usable
 
 CHOSEN_ON = ("trial_00", "trial_01", "trial_02", "trial_03")

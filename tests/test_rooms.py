@@ -30,7 +30,7 @@ WITHIN = {
     ),
     "sysid": (
         "types", "criteria", "quality", "io", "noise", "segments", "forward", "dictionary", "estimate", "score", "nuisance",
-        "evaluate", "select", "decide", "rivals", "design", "report", "pipeline",
+        "evaluate", "select", "rivals", "decide", "design", "report", "examine", "pipeline",
     ),
     "tasks": (
         "base", "camera_record", "saved_policy", "one_shot", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing",

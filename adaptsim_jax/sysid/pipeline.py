@@ -3,71 +3,32 @@
 import shlex
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import adaptsim_jax
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.effects.base import Effect, Parameter
 from adaptsim_jax.effects.registry import catalogue, effect_named
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.decide import Verdict, confirmed, decide, unforced
 from adaptsim_jax.sysid.design.experiment import CSV, csv_of, next_experiment
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio, seen_anew
-from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
-from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
+from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.evaluate.evidence import evidence_of
-from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
-from adaptsim_jax.sysid.evaluate.power import Power, power, powered
-from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_diagnosis, residual_torque
+from adaptsim_jax.sysid.examine import STAGES, Diagnosis, Progress, examine, findings
 from adaptsim_jax.sysid.io.model_file import write_model
 from adaptsim_jax.sysid.io.recording import read_recording, without_trials
-from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
-from adaptsim_jax.sysid.nuisance.null_model import timed
-from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, told
+from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.quality.audit import Audit, audit, usable
 from adaptsim_jax.sysid.quality.pendulum_design import check_conventions
 from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
-from adaptsim_jax.sysid.report.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.sysid.report.schema import check, new_report
-from adaptsim_jax.sysid.rivals.kinematics import misdeclared
-from adaptsim_jax.sysid.rivals.known_parameters import confounded, freed
-from adaptsim_jax.sysid.rivals.torque_scale import rescaled
-from adaptsim_jax.sysid.score.table import ScoreTable, view
-from adaptsim_jax.sysid.select import forward
-from adaptsim_jax.sysid.select.backward import backward_eliminated
-from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
-from adaptsim_jax.sysid.select.refine import refined
 from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.types import Recording
 
-STAGES = 9
-Progress = Callable[[int, int, str], None]
 Reward = Callable[[Problem, SearchResult], dict[str, Any] | None]
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """All that a diagnosis found; `report` is what goes into report.json. leading: the likeliest model where nothing is named."""
-
-    problem: Problem
-    found: SearchResult
-    before: ResidualDiagnosis
-    after: ResidualDiagnosis
-    error_before: CrossValidation
-    error_after: CrossValidation
-    powers: list[Power]
-    verdict: Verdict
-    first: ScoreTable
-    report: dict[str, Any]
-    evidence: dict[str, Any]
-    leading: Fit | None = None
 
 
 def diagnose(
@@ -121,71 +82,6 @@ def diagnose(
     return finish(result.report, result.evidence, out, recording, run, began, result, page)
 
 
-def examine(
-    recording: Recording,
-    checked: Audit,
-    noise: NoiseFloor,
-    effects: Sequence[Effect],
-    settings: Criteria,
-    seed: int,
-    say: Progress,
-    smoothed: float | None = None,
-) -> Diagnosis:
-    """Everything between reading and writing. smoothed: by a filter of which `s` [s^2], 0 for none; looked for where None. One that
-    shows only once an effect is named has the angles without it examined anew, and one that an effect had passed for those as
-    they were written."""
-    say(2, STAGES, "declared model")
-    try:
-        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed)
-    except Diverged as error:
-        raise BadInput(f"{recording.path}: {error}") from None
-    problem, first = phases_refined_early(*timed(problem, base, first, settings.alpha), base)
-    force = base.parts.force_std() / problem.torque_scale
-    before = residual_diagnosis(problem, first, base.parts, force)
-    say(3, STAGES, "candidates")
-    fair = seen_anew(problem, base, first.response)
-    problem, found = forward.search(problem, fair, first, settings, say=lambda note: say(4, STAGES, note))
-    say(5, STAGES, "what is left")
-    problem, found = phases_refined(problem, found, first)
-    found = refined(problem, found, first)
-    if found.added and smoothed is None and (s := revised(problem, found.final, found.view or first)) is not None:
-        return examine(recording, checked, noise, effects, settings, seed, say, s)
-    found, tested = backward_eliminated(problem, found, first, settings)
-    found = rescaled(problem, found, first, settings)
-    seen = found.view or first
-    after = before
-    if found.added:
-        many = force_ratio(found.final, found.base) > settings.explained  # then what is left says nothing of where
-        rest = force if many else found.final.parts.force_std() / problem.torque_scale
-        after = residual_diagnosis(problem, seen, found.final.parts, rest)
-    powers = power(problem, seen, settings)
-    say(6, STAGES, "held-out trials, declared model")
-    error_before = cross_validate(problem, base, first)
-    flexible = flexible_bound(problem, base, first, error_before.fold)
-    reached = 1.0 if flexible is None else flexible.rmse / error_before.rmse()
-    beyond = error_before.rmse() / floor_of(problem)
-    verdict = decide(found, before, after, settings, powered(powers), reached, force, beyond)
-    say(7, STAGES, "held-out trials, mended model")
-    error_after = (tested or cross_validate(problem, found.final, seen)) if verdict.named else error_before
-    verdict = confirmed(verdict, found, error_before, error_after, after, settings)
-    verdict = unforced(verdict, found, error_before, error_after, after, floor_of(problem), settings)
-    if found.added or verdict.name == "structured_unattributed":
-        verdict = confounded(verdict, error_before, error_after, freed(problem, effects), recording.known, settings)
-        verdict = misdeclared(verdict, problem, base, effects, settings.explained, first, found.final)
-    errors, rng = (error_before, error_after), np.random.default_rng(seed)
-    report, evidence = report_of(problem, found, after, *errors, powers, verdict, settings, rng)
-    add_ceiling(report["error"], flexible)
-    leading = None if verdict.named else found.leading or (found.final if found.added else None)
-    if leading is not None:
-        tried = cross_validate(problem, leading, view(problem, leading))
-        leading = leading if add_leading(report, problem, leading, found, tried) else None
-    evidence["residual_torque"] = residual_torque(problem, first.lin, base.parts)
-    evidence["audit"] = findings(checked)
-    if problem.recording.smoothing:
-        evidence["audit"].append({"severity": "info", "where": "", "message": told(problem.recording)})
-    return Diagnosis(problem, found, before, after, *errors, powers, verdict, first, report, evidence, leading)
-
-
 def add_follow_up(result: Diagnosis, seed: int, say: Progress, reward: Reward | None = None) -> None:
     """Put into the report what to do next: the next experiment, and what the mended model is worth to the task."""
     problem, found, named, report = result.problem, result.found, result.verdict.named, result.report
@@ -217,14 +113,6 @@ def regressors(result: Diagnosis) -> list[dict[str, Any]]:
         return []
     rows = evidence_of(result.problem, found.final, found.view, result.first, found.added)
     return [row.shown() for row in rows]
-
-
-def findings(checked: Audit) -> list[dict[str, str]]:
-    """The audit's findings as the page shows them."""
-    return [
-        {"severity": f.severity, "where": " ".join(x for x in (f.trial, f.where) if x), "message": f.message}
-        for f in checked.findings
-    ]
 
 
 def told_in_short(recording: Recording, checked: Audit) -> dict[str, list[str]]:

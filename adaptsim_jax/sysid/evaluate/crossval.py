@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import refit_more
 from adaptsim_jax.sysid.estimate.fit import Fit
@@ -46,6 +47,14 @@ class CrossValidation:
         index = rng.integers(0, len(names), (draws, len(names)))
         rms = np.sqrt(squared[index].sum(1) / np.maximum(count[index].sum(1), 1))
         return [float(x) for x in np.quantile(rms, [0.5 - level / 2, 0.5 + level / 2])]
+
+
+def confirms(with_effect: CrossValidation, without: CrossValidation, settings: Criteria) -> bool:
+    """Whether left-out trials are simulated better with an effect: on the whole, and at least half of them."""
+    squared = [h.squared.sum(1) for h in (with_effect, without)]
+    trials = np.unique(without.trial[without.fold >= 0])
+    better = [squared[0][without.trial == t].sum() < squared[1][without.trial == t].sum() for t in trials]
+    return bool(with_effect.rmse() < settings.least_gain * without.rmse() and 2 * sum(better) >= len(better))
 
 
 def cross_validate(problem: Problem, model: Fit, view: ScoreTable, *, most_folds: int = 6) -> CrossValidation:

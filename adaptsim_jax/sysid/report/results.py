@@ -39,6 +39,7 @@ def report_of(
         unexplained_torque=_torques(problem, found),
         power=[_power(p) for p in powers],
         noise={"message": problem.noise.message, "source": problem.noise.source},
+        decided_by=list(verdict.rules),
     )  # fmt: skip
     if verdict.named:
         reach_over_classes(report["declared"]["after"], problem, found)

@@ -14,7 +14,6 @@ import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.sysid.decide import Verdict
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import Candidate, compressed, linearised
 from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
@@ -145,30 +144,3 @@ def _likeliest(total, far: Callable[[float], bool] = lambda offset: False) -> fl
             return best
         centre = best
     return centre
-
-
-def misdeclared(
-    verdict: Verdict,
-    problem: Problem,
-    base: Fit,
-    effects: Sequence[Effect],
-    explained: float,
-    first: ScoreTable | None = None,
-    mended: Fit | None = None,
-) -> Verdict:
-    """`verdict`, unless another `l1` leaves no more than the share `explained` of the unexplained force, and the verdict is
-    `structured_unattributed` or names effects whose model, `mended`, is less likely than that. first: the view of the declared
-    model, which may spare the fits."""
-    if verdict.name != "structured_unattributed" and not verdict.named:
-        return verdict
-    found = remeasured(problem, base, effects, explained, first)
-    if found is None or found.left > explained or abs(found.l1 / problem.recording.geometry["l1"] - 1.0) >= FARTHEST:
-        return verdict
-    if verdict.named and (mended is None or found.model.total <= mended.total):
-        return verdict
-    beside = "which is likelier than any effect" if verdict.named else "and no effect does so"
-    message = (
-        f"The declared model explains the data if l1 is not {problem.recording.geometry['l1']:.4g} but {found.l1:.4g} m "
-        f"(that leaves {100 * found.left:.0f} % of the unexplained torque, {beside}): measure it again."
-    )
-    return Verdict("confounded_with_declared", message, False)

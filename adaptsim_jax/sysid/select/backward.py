@@ -12,7 +12,7 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, initial_states
-from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
+from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, confirms, cross_validate
 from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select.equivalence import class_of
 from adaptsim_jax.sysid.select.refine import lowest
@@ -40,14 +40,6 @@ def backward_eliminated(
         else:
             break
     return found, whole
-
-
-def confirms(with_effect: CrossValidation, without: CrossValidation, settings: Criteria) -> bool:
-    """Whether left-out trials are simulated better with an effect: on the whole, and at least half of them."""
-    squared = [h.squared.sum(1) for h in (with_effect, without)]
-    trials = np.unique(without.trial[without.fold >= 0])
-    better = [squared[0][without.trial == t].sum() < squared[1][without.trial == t].sum() for t in trials]
-    return bool(with_effect.rmse() < settings.least_gain * without.rmse() and 2 * sum(better) >= len(better))
 
 
 def _nearly(

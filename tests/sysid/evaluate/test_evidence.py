@@ -12,10 +12,11 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
 from adaptsim_jax.sysid.evaluate.evidence import _variable, evidence_of
 from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
+from adaptsim_jax.sysid.examine import examine
 from adaptsim_jax.sysid.io.model_file import read_model
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
-from adaptsim_jax.sysid.pipeline import examine, write_models
+from adaptsim_jax.sysid.pipeline import write_models
 from adaptsim_jax.sysid.quality.audit import audit
 from adaptsim_jax.sysid.report.results import add_leading
 from tests.generators import make_dataset, write_dataset
