@@ -52,7 +52,7 @@ class Declared:
 
 def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     """The package's own steps up to the declared model and its held-out error."""
-    from adaptsim_jax.sysid import Criteria, catalogue, read_recording
+    from adaptsim_jax.sysid import catalogue, read_recording
     from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
     from adaptsim_jax.sysid.evaluate.crossval import cross_validate
     from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -65,7 +65,7 @@ def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     effects = tuple(e for e in catalogue(recording.task) if e.name not in exclude)
     problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), effects)
     base, view = declared(problem, start)
-    problem, view = timed(problem, base, view, Criteria().alpha)
+    problem, view = timed(problem, base, view)
     return Declared(problem, base, view, cross_validate(problem, base, view))
 
 

@@ -56,3 +56,56 @@ class Criteria:
     least_trials: int = 5  # that all gain by chance once in 32 times
     least_confirmed: float = 0.6  # error after over before: with less of a gain than this a name would be a guess
     as_well: float = 1.1  # error with a known value freed over the mended model's: below this they explain alike
+
+    # what is left, beside the generic dictionary
+    line_p: float = 1e-8  # p-value below which a sharp tone in the unexplained force is a line
+    line_share: float = 0.01  # of the residual, from which a line is worth telling
+    line_stretches: int = 3  # of a recording: fewer tell a line from the shape of one motion badly
+    stretch_p: float = 1e-3  # p-value that one short stretch may bring to a hum that wanders: a single jolt is no hum
+    stretch_p_of_band: float = 1e-6  # the same of a resonance, which is looked for in few long stretches
+    resonance_height: float = 2.0  # over the octaves beside it: chance torques have broad spectra, not flat ones
+    joints_alike: float = (
+        1.5  # ratio of unexplained shares of the torque at two joints, below which they do not say which it is
+    )
+    answered: float = (
+        0.5  # of a command's variance that feedback makes: balancing has 0.7 to 0.93, tracking and open loop 0 to 0.35
+    )
+    matters: float = 0.03  # of the torque's RMS: an effect of this size changes what a controller does
+    flexible_groups: int = 4  # variables that the flexible model may use, picked one after the other
+    flexible_fall: float = 0.01  # of the held-out sum of squares, for one more
+
+    # what is no effect: clocks, filters, steps, starts
+    phase_price: float = 8.0  # fall of the whitened sum of squares that each further phase of a trial must earn
+    filter_p: float = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
+    filter_worth: float = 9.0  # gain of a correction to a smoothing that is worth another fit
+    filter_widest: float = 20.0  # steps squared: more than a moving average of 21 samples is no filter against noise
+    step_share: float = 1 / 3  # of the sensors' noise (RMS) that halving the steps may move a simulation by
+    suspicious: float = (
+        0.1  # of the RMS torque: more unexplained force, and the declared fit is made from another start too
+    )
+    next_to_none: float = 0.01  # of the RMS torque: with more force left, steps are made short once its effect is found
+
+    # of the search
+    hopeless: float = (
+        1000.0  # of log-likelihood behind a trial that explains nearly everything: no refit makes up for it
+    )
+    left_follows: float = 1e-8  # p-value of what a found effect leaves, below which the whole list is tried
+    idle: float = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit will
+    slight: float = 300.0  # of log-likelihood: an idle effect that gains less is no place to go on from
+    slack: float = 1.2  # times the force left before: what leaves more is no step forward
+    still_far: float = (
+        0.05  # of the torque: with more left than torques wander by, what was found one by one is not all
+    )
+    blatant: float = 0.01  # of the torque: with less force left over the short list will do
+    errors_alike: float = 1.05  # sums of squares within this are alike: then fewer parameters count
+    wider_gain: float = 1.0  # of log-likelihood, at first, of a wider effect: less would not come to pay
+    nothing_left: float = 1e-3  # of the torque: with less force left unexplained there is nothing to refine
+    round_gain: float = 1.0  # of log-likelihood, for another round of refining
+
+    # of a first link that was measured wrong
+    length_faint: float = (
+        0.15  # times the best candidate's gain: wrong lengths had 0.4 to 1.9 of it (once 0.02), effects up to 0.09
+    )
+    length_doubt: float = (
+        2.0  # times what may be left, foretold of the best length: beyond it no more lengths are tried
+    )

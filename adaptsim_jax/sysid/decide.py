@@ -1,11 +1,11 @@
 """From the evidence to what may be said: one of seven verdicts, with its reason in a sentence.
 
-`decide` is pure. The first rule that applies gives the verdict; the rules after it may only take a name back, or hold a declared
-value responsible in its place. Each has a name, and those that spoke stand in the report.
+`decide` is pure. What was found, or that nothing was, gives a verdict; objections may take a name back, or hold a declared value
+responsible in its place. Each has a name, and those that spoke stand in the report.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,20 +61,23 @@ class Evidence:
 
 
 def decide(evidence: Evidence, criteria: Criteria) -> Verdict:
-    """The verdict on the evidence at hand. Rules that want evidence which is not there are silent."""
-    verdict, spoke = None, []
-    for name, rule in RULES:
-        said = rule(evidence, verdict, criteria)
+    """The verdict on the evidence at hand. Objections that want evidence which is not there are silent."""
+    verdict, spoke = (
+        (_found(evidence, criteria), "found")
+        if evidence.found.added
+        else (_nothing(evidence, criteria), "nothing found")
+    )
+    rules = [spoke]
+    for name, objection in OBJECTIONS:
+        said = objection(evidence, verdict, criteria)
         if said is not None:
             verdict = said
-            spoke.append(name)
-    return Verdict(verdict.name, verdict.message, verdict.named, tuple(spoke))
+            rules.append(name)
+    return replace(verdict, rules=tuple(rules))
 
 
-def _nothing_found(e: Evidence, _: Verdict | None, criteria: Criteria) -> Verdict | None:
+def _nothing(e: Evidence, criteria: Criteria) -> Verdict:
     """No effect earned its place: structure, too large a force, or chance."""
-    if e.found.added:
-        return None
     well = e.flexible < criteria.well_predicted and e.beyond > criteria.beyond_floor
     if well or _structured(e.found, e.before, criteria, e.flexible):
         return Verdict("structured_unattributed", _unattributed(e.before), False)
@@ -85,10 +88,8 @@ def _nothing_found(e: Evidence, _: Verdict | None, criteria: Criteria) -> Verdic
     return Verdict("underpowered", _weak(e.beyond, criteria), False)
 
 
-def _found(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdict | None:
+def _found(e: Evidence, criteria: Criteria) -> Verdict:
     """Effects were found: they are named, with what cannot be told from them, if they explain enough."""
-    if verdict is not None:
-        return None
     left = force_ratio(e.found.final, e.found.base)
     if left > criteria.explained and e.after.p_value < criteria.alpha and e.after.share > criteria.left_share:
         return Verdict("structured_unattributed", _partly(e.found, e.after, left), False)
@@ -100,7 +101,7 @@ def _found(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdict 
     return Verdict("explained", f"The residual is explained by {names}.", True)
 
 
-def _not_confirmed(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdict | None:
+def _not_confirmed(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict | None:
     """The mended model simulates held-out trials no better: then no name is given.
 
     Beside a torque that wanders by chance, which no model takes away, a smaller fall of the error will do, if the likelihood rises in
@@ -121,7 +122,7 @@ def _not_confirmed(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> 
     return Verdict("structured_unattributed", message, False)
 
 
-def _stand_in(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdict | None:
+def _stand_in(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict | None:
     """Much error remains that is no chance: effects that stand in for one that the catalogue lacks (a lag for a delay, friction and
     drag for Stribeck's curve) explain most of it and leave the shape of what they miss. A wandering torque may leave as much error,
     but nothing that follows the motion in left-out trials."""
@@ -144,14 +145,15 @@ def _stand_in(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdi
     return Verdict("structured_unattributed", message, False)
 
 
-def _known_value(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdict | None:
+def _known_value(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict | None:
     """Freeing what is declared as known explains as much as the effects that are named, or what none explains."""
     if e.freed is None or not open_to_rivals(verdict):
         return None
+    mended = e.error_before if e.error_after is None else e.error_after
     pairs = [f"{n} is not {e.known[n]:.4g} but {v:.4g}" for n, v in e.freed.values.items()]
     other = " and ".join(pairs) or "what stands under [known] is wrong"
     if verdict.named:
-        if e.freed.error.rmse() > criteria.as_well * e.error_after.rmse():
+        if e.freed.error.rmse() > criteria.as_well * mended.rmse():
             return None
         cause = verdict.message.rstrip(".").replace("The residual is explained by ", "").split(";")[0]
         message = f"Either the model lacks {cause}, or {other}: these data cannot tell which."
@@ -164,10 +166,10 @@ def _known_value(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Ve
     return Verdict("confounded_with_declared", message, False)
 
 
-def _wrong_length(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> Verdict | None:
+def _wrong_length(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict | None:
     """Another `l1` explains what nothing else does, or is likelier than the effects that are named."""
     rival = e.remeasured
-    if rival is None or not open_to_rivals(verdict):
+    if rival is None or e.length is None or not open_to_rivals(verdict):
         return None
     if rival.left > criteria.explained or abs(rival.l1 / e.length - 1.0) >= FARTHEST:
         return None
@@ -181,10 +183,8 @@ def _wrong_length(e: Evidence, verdict: Verdict | None, criteria: Criteria) -> V
     return Verdict("confounded_with_declared", message, False)
 
 
-Rule = Callable[[Evidence, Verdict | None, Criteria], Verdict | None]
-RULES: tuple[tuple[str, Rule], ...] = (
-    ("nothing found", _nothing_found),
-    ("found", _found),
+Objection = Callable[[Evidence, Verdict, Criteria], Verdict | None]
+OBJECTIONS: tuple[tuple[str, Objection], ...] = (
     ("not confirmed by left-out trials", _not_confirmed),
     ("stands in for another", _stand_in),
     ("known value", _known_value),

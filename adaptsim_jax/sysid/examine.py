@@ -97,10 +97,10 @@ def searched(
     """The declared model and the search beside it. smoothed: by a filter of which `s` [s^2], 0 for none; looked for where None."""
     say(2, STAGES, "declared model")
     try:
-        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed)
+        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed, settings)
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
-    problem, first = phases_refined_early(*timed(problem, base, first, settings.alpha), base)
+    problem, first = phases_refined_early(*timed(problem, base, first), base)
     force = base.parts.force_std() / problem.torque_scale
     before = residual_diagnosis(problem, first, base.parts, force)
     say(3, STAGES, "candidates")
@@ -168,7 +168,7 @@ def judged(
     if open_to_rivals(decide(evidence, settings)):
         evidence = replace(evidence, freed=freed(problem, effects))
     if open_to_rivals(decide(evidence, settings)):
-        evidence = replace(evidence, remeasured=remeasured(problem, base, effects, settings.explained, first))
+        evidence = replace(evidence, remeasured=remeasured(problem, base, effects, first))
     return decide(evidence, settings), evidence
 
 

@@ -21,7 +21,7 @@ from adaptsim_jax.sysid.design.excitation import library
 from adaptsim_jax.sysid.estimate.fit import Fit
 from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, any_torque
-from adaptsim_jax.sysid.evaluate.power import COMMON, MATTERS, Power
+from adaptsim_jax.sysid.evaluate.power import COMMON, Power
 from adaptsim_jax.sysid.segments import Windows, cut_windows
 from adaptsim_jax.sysid.select.result import SearchResult
 
@@ -153,11 +153,11 @@ def _with(problem: Problem, ours: Rival, power: Power) -> Rival:
     layout, reach = problem.model.layout, problem.reach
     instance = layout.instances[layout.index(power.name, power.where)]
     j = instance.joint
-    few = MATTERS * problem.torque_rms[j]
+    few = problem.criteria.matters * problem.torque_rms[j]
     span = max(float(reach.q_high[j] - reach.q_low[j]), 1e-3)
     size = {
         "coulomb": few, "bias": few, "quadratic_drag": few / reach.speed[j] ** 2, "spring": few / (span / 3),
-        "torque_gain": MATTERS, "delay": 0.004,
+        "torque_gain": problem.criteria.matters, "delay": 0.004,
     }[power.name]  # fmt: skip
     eff = ours.eff.copy()
     eff[instance.at.start] = size

@@ -9,6 +9,7 @@ import numpy as np
 from adaptsim_jax.effects.base import Effect, Reach
 from adaptsim_jax.mechanisms.plant import Plant
 from adaptsim_jax.mechanisms.registry import make_plant
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.dictionary import gravity_torque, make_reach
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
@@ -47,6 +48,7 @@ class Problem:
     base: Active = ()  # effects that the declared model has already (it is a mended one)
     eff0: np.ndarray | None = None  # `[E]` where they start
     elaborated: Active = ()  # found effects whose late parameters are fitted too
+    criteria: Criteria = Criteria()  # noqa: RUF009
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -91,6 +93,7 @@ def prepare(
     duration: float = 0.5,
     rows_kept: int = 34,
     averaged: bool = False,
+    criteria: Criteria = Criteria(),  # noqa: B008
 ) -> Problem:
     """Cut windows, start the declared parameters, and say what the motion covers.
 
@@ -116,7 +119,7 @@ def prepare(
     model = make_model(plant, tuple(effects))
     merged = max(1, windows.measured.shape[1] // rows_kept)
     base, eff0 = ((), None) if given is None else (given.active, given.effect_vector(model.layout))
-    return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged, base, eff0)
+    return Problem(recording, audit, noise, plant, model, windows, reach, theta0, merged, base, eff0, (), criteria)
 
 
 def any_torque(recording: Recording) -> bool:
@@ -132,7 +135,13 @@ def _masked(trial: Trial, valid: np.ndarray | None) -> Trial:
 
 
 def prepare_within_reach(
-    recording: Recording, audit: Audit, noise: NoiseFloor, effects: Sequence[Effect], *, duration: float = 0.5
+    recording: Recording,
+    audit: Audit,
+    noise: NoiseFloor,
+    effects: Sequence[Effect],
+    *,
+    duration: float = 0.5,
+    criteria: Criteria = Criteria(),  # noqa: B008
 ) -> tuple[Problem, FitResult]:
     """`prepare` with windows short enough for a fit, and its first fit (`regressed_start`).
 
@@ -143,10 +152,10 @@ def prepare_within_reach(
     """
     least = 12.0 * max(t.dt for t in recording.trials)
     while True:
-        problem = prepare(recording, audit, noise, effects, duration=duration)
+        problem = prepare(recording, audit, noise, effects, duration=duration, criteria=criteria)
         start = regressed_start(problem)
         if beyond_reach(problem, start) and recording.model_file is None:
-            other = prepare(recording, audit, noise, effects, duration=duration, averaged=True)
+            other = prepare(recording, audit, noise, effects, duration=duration, averaged=True, criteria=criteria)
             calm = regressed_start(other)
             if distance(other, calm) < distance(problem, start):
                 problem, start = other, calm

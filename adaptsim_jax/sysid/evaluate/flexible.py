@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed, linearised, survey
 from adaptsim_jax.sysid.estimate.fit import Fit
@@ -25,8 +26,6 @@ from adaptsim_jax.sysid.estimate.variance import Linearised, VarianceComponents
 from adaptsim_jax.sysid.score.table import ScoreTable
 
 ROUNDS = 2  # of feeding the missing force: the second closes what the linearisation of the first left
-MOST_GROUPS = 4  # variables that the flexible model may use, picked one after the other
-LEAST_FALL = 0.01  # of the held-out sum of squares, for one more
 
 
 @dataclass(frozen=True)
@@ -57,18 +56,18 @@ def flexible_bound(problem: Problem, base: Fit, view: ScoreTable, fold: np.ndarr
         return None
     names = generic_names(problem.plant.joint_dim)
     prior = 1.0 / max(float(base.parts.force.sum()), 1e-12)  # no coefficient beyond what is unexplained in all
-    coarse, _, _ = _fitted(rows, base.parts, view, names, prior, fold)
+    coarse, _, _ = _fitted(rows, base.parts, view, names, prior, fold, problem.criteria)
     left = replace(rows.coarse, residual=np.where(rows.coarse.used, coarse, 0.0))
     # with less unexplained, each window tells more about the coefficients, as it does under a mended model
     parts = variance.estimate(left, view.response.kernels, start=base.parts)
-    _, fine, groups = _fitted(rows, parts, view, names, prior, fold)
+    _, fine, groups = _fitted(rows, parts, view, names, prior, fold, problem.criteria)
     return FlexibleBound(*_rmse(problem, fine, fold), groups)
 
 
-def _fitted(rows: _Rows, parts: VarianceComponents, view: ScoreTable, names, prior: float, fold: np.ndarray):
+def _fitted(rows: _Rows, parts: VarianceComponents, view: ScoreTable, names, prior: float, fold, criteria: Criteria):
     """Held-out residuals `[W, M]` of coarse and fine rows under a residual covariance, and the groups picked."""
     factor = variance.whitener(rows.coarse, parts, view.response.kernels)
-    groups = _pick(rows.coarse, factor, names, prior, fold)
+    groups = _pick(rows.coarse, factor, names, prior, fold, criteria)
     return *_left(rows, factor, _columns(names, groups), prior, fold), groups
 
 
@@ -149,7 +148,9 @@ def _solve(normal: np.ndarray, slope: np.ndarray, columns: list[int], declared: 
     return out
 
 
-def _pick(lin: Linearised, factor: np.ndarray, names, prior: float, fold: np.ndarray) -> tuple[tuple[str, str], ...]:
+def _pick(
+    lin: Linearised, factor: np.ndarray, names, prior: float, fold: np.ndarray, criteria: Criteria
+) -> tuple[tuple[str, str], ...]:
     """Groups of columns, one after the other, that lower the held-out sum of squares most."""
     normal, slope, squares = _normal(lin, factor)
     declared = lin.jac_theta.shape[2]
@@ -166,10 +167,10 @@ def _pick(lin: Linearised, factor: np.ndarray, names, prior: float, fold: np.nda
         return total
 
     groups, best = (), held_out(())
-    for _ in range(MOST_GROUPS):
+    for _ in range(criteria.flexible_groups):
         tried = {(*groups, g): held_out((*groups, g)) for g in dict.fromkeys(names) if g not in groups}
         new = min(tried, key=lambda g: tried[g])
-        if tried[new] > (1.0 - LEAST_FALL) * best:
+        if tried[new] > (1.0 - criteria.flexible_fall) * best:
             break
         groups, best = new, tried[new]
     return groups

@@ -9,22 +9,22 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
 
-MATTERS = 0.03  # of the torque's RMS: an effect of this size changes what a controller does
 COMMON = ("coulomb", "quadratic_drag", "bias", "spring", "torque_gain", "delay")
 
 
 @dataclass(frozen=True)
 class Power:
     """One instance: `smallest`, the effect torque as a share of the joint's torque RMS that would be found four times
-    in five; `enough` where that is at most `MATTERS`."""
+    in five; `enough` where that is at most `matters`."""
 
     name: str
     where: str
     smallest: float
+    matters: float
 
     @property
     def enough(self) -> bool:
-        return self.smallest <= MATTERS
+        return self.smallest <= self.matters
 
 
 def power(problem: Problem, view: ScoreTable, settings: Criteria) -> list[Power]:
@@ -43,7 +43,7 @@ def power(problem: Problem, view: ScoreTable, settings: Criteria) -> list[Power]
         information, size = (np.sum(z**2, (0, 1)) for z in (view.scorer.columns(column), view.lin.atoms[:, :, column]))
         joint = int(r.instance[1][-1]) - 1 if r.instance[1].startswith("joint") else 0
         share = need / np.sqrt(np.maximum(information, 1e-300)) * np.sqrt(size) * scale[joint]
-        out.append(Power(*r.instance, float(np.min(share))))
+        out.append(Power(*r.instance, float(np.min(share)), settings.matters))
     return out
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.generic_forces import generic_names
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.estimate.variance import VarianceComponents
@@ -11,7 +12,6 @@ from adaptsim_jax.sysid.evaluate.spectrum import Line, line
 from adaptsim_jax.sysid.nuisance.feedback import regulated
 from adaptsim_jax.sysid.score.table import ScoreTable
 
-ALIKE = 1.5  # ratio of unexplained shares of the torque at two joints, below which they do not say which it is
 SURE = 0.05  # p-value of a further place that is told
 FOLLOWED = {"past": "what it did just before", "other": "the other joint's motion"}  # groups whose names say too little
 
@@ -81,20 +81,22 @@ def residual_diagnosis(
         places.append((sharp.joint, sharp.words(), sharp.share, sharp.p_value, 0.0))
     joints = problem.plant.joints
     much = dict(zip(joints, force, strict=True))
-    if _alike(force):
+    if _alike(force, problem.criteria):
         whole = [view.scorer.score(picked(lambda n, joint=joint: n[0] == joint)) for joint in joints]
         much = {joint: min(s.gain, s.robust) for joint, s in zip(joints, whole, strict=True)}
     # of those at one joint the surest: a large gain that trials do not share says nothing
     places.sort(key=lambda p: (-much[p[0]], p[3], -p[4]))
-    doubt = _doubt(problem, places, _alike(force))
-    return ResidualDiagnosis(best, share, gain, tuple(p[:4] for p in places), sharp, regulated(problem.windows), doubt)
+    doubt = _doubt(problem, places, _alike(force, problem.criteria))
+    return ResidualDiagnosis(
+        best, share, gain, tuple(p[:4] for p in places), sharp, regulated(problem.windows, problem.criteria), doubt
+    )
 
 
-def _alike(force: np.ndarray) -> bool:
+def _alike(force: np.ndarray, criteria: Criteria) -> bool:
     """Whether about as much of the torque is unexplained at another joint as at that with most: a sensor that is off does that,
     and a force at one joint whose own parameters answer for it. Which joint's dictionary explains more then says more."""
     low, high = np.sort(force)[-2:] if len(force) > 1 else (0.0, 1.0)
-    return bool(high < ALIKE * low or high == 0.0)
+    return bool(high < criteria.joints_alike * low or high == 0.0)
 
 
 def _doubt(problem: Problem, places: list[tuple], alike: bool) -> tuple[str, str] | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
@@ -19,13 +20,7 @@ from adaptsim_jax.sysid.score.table import ScoreTable
 HIGHEST = 25.0  # Hz
 STRETCH, SHORT = 6.0, 2.0  # s of a trial in which a phase is kept
 BESIDE = 10  # frequencies to each side that a line is compared with, but for the next one
-LEAST_STRETCHES = 3  # fewer tell a line from the shape of one motion badly
-MOST_SURE = 1e-3  # p-value that one short stretch may bring: a single jolt is no hum
-SURE_OF_BAND = 1e-6  # the same of a resonance, which is looked for in few long stretches
-NO_CHANCE = 1e-8  # p-value below which it is a line
-LEAST_SHARE = 0.01
 NARROW, AROUND = 0.1, 0.3  # of its frequency: half the width of a resonance, and where what it is compared with begins
-LEAST_HEIGHT = 2.0  # of a resonance over the octaves beside it: chance torques have broad spectra, not flat ones
 
 
 @dataclass(frozen=True)
@@ -53,15 +48,20 @@ def line(problem: Problem, view: ScoreTable, parts: variance.VarianceComponents)
     """The sharpest line about a model with residual covariance `parts`, where it is no chance; None where there is none, or
     where the recording is too short to say. Of a hum that wanders and a resonance, whichever accounts for more."""
     frequency, gain = _gains(view, parts, STRETCH)
-    long = len(frequency) > 2 * BESIDE and len(gain) >= LEAST_STRETCHES
-    if long and (steady := _sure([_steady(problem, view, frequency, gain)])) is not None:
+    long = len(frequency) > 2 * BESIDE and len(gain) >= problem.criteria.line_stretches
+    if long and (steady := _sure([_steady(problem, view, frequency, gain)], problem.criteria)) is not None:
         return steady
-    return _sure([_wandering(problem, view, parts), _resonance(problem, view, frequency, gain) if long else None])
+    return _sure(
+        [_wandering(problem, view, parts), _resonance(problem, view, frequency, gain) if long else None],
+        problem.criteria,
+    )
 
 
-def _sure(found: list[Line | None]) -> Line | None:
+def _sure(found: list[Line | None], criteria: Criteria) -> Line | None:
     """The one that accounts for most of those that are no chance."""
-    sure = [one for one in found if one is not None and one.p_value < NO_CHANCE and one.share > LEAST_SHARE]
+    sure = [
+        one for one in found if one is not None and one.p_value < criteria.line_p and one.share > criteria.line_share
+    ]
     return max(sure, key=lambda one: one.share, default=None)
 
 
@@ -87,10 +87,10 @@ def _resonance(problem: Problem, view: ScoreTable, frequency: np.ndarray, gain: 
             continue
         level = np.maximum(np.median(gain[..., beside].mean(0), axis=1) / 2.0, 1.0)  # a chi-square of two degrees
         lower, freedom = np.sort(gain[..., band], axis=2)[..., :-1].sum(2) / level, 2 * (band.sum() - 1)
-        p = np.clip(chi2.sf(lower, freedom), SURE_OF_BAND, 1.0)
+        p = np.clip(chi2.sf(lower, freedom), problem.criteria.stretch_p_of_band, 1.0)
         joined = np.minimum(chi2.sf(-2.0 * np.log(p).sum(0), 2 * len(gain)) * gain[0].size, 1.0)
         share = (gain[..., band].sum((0, 2)) - 2.0 * level * len(gain) * band.sum()) / view.scorer.sum_squares
-        for j in np.flatnonzero(lower.mean(0) > LEAST_HEIGHT * freedom):
+        for j in np.flatnonzero(lower.mean(0) > problem.criteria.resonance_height * freedom):
             found.append(Line(problem.plant.joints[j], float(centre), float(share[j]), float(joined[j]), broad=True))
     return min(found, key=lambda one: (one.p_value, -one.share), default=None)
 
@@ -98,14 +98,14 @@ def _resonance(problem: Problem, view: ScoreTable, frequency: np.ndarray, gain: 
 def _wandering(problem: Problem, view: ScoreTable, parts: variance.VarianceComponents) -> Line | None:
     """At another frequency in each short stretch; each brings the p-value of its highest (Fisher's sum), but no more than is sure."""
     frequency, gain = _gains(view, parts, SHORT)
-    if len(frequency) <= 2 * BESIDE or len(gain) < 2 * LEAST_STRETCHES:
+    if len(frequency) <= 2 * BESIDE or len(gain) < 2 * problem.criteria.line_stretches:
         return None
     beside = np.maximum(_beside(gain.mean(0)) / 2.0, 1.0)  # [n, F]; the mean of a chi-square of two degrees is two
     top = gain / beside
     at = top.argmax(2)  # [S, n]
     highest = np.take_along_axis(top, at[..., None], 2)[..., 0]
     p = -np.expm1(len(frequency) * np.log1p(-chi2.sf(highest, 2)))
-    joined = chi2.sf(-2.0 * np.log(np.clip(p, MOST_SURE, 1.0)).sum(0), 2 * len(gain)) * len(p[0])
+    joined = chi2.sf(-2.0 * np.log(np.clip(p, problem.criteria.stretch_p, 1.0)).sum(0), 2 * len(gain)) * len(p[0])
     excess = np.take_along_axis(gain - 2.0 * beside, at[..., None], 2)[..., 0].sum(0)
     joint = int(np.argmin(joined - 1e-12 * excess / np.abs(excess).max()))
     low, high = np.quantile(frequency[at[:, joint]], [0.1, 0.9])

@@ -7,15 +7,14 @@ model, the old trouble of identification in closed loop (Gustavsson, Ljung & Sod
 
 import numpy as np
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.segments import Windows
 
-ANSWERED = 0.5  # of a command's variance: balancing controllers answer 0.7 to 0.93, tracking and open loop 0 to 0.35
 
-
-def regulated(windows: Windows) -> bool:
+def regulated(windows: Windows, criteria: Criteria) -> bool:
     """Whether a linear feedback of angles and speeds, one for all trials, makes most of every joint's command."""
     share = feedback_share(windows)
-    return bool(len(share)) and bool(np.all(share > ANSWERED))
+    return bool(len(share)) and bool(np.all(share > criteria.answered))
 
 
 def feedback_share(windows: Windows) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import surveyed
 from adaptsim_jax.sysid.estimate.fit import Fit, Response, ended, fitted_from, respond
@@ -28,19 +29,22 @@ from adaptsim_jax.sysid.quality.audit import Audit
 from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.types import Atom, Recording
 
-SUSPICIOUS = 0.1  # of the RMS torque: more unexplained force than this, and the declared fit is made from another start
-NEXT_TO_NONE = 0.01  # of the RMS torque: with more force left than this, steps are made short once its effect is found
-
 
 def fit_declared(
-    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect], *, duration: float = 0.5
+    recording: Recording,
+    checked: Audit,
+    noise: NoiseFloor,
+    effects: Sequence[Effect],
+    *,
+    duration: float = 0.5,
+    criteria: Criteria = Criteria(),  # noqa: B008
 ) -> tuple[Problem, Fit, ScoreTable]:
     """A recording made ready, in windows of `duration` s or shorter ones, and its declared model fitted: a mended one in steps short
     enough for its effects, and so one that leaves next to no force, as what is left may be the steps' (a link at 50 rad/s, seen to
     50 microradians). Raises Diverged where that runs away from every start."""
-    problem, start = prepare_within_reach(recording, checked, noise, effects, duration=duration)
+    problem, start = prepare_within_reach(recording, checked, noise, effects, duration=duration, criteria=criteria)
     base, first = declared(problem, start)
-    if not problem.base and np.any(base.parts.force_std() > NEXT_TO_NONE * problem.torque_scale):
+    if not problem.base and np.any(base.parts.force_std() > criteria.next_to_none * problem.torque_scale):
         return problem, base, first
     problem, fine = stepped(problem, base, first.response)
     return problem, fine, first if fine is base else view(problem, fine)
@@ -62,7 +66,7 @@ def declared_base(problem: Problem, start: FitResult) -> Fit:
     fits: list[Fit] = []
     result = start
     for second in (False, True):
-        if fits and not np.any(fits[0].parts.force_std() > SUSPICIOUS * problem.torque_scale):
+        if fits and not np.any(fits[0].parts.force_std() > problem.criteria.suspicious * problem.torque_scale):
             break
         with suppress(Diverged, np.linalg.LinAlgError):
             result = declared_fit(problem) if second else _free(problem, start)
@@ -108,15 +112,15 @@ def _free(problem: Problem, start: FitResult) -> FitResult:
     return at_point(problem, problem.base, start.theta, start.eff, start.x0)
 
 
-def timed(problem: Problem, base: Fit, first: ScoreTable, alpha: float) -> tuple[Problem, ScoreTable]:
+def timed(problem: Problem, base: Fit, first: ScoreTable) -> tuple[Problem, ScoreTable]:
     """The problem with the trials' clocks set to a periodic force that runs through them, where there is one, and all
     candidates scored again; in long trials after a search between the frequencies of the grid."""
-    tone = frequency_of(problem.windows, first.scorer, _clocked(problem, first), alpha)
+    tone = frequency_of(problem.windows, first.scorer, _clocked(problem, first), problem.criteria.alpha)
     if tone is not None:
         problem = replace(problem, reach=replace(problem.reach, tone=tone))
         first = view(problem, base)
     atoms = _clocked(problem, first)
-    found = None if np.any(problem.windows.clock) else clocks(problem.windows, first.scorer, atoms, alpha)
+    found = None if np.any(problem.windows.clock) else clocks(problem.windows, first.scorer, atoms, problem.criteria)
     if found is None:
         return problem, first
     problem = replace(problem, windows=replace(problem.windows, clock=found))

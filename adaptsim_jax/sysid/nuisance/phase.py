@@ -8,11 +8,10 @@ frequency trial by trial, and then held as a shift of that trial's clock.
 import numpy as np
 from scipy.stats import chi2
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.segments import Windows
 from adaptsim_jax.sysid.types import Atom
-
-PRICE = 8.0  # fall of the whitened sum of squares that each further phase must earn
 
 
 def by_trial(scorer: Scorer, atom: Atom) -> tuple[float, dict[int, np.ndarray]]:
@@ -29,7 +28,7 @@ def by_trial(scorer: Scorer, atom: Atom) -> tuple[float, dict[int, np.ndarray]]:
     return gain, amplitude
 
 
-def clocks(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) -> np.ndarray | None:
+def clocks(windows: Windows, scorer: Scorer, atoms: list[Atom], criteria: Criteria) -> np.ndarray | None:
     """Clock shifts `[N]` s that make one periodic force (atoms: sine and cosine at each frequency and joint) coherent
     over the trials; None where one phase for all does as well, or nothing is there.
 
@@ -43,7 +42,7 @@ def clocks(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) ->
     gain, amplitude = tried[best]
     common = max(scorer.gain(a.columns)[0] for a in atoms)
     chance = min(1.0, float(chi2.sf(gain, 2 * len(trials))) * len(atoms))
-    if chance > alpha or gain - common < PRICE * (len(trials) - 1) + 12.0:
+    if chance > criteria.alpha or gain - common < criteria.phase_price * (len(trials) - 1) + 12.0:
         return None
     speed = 2.0 * np.pi * atoms[best].shape["frequency"]
     clock = np.zeros_like(windows.clock)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed
 from adaptsim_jax.sysid.estimate.fit import Fit
@@ -25,33 +26,35 @@ from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.types import Recording, Trial
 
-SURE = 1e-6  # p-value of a smoothing: one is rare, and taking one off that is not there costs little
-WORTH = 9.0  # gain of a correction to a smoothing that is worth another fit
 ROUNDS = 4  # of putting back what a filter took; more would only raise noise
-WIDEST = 20.0  # steps squared: more than a moving average of 21 samples is no filter against noise
 
 
 def fit_unfiltered(
-    recording: Recording, checked: Audit, noise: NoiseFloor, effects: Sequence[Effect], known: float | None = None
+    recording: Recording,
+    checked: Audit,
+    noise: NoiseFloor,
+    effects: Sequence[Effect],
+    known: float | None = None,
+    criteria: Criteria = Criteria(),  # noqa: B008
 ) -> tuple[Problem, Fit, ScoreTable]:
     """`fit_declared`, of a recording whose angles a filter has smoothed without what it did to them. known: how far they are
     smoothed, `s` [s^2], 0 for not at all; looked for where None."""
     if known:
         recording = unsmoothed(recording, known)
         noise = noise_floor(recording, checked)
-    found = fit_declared(recording, checked, noise, effects)
+    found = fit_declared(recording, checked, noise, effects, criteria=criteria)
     if known is not None:
         return found
     s = smoothing_of(*found)
     if s is None:
         return found
     sharp = unsmoothed(recording, s)
-    found = fit_declared(sharp, checked, noise_floor(sharp, checked), effects)
+    found = fit_declared(sharp, checked, noise_floor(sharp, checked), effects, criteria=criteria)
     more, gain = _extent(found[2], _whitened(*found))
-    if gain < WORTH or not 0.0 < s + more < 2.0 * s:
+    if gain < criteria.filter_worth or not 0.0 < s + more < 2.0 * s:
         return found
     sharp = unsmoothed(recording, s + more)
-    return fit_declared(sharp, checked, noise_floor(sharp, checked), effects)
+    return fit_declared(sharp, checked, noise_floor(sharp, checked), effects, criteria=criteria)
 
 
 def smoothing_of(problem: Problem, base: Fit, first: ScoreTable) -> float | None:
@@ -60,7 +63,7 @@ def smoothing_of(problem: Problem, base: Fit, first: ScoreTable) -> float | None
     white = _whitened(problem, base, first)
     gain, _ = Scorer(white, first.scorer.fold).gain([0])
     s, _ = _extent(first, white)
-    if not 0.0 < s < WIDEST * step**2 or float(chi2.sf(gain, 1)) > SURE:
+    if not 0.0 < s < problem.criteria.filter_widest * step**2 or float(chi2.sf(gain, 1)) > problem.criteria.filter_p:
         return None
     return s if gain > max((r.score.gain for r in first.ranked(base.active)), default=0.0) else None
 
@@ -72,7 +75,7 @@ def revised(problem: Problem, model: Fit, seen: ScoreTable) -> float | None:
     if not taken:
         return smoothing_of(problem, model, seen)
     more, gain = _extent(seen, _whitened(problem, model, seen))
-    return 0.0 if gain > WORTH and more < -0.5 * taken else None
+    return 0.0 if gain > problem.criteria.filter_worth and more < -0.5 * taken else None
 
 
 def _extent(first: ScoreTable, white: Whitened) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.estimate.fit import Fit, Response, fitted
 from adaptsim_jax.sysid.estimate.problem import DIVERGED, Diverged, Problem, at_point
 
-SHARE = 1 / 3  # of the sensors' noise (RMS) that halving the steps may move a simulation by
 SHORTEST = 0.95e-3  # s: shorter steps would cost more than they tell
 
 
@@ -48,14 +47,14 @@ def all_again(problem: Problem, models: Sequence[Fit], response: Response) -> li
 
 
 def in_short_steps(problem: Problem, model: Fit) -> Problem:
-    """The problem with its steps halved until that moves the model's simulation by no more than `SHARE` of the noise."""
+    """The problem with its steps halved until that moves the model's simulation by no more than `criteria.step_share` of the noise."""
     windows = problem.windows
     step = float(np.median(windows.dt[windows.dt > 0])) / int(windows.substeps)
     here = _simulated(problem, model)
     while here is not None and step / 2 >= SHORTEST:
         finer = replace(problem, windows=replace(problem.windows, substeps=2 * problem.windows.substeps))
         there = _simulated(finer, model)
-        if there is None or np.sqrt(np.mean(np.square(there - here))) <= SHARE:
+        if there is None or np.sqrt(np.mean(np.square(there - here))) <= problem.criteria.step_share:
             break
         problem, here, step = finer, there, step / 2
     return problem

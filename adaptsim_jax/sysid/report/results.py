@@ -11,7 +11,7 @@ from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Problem, any_torque
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
 from adaptsim_jax.sysid.evaluate.flexible import FlexibleBound
-from adaptsim_jax.sysid.evaluate.power import MATTERS, Power
+from adaptsim_jax.sysid.evaluate.power import Power
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.sysid.report.union_intervals import reach_over_classes
@@ -247,7 +247,9 @@ def _not_established(problem: Problem, found: SearchResult, verdict: Verdict, po
         lines.append(f"{', '.join(absorbed)}: the declared parameters would absorb it.")
     weak = [f"{p.name} at {p.where}" for p in powers if not p.enough and p.smallest < 1e6]
     if weak:
-        lines.append(f"Effects of {100 * MATTERS:.0f} % of the torque would have gone unseen: {', '.join(weak[:6])}.")
+        lines.append(
+            f"Effects of {100 * problem.criteria.matters:.0f} % of the torque would have gone unseen: {', '.join(weak[:6])}."
+        )
     if verdict.named:
         lines.append("Whether the named effect is the cause or only acts like it within this motion.")
     return lines

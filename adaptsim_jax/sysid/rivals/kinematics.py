@@ -28,8 +28,6 @@ FINE = 0.001  # the same close to it
 FARTHEST = 0.15  # of the length: beyond this nobody measured it
 ROUNDS = 4
 SMALL = 1e-3  # of the length: the change by which its effect on the outputs is told
-FAINT = 0.15  # times the best candidate's gain: wrong lengths had 0.4 to 1.9 of it (once 0.02), effects up to 0.09
-DOUBT = 2.0  # times what may be left: more than this foretold of the best length, and no more lengths are tried
 
 
 class Remeasured(NamedTuple):
@@ -41,13 +39,13 @@ class Remeasured(NamedTuple):
 
 
 def remeasured(
-    problem: Problem, base: Fit, effects: Sequence[Effect], explained: float = 1.0, first: ScoreTable | None = None
+    problem: Problem, base: Fit, effects: Sequence[Effect], first: ScoreTable | None = None
 ) -> Remeasured | None:
     """The likeliest `l1`, by parabolas through the likelihoods of declared fits and through their unexplained force; None where no
-    fit is to be had, where the first two show that none will leave as little as the share `explained` of that force, where already
+    fit is to be had, where the first two show that none will leave as little of that force as counts as explained, where already
     the linear score about the declared model (`first`) says so, for a model whose geometry its parameters absorb, or for a mended
     model, which is of one geometry."""
-    recording = problem.recording
+    recording, criteria = problem.recording, problem.criteria
     if recording.model != "rigid_body" or "l1" not in recording.geometry or recording.model_file is not None:
         return None
     if first is not None and _faint(problem, base, first):
@@ -67,9 +65,11 @@ def remeasured(
 
     try:
         seen = forces(0.0, STEP)
-        if _foretold(seen) > DOUBT * explained:
+        if _foretold(seen) > criteria.length_doubt * criteria.explained:
             return None
-        offset = _likeliest(total, lambda offset: force_ratio(fits[offset], base) > DOUBT * explained)
+        offset = _likeliest(
+            total, lambda offset: force_ratio(fits[offset], base) > criteria.length_doubt * criteria.explained
+        )
     except Diverged:
         return None
     near = STEP * _vertex(seen)
@@ -82,7 +82,7 @@ def remeasured(
 def _with_length(problem: Problem, effects: Sequence[Effect], l1: float) -> Fit:
     """The declared model fitted with another `l1` [m], in the same steps."""
     changed = problem.recording.replace(geometry=problem.recording.geometry | {"l1": l1})
-    other, start = prepare_within_reach(changed, problem.audit, problem.noise, effects)
+    other, start = prepare_within_reach(changed, problem.audit, problem.noise, effects, criteria=problem.criteria)
     other = replace(other, windows=replace(other.windows, substeps=problem.windows.substeps))
     return declared_base(other, start)
 
@@ -95,7 +95,7 @@ def _faint(problem: Problem, base: Fit, first: ScoreTable) -> bool:
     factor = variance.whitener(first.lin, base.parts, first.response.kernels)
     white = variance.whiten(replace(first.lin, atoms=column[..., None]), factor)
     gain, _ = Scorer(white, folds(white.trial, white.rows)).gain([0])
-    return gain < FAINT * ranked[0].score.gain
+    return gain < problem.criteria.length_faint * ranked[0].score.gain
 
 
 def _outputs_by_length(problem: Problem, model: Candidate) -> np.ndarray:

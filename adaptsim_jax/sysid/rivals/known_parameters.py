@@ -27,7 +27,9 @@ def freed(problem: Problem, effects: Sequence[Effect]) -> Freed | None:
     if not known:
         return None
     try:
-        free, base, first = fit_declared(problem.recording.replace(known={}), problem.audit, problem.noise, effects)
+        free, base, first = fit_declared(
+            problem.recording.replace(known={}), problem.audit, problem.noise, effects, criteria=problem.criteria
+        )
     except Diverged:
         return None
     fitted = {n: p.value for n, p in free.plant.physical(base.candidate.theta).items() if p.value is not None}

@@ -13,7 +13,6 @@ from adaptsim_jax.sysid.score.table import Ranked, ScoreTable
 from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.start import started
 
-HOPELESS = 1000.0  # of log-likelihood behind a trial that explains nearly everything: no refit makes up for it
 Progress = Callable[[str], None]
 
 
@@ -76,5 +75,5 @@ def settled_few(
 def hopeless(found: SearchResult, trials: list[Fit], settings: Criteria) -> Callable[[Fit], bool]:
     """Whether a model is hopelessly behind one of the trials that explains nearly everything."""
     fair = [t for t in trials if plausible(t, found.base) and force_ratio(t, found.base) < settings.clear]
-    bar = max((t.total for t in fair), default=-np.inf) - HOPELESS
+    bar = max((t.total for t in fair), default=-np.inf) - settings.hopeless
     return lambda model: model.total < bar

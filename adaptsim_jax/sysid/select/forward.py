@@ -24,13 +24,6 @@ from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.shortlist import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.sysid.select.swap import beside, swap_back
 
-FOLLOWS = 1e-8  # p-value of what a found effect leaves: below this it follows the motion, and the whole list is tried
-IDLE = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit will
-SLIGHT = 300.0  # of log-likelihood: an idle effect that gains less is no place to go on from
-SLACK = 1.2  # times the force left before: what leaves more is no step forward
-STILL_FAR = 0.05  # of the torque: with more force left than torques wander by, what was found one by one is not all
-BLATANT = 0.01  # of the torque: with less force left over the short list will do
-
 
 def search(
     problem: Problem, base: Fit, first: ScoreTable, settings: Criteria, say: Progress = lambda _: None
@@ -80,12 +73,12 @@ def _astray(model: Fit, base: Fit, settings: Criteria) -> bool:
     than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
     if len(model.active) - len(base.active) > 1:
         return force_ratio(model, base) > settings.promising
-    return _idle(model, base)
+    return _idle(model, base, settings)
 
 
-def _idle(model: Fit, base: Fit) -> bool:
+def _idle(model: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether a model leaves all of the force and is hardly likelier than none."""
-    return force_ratio(model, base) > IDLE and model.total - base.total < SLIGHT
+    return force_ratio(model, base) > criteria.idle and model.total - base.total < criteria.slight
 
 
 def _worse(problem: Problem, model: Fit, before: Fit, base: Fit) -> bool:
@@ -93,12 +86,14 @@ def _worse(problem: Problem, model: Fit, before: Fit, base: Fit) -> bool:
     Likelihoods would not show it, being under the response of a model that may be far off: a search that goes on from there
     wanders, and may come round."""
     left = lambda m: np.linalg.norm(m.parts.force_std() / problem.torque_scale)
-    return bool(before is not base and _still_far(problem, model) and left(model) > SLACK * left(before))
+    return bool(
+        before is not base and _still_far(problem, model) and left(model) > problem.criteria.slack * left(before)
+    )
 
 
 def _still_far(problem: Problem, model: Fit) -> bool:
     """Whether a model that explains enough beside a declared one that went astray leaves forces that are too large for chance."""
-    return bool(np.any(model.parts.force_std() > STILL_FAR * problem.torque_scale))
+    return bool(np.any(model.parts.force_std() > problem.criteria.still_far * problem.torque_scale))
 
 
 def _next(
@@ -133,8 +128,8 @@ def _best(problem: Problem, found: SearchResult, trials: list[Fit], settings: Cr
 
 def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
     """Whether what is left moves a joint and follows the motion in all trials."""
-    moves = np.any(model.parts.force_std() > BLATANT * problem.torque_scale)
-    return bool(moves) and generic_p_value(seen) < FOLLOWS
+    moves = np.any(model.parts.force_std() > problem.criteria.blatant * problem.torque_scale)
+    return bool(moves) and generic_p_value(seen) < problem.criteria.left_follows
 
 
 def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, settings: Criteria, say):
@@ -153,7 +148,7 @@ def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTabl
         more = with_look_alikes(problem, base, likeliest, trials, seen)
         trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
     order = sorted(trials, key=lambda t: -t.merit(settings.price))
-    front = [t for t in order if plausible(t, base) and not _idle(t, base)][: settings.pairs]
+    front = [t for t in order if plausible(t, base) and not _idle(t, base, settings)][: settings.pairs]
     trials = parallel_map(lambda t: settled_plainly(problem, t, seen), front)
     trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
     found.tried += trials

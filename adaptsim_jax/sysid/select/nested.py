@@ -16,7 +16,6 @@ from adaptsim_jax.sysid.estimate.fit import Fit, Instance, Response, fitted, pla
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 
 INTO = 0.1  # of its range that a parameter starts from its end, where its default is that end and has no slope
-LEAST_GAIN = 1.0  # in log-likelihood, at first: less would not come to pay
 
 
 def elaborated(
@@ -53,7 +52,7 @@ def _with_late(problem: Problem, model: Fit, effect: Instance, response: Respons
         new = fitted(problem, c.active, c.theta, eff, c.refit.point.x0, model.parts, response, rounds=1)
     except Diverged:
         return None
-    return settled(problem, new, response) if new.total - model.total > LEAST_GAIN else None
+    return settled(problem, new, response) if new.total - model.total > problem.criteria.wider_gain else None
 
 
 def _start(p: Parameter) -> float:

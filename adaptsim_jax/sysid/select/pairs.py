@@ -23,7 +23,6 @@ MOST = 4  # plain refits, one from where the other ended
 FIRSTS = 2  # effects that fit best alone
 SECONDS = 3  # beside each of them: the right one was among the first two, in tuning and spent sets
 NEAR = 0.2  # of a declared parameter: a start that far away is another one
-SAME = 1.05  # sums of squares within this are alike: then fewer parameters count
 
 Alone = tuple[Active, FitResult]
 
@@ -52,7 +51,7 @@ def refit_beside_first(problem: Problem, base: Fit, seen: ScoreTable) -> list[Fi
 def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
     """In the order of their errors; of those that leave hardly more than the least, fewer parameters first."""
     error = {active: float(fit.cost.sum()) for active, fit in alone}
-    alike = SAME * min(error.values(), default=0.0)
+    alike = problem.criteria.errors_alike * min(error.values(), default=0.0)
     size = lambda active, fit: len(fit.names) + problem.phases(active) if error[active] <= alike else 0
     return sorted(alone, key=lambda one: (error[one[0]] > alike, size(*one), error[one[0]]))
 

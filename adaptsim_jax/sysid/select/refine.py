@@ -18,14 +18,12 @@ from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select.result import SearchResult
 
 ROUNDS = 4  # each from where the last ended
-LEAST = 1e-3  # of the torque: with less force left unexplained there is nothing to gain
-GAIN = 1.0  # of log-likelihood, for another round
 NUDGES = (0.96, 1.04)  # of what switches: a fit may rest where no event of the data changes sides
 
 
 def refined(problem: Problem, found: SearchResult, first: ScoreTable) -> SearchResult:
     """`found` with its final model at the bottom; unchanged where it was there, or nothing is left to gain."""
-    if not found.added or np.all(found.final.parts.force_std() < LEAST * problem.torque_scale):
+    if not found.added or np.all(found.final.parts.force_std() < problem.criteria.nothing_left * problem.torque_scale):
         return found
     model = lowest(problem, found.final, found.base, found.view or first)
     if model is found.final:
@@ -43,7 +41,7 @@ def lowest(problem: Problem, model: Fit, base: Fit, seen: ScoreTable) -> Fit:
         starts = [(c.eff, None), *((eff, c.refit.point.x0) for eff in (c.eff, *_nudged(problem, model)))]
         tried = parallel_map(partial(_again, problem, model, seen), starts)
         best = max((t for t in tried if t is not None and plausible(t, base)), key=lambda t: t.total, default=model)
-        if best.total - model.total < GAIN:
+        if best.total - model.total < problem.criteria.round_gain:
             break
         model = best
     return model

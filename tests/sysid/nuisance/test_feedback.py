@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.nuisance.feedback import feedback_share, regulated
 
 GAIN = np.array([[3.0, 1.0, 0.4, 0.2], [1.0, 2.0, 0.1, 0.3]])  # N m per rad, and per rad/s
@@ -27,7 +28,7 @@ def windows(noise: float, seed: int = 0, rows: int = 300):
 
 @pytest.mark.parametrize(("noise", "answers"), [(0.0, True), (0.5, True), (3.0, False)])
 def test_a_feedback_is_told_from_commands_of_their_own(noise, answers):
-    assert regulated(windows(noise)) is answers
+    assert regulated(windows(noise), Criteria()) is answers
 
 
 def test_the_share_is_that_of_the_feedback_and_padding_does_not_count():
@@ -42,10 +43,10 @@ def test_the_share_is_that_of_the_feedback_and_padding_does_not_count():
 def test_without_commands_nothing_is_answered():
     data = windows(0.0)
     data.torque[:] = 0.0
-    assert feedback_share(data).shape == (0,) and not regulated(data)
+    assert feedback_share(data).shape == (0,) and not regulated(data, Criteria())
 
 
 def test_joints_that_are_not_driven_do_not_count():
     data = windows(0.0)
     data.torque[..., 1] = 0.0
-    assert feedback_share(data).shape == (1,) and regulated(data)
+    assert feedback_share(data).shape == (1,) and regulated(data, Criteria())

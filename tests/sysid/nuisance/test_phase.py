@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import clock_of
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.nuisance.phase import clocks
@@ -34,7 +35,7 @@ def _scene(phase: np.ndarray, size: float, seed: int):
 def test_each_trial_gets_the_clock_that_makes_the_force_coherent():
     phase = np.array([0.3, 2.0, -1.2, 3.0])
     windows, scorer, names = _scene(phase, 1.0, seed=0)
-    clock = clocks(windows, scorer, names, alpha=0.01)  # pyright: ignore[reportArgumentType]
+    clock = clocks(windows, scorer, names, criteria=Criteria())  # pyright: ignore[reportArgumentType]
     assert clock is not None
     gap = np.angle(np.exp(1j * (SPEED * clock - phase)))
     assert np.abs(gap).max() < 0.3
@@ -43,7 +44,7 @@ def test_each_trial_gets_the_clock_that_makes_the_force_coherent():
 
 @pytest.mark.parametrize(("phase", "size"), [(np.full(4, 0.7), 1.0), (np.array([0.3, 2.0, -1.2, 3.0]), 0.0)])
 def test_one_phase_for_all_or_nothing_there_leaves_the_clocks_alone(phase, size):
-    found = [clocks(*_scene(phase, size, seed), alpha=0.01) for seed in range(20)]  # pyright: ignore[reportArgumentType]
+    found = [clocks(*_scene(phase, size, seed), criteria=Criteria()) for seed in range(20)]  # pyright: ignore[reportArgumentType]
     assert found.count(None) == len(found)
 
 

@@ -80,7 +80,7 @@ def test_a_first_link_measured_wrong_is_said_to_be(tmp_path):
     folder = written(tmp_path, make_trials(seed=5, count=3, seconds=2.0, noise=0.1), l1=1.02 * GEOMETRY["l1"])
     problem, start = prepared(folder)
     base, first = declared(problem, start)
-    found = remeasured(problem, base, EFFECTS, 0.35, first)
+    found = remeasured(problem, base, EFFECTS, first)
     assert found.l1 == pytest.approx(GEOMETRY["l1"], rel=1e-3)
     assert found.left < 0.35 and found.model.total > base.total
 
@@ -91,8 +91,8 @@ def test_a_hidden_force_is_not_taken_for_a_wrong_length(tmp_path):
     problem, start = prepared(written(tmp_path, trials))
     base, first = declared(problem, start)
     assert _faint(problem, base, first)
-    assert remeasured(problem, base, EFFECTS, 0.35, first) is None
-    again = remeasured(problem, base, EFFECTS, 0.35)  # the fits say the same
+    assert remeasured(problem, base, EFFECTS, first) is None
+    again = remeasured(problem, base, EFFECTS)  # the fits say the same
     assert again is None or again.left > 0.35
 
 

@@ -9,7 +9,7 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.select.earning import choose, earns, needed
 
 SETTINGS = Criteria()
-PROBLEM = SimpleNamespace(torque_scale=np.array([1.0, 1.0]))
+PROBLEM = SimpleNamespace(criteria=Criteria(), torque_scale=np.array([1.0, 1.0]))
 COULOMB, STRIBECK, BIAS = ("coulomb", "joint1"), ("stribeck", "joint1"), ("bias", "joint1")
 
 

@@ -70,7 +70,7 @@ def test_a_look_alike_of_itself_is_meant_at_another_joint():
     effects = {"gain": ("inertia", "gain"), "inertia": ("gain",)}
     instances = [SimpleNamespace(effect=SimpleNamespace(look_alikes=effects[n])) for n, _ in names]
     layout = SimpleNamespace(instances=instances, index=lambda *place: names.index(place))
-    problem = SimpleNamespace(model=SimpleNamespace(layout=layout))
+    problem = SimpleNamespace(criteria=Criteria(), model=SimpleNamespace(layout=layout))
     ranked = [SimpleNamespace(instance=n, score=SimpleNamespace(retained=1.0)) for n in names]
     alike = lambda best: [r.instance for r in look_alikes(problem, best, ranked, [])]
     assert alike(("gain", "joint1")) == [("gain", "joint2"), ("inertia", "joint1")]
@@ -178,7 +178,7 @@ def test_where_nothing_may_be_named_the_likeliest_set_leads(monkeypatch, pair, n
 
 
 def test_what_torques_wander_by_is_not_far():
-    problem = SimpleNamespace(torque_scale=np.array([10.0, 1.0]))
+    problem = SimpleNamespace(criteria=Criteria(), torque_scale=np.array([10.0, 1.0]))
     left = lambda *force: SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array(force)))
     assert not forward._still_far(problem, left(0.4, 0.04)) and forward._still_far(problem, left(0.0, 0.06))
 
@@ -211,7 +211,7 @@ def test_what_leaves_all_of_the_force_and_gains_little_is_not_gone_on_from(effec
 )
 def test_a_look_back_that_leaves_more_than_there_was_ends_the_search(before, after, worse):
     """Of a play and a spring, sets of the play and five other effects followed each other for ten minutes."""
-    problem = SimpleNamespace(torque_scale=np.ones(2))
+    problem = SimpleNamespace(criteria=Criteria(), torque_scale=np.ones(2))
     left = lambda force: SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array(force)))
     base = left((2.0, 2.0))
     assert forward._worse(problem, left(after), left(before) if before else base, base) is worse

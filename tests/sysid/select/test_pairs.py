@@ -8,6 +8,7 @@ import pytest
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import Ranked
@@ -41,7 +42,13 @@ class Seen:
 def layout():
     instances = [SimpleNamespace(effect=SimpleNamespace(look_alikes=ALIKE[n])) for n, _ in PLACES]
     model = SimpleNamespace(layout=SimpleNamespace(instances=instances, index=lambda *p: PLACES.index(p)))
-    return SimpleNamespace(model=model, phases=lambda active: 0, windows=SimpleNamespace(start=None), theta0=np.ones(2))
+    return SimpleNamespace(
+        criteria=Criteria(),
+        model=model,
+        phases=lambda active: 0,
+        windows=SimpleNamespace(start=None),
+        theta0=np.ones(2),
+    )
 
 
 def fake_fits(monkeypatch, errors=None, doubted=()):
@@ -146,7 +153,9 @@ def test_a_stop_has_stiff_starts_of_its_own_at_the_side_where_it_is():
     effects = Layout(catalogue("pendulum"), ("joint1", "joint2"))
     two = np.ones(2)
     reach = Reach(10.0 * two, 20.0 * two, two, -1.0 * two, 2.0 * two, 6.0, 0.005, two)
-    problem = SimpleNamespace(model=SimpleNamespace(layout=effects), reach=reach, bounds=effects.bounds(reach))
+    problem = SimpleNamespace(
+        criteria=Criteria(), model=SimpleNamespace(layout=effects), reach=reach, bounds=effects.bounds(reach)
+    )
     at = effects.instances[effects.index("hard_stop", "joint2")].at
     eff = effects.off()
     eff[at.start + 2] = -1.0  # a lower one

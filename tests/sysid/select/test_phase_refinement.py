@@ -40,7 +40,7 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
         c = base.candidate
         return set_to, fitted(set_to, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
 
-    problem, seen = timed(problem, base, first, 0.01)
+    problem, seen = timed(problem, base, first)
     early, _ = phases_refined_early(problem, seen, base)
     clock = problem.windows.clock
     assert np.ptp(clock) > 0.0

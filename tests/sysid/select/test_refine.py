@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.select import refine
 
 
@@ -27,6 +28,6 @@ def test_fits_start_from_the_states_in_the_data_and_from_those_found(monkeypatch
     monkeypatch.setattr(refine, "settled", lambda problem, model, response: model)
     monkeypatch.setattr(refine, "fitted_plainly", fit)
     monkeypatch.setattr(refine, "plausible", lambda model, base: True)
-    problem = SimpleNamespace(model=SimpleNamespace(layout=None), base=())
+    problem = SimpleNamespace(criteria=Criteria(), model=SimpleNamespace(layout=None), base=())
     assert refine.lowest(problem, model(0.0, "found"), None, SimpleNamespace(response=None)).total == 100.0
     assert calls.count(None) == calls.count("found") == 2

@@ -21,7 +21,7 @@ from adaptsim_jax.sysid.select.shortlist import anything
 )
 def test_what_is_worth_refits(monkeypatch, force, candidate, generic, expected):
     monkeypatch.setattr(shortlist, "generic_p_value", lambda view: generic)
-    problem = SimpleNamespace(torque_scale=np.array([2.0, 2.0]))
+    problem = SimpleNamespace(criteria=Criteria(), torque_scale=np.array([2.0, 2.0]))
     current = SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array([0.0, 2.0 * force])))
     ranked = [SimpleNamespace(corrected=lambda count: candidate)]
     assert anything(problem, current, ranked, None, Criteria()) is expected
