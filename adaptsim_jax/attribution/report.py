@@ -208,7 +208,9 @@ def _held_out(problem: Problem, found: Selection) -> list[Mapping[str, Any]]:
             continue
         entry: dict[str, Any] = {
             "trial": name,
-            "units": {n: "rad" if k == "hinge" else "m" for n, k in zip(problem.joint_names, problem.kinds, strict=True)},
+            "units": {
+                n: "rad" if k == "hinge" else "m" for n, k in zip(problem.joint_names, problem.kinds, strict=True)
+            },
             "time": np.concatenate([np.append(s.time[:, w], s.time[-1, w]) for w in lanes]),
         }
         flat = lambda z, lanes=lanes: np.concatenate([np.append(z[:, w], np.nan) for w in lanes])

@@ -30,8 +30,9 @@ from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import timed
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, told
 from adaptsim_jax.sysid.quality.audit import Audit, audit, usable
-from adaptsim_jax.sysid.quality.pendulum_design import check_conventions
+from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
 from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.sysid.report.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.sysid.report.schema import check, new_report
@@ -115,6 +116,7 @@ def diagnose(
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Criteria(), seed, say)
     result.report.update(told_in_short(recording, checked))
+    add_trials(result.report, result.evidence, pendulum_trials(recording), CHANNELS)
     result.evidence["audit"] += [{"severity": "info", "where": "", "message": note} for note in recording.notes]
     if follow_up:
         add_follow_up(result, seed, say, reward)
