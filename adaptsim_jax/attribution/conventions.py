@@ -1,6 +1,7 @@
 """Conventions of a mechanism's log told from data, by `sysid.quality.contradictions`: the torque by unit of each body's inertia."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import numpy as np
@@ -12,22 +13,31 @@ from adaptsim_jax.mechanisms.tree import Tree
 from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, Words, contradiction, late_finding, lateness
 from adaptsim_jax.sysid.quality.hypotheses import MOST, Design, Hypothesis, Motion, Track
 from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.trial_words import Channels
+from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres"}
 ALIKE = 0.99
 
 
+def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
+    """Tracks with torques at the joints, and the design of the declared tree; None where a regression of torque cannot judge them."""
+    if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
+        return None
+    if machine.log.input_kind == "command" and np.any(machine.actuator[2:4]):
+        return None  # a servo's force is of the angles themselves
+    tracks = [Track(t.time, t.q, t.v, _force(machine, t.q, t.v, t.u)) for t in machine.tracks]
+    return tracks, _design(machine.tree, _program(machine.tree.n))
+
+
 def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with what to write instead."""
     tree, log = machine.tree, machine.log
-    if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
+    found = of_machine(machine)
+    if found is None:
         return ()
-    tracks = [Track(t.time, t.q, t.v, _force(machine, t.q, t.v, t.u)) for t in machine.tracks]
+    tracks, declared = found
     program = _program(tree.n)
-    declared = _design(tree, program)
-    commanded = log.input_kind == "command"
-    if commanded and np.any(machine.actuator[2:4]):
-        return ()  # a servo's force is of the angles themselves
     more = []
     for factor, unit in FACTORS.items():
         says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion (was it written in {unit}?)"
@@ -39,6 +49,18 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     return () if late is None else late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
 
 
+def mechanism_trials(machine: Machine) -> Differ | None:
+    """See `trials_differ.trials_differ`; of a machine whose input is a torque by now (`diagnose.scaled`)."""
+    found = of_machine(machine)
+    return None if found is None else trials_differ([t.name for t in machine.tracks], *found)
+
+
+def channels(machine: Machine) -> Channels:
+    """How the columns of a machine's log are called."""
+    words = _words(machine.tree, machine.log.input_kind)
+    return Channels(words.q, words.tau, words.hinges)
+
+
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
     """`[T, n]` at the joints, by the declared law of the actuators."""
     gain, bias, angle, speed, low, high = machine.actuator
@@ -46,8 +68,9 @@ def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray)
     return machine.gear * np.clip(inner, low, high)
 
 
+@cache
 def _program(n: int):
-    """Compiled once for all hypotheses: rows are filled up to one count."""
+    """Compiled once for all hypotheses of `n` joints: rows are filled up to one count."""
     by_body = lambda tree, q, v, a, g: regressor(tree, q, v, a, g)
     return jax.jit(by_body)
 

@@ -10,7 +10,7 @@ from typing import Any
 import adaptsim_jax
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.conventions import check_conventions
+from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.load import load
@@ -23,6 +23,7 @@ from adaptsim_jax.attribution.select import Selection, select
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
+from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.schema import check
 
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
@@ -61,6 +62,7 @@ def diagnose(
     folder = None if out is None else output_folder(out)
     report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
     report["warnings"] = [f.message for f in warned]
+    add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
         "audit"
     ]

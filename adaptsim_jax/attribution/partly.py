@@ -20,6 +20,8 @@ from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane, mo
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES
 from adaptsim_jax.sysid.io.model_file import write_model
+from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, pendulum_trials
+from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.schema import check
 from adaptsim_jax.sysid.types import Recording
 
@@ -52,6 +54,10 @@ def partly_explained(
         report["notes"] += [
             "The strict search named nothing: no effect explains all but the noise. Each one here holds out by itself."
         ]
+        of_trials = (strict.get("trials") or {}).get("warnings") or []
+        report["warnings"] = [w for w in strict.get("warnings") or [] if w not in of_trials]
+        evidence["audit"] += [{"severity": "warn", "where": "", "message": w} for w in report["warnings"]]
+        add_trials(report, evidence, pendulum_trials(recording), CHANNELS)
         run = dict(strict["run"])
         report["run"] = evidence["run"] = run | {"seconds": round(run["seconds"] + time.monotonic() - began, 1)}
         told = {k: report[k] for k in ("verdict", "message")} | {"data": recording.path} | report["run"]

@@ -124,10 +124,9 @@ def run_pushing(args: argparse.Namespace) -> int:
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import recorded_pushes
 
-        pushed = recorded_pushes(data)
+        pushed = recorded_pushes(data, args.as_declared, split_names(args.without))
     else:
-        pushed = read(data)  # refused before anything is written
-    pushed = pushed.without(split_names(args.without))
+        pushed = read(data, args.as_declared, split_names(args.without))  # refused before anything is written
     from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
     from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
 

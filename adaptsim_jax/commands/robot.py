@@ -35,6 +35,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("what", nargs="?", metavar="RUN|FILE", help="new: a trained run; record: a CSV or npz")
     parser.add_argument("--dir", required=True, metavar="DIR", help="where the state is kept between calls")
     parser.add_argument("--failed", action="store_true", help="record: the robot could not finish; no FILE")
+    parser.add_argument(
+        "--as-declared",
+        action="store_true",
+        help="record: take frame and units as declared, though the tracks contradict them",
+    )
     parser.add_argument("--run", dest="moved", metavar="RUN", help="where the session's run is now, if it was moved")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout; what is for people on stderr")
     parser.add_argument("--starts", type=positive, default=2, metavar="N", help="new: initial distributions (2)")
@@ -72,7 +77,7 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
         if args.moved:
             raise BadInput("--run: of a session that is there; 'robot new RUN' takes the run as it is")
         return new(args)
-    session = sessions.open_session(Path(args.dir), args.moved)
+    session = sessions.open_session(Path(args.dir), args.moved)._replace(as_declared=args.as_declared)
     with one_writer(output_folder(args.dir)):
         if step == "next":
             return ask(args, session)

@@ -65,14 +65,22 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
 
 def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the pushes that were asked for."""
+    import numpy as np
+
     from adaptsim_jax.sysid.io.table import read_table
     from adaptsim_jax.tasks.pushing import measured
+    from adaptsim_jax.tasks.pushing.frame import check_frame
+    from adaptsim_jax.tasks.pushing.model import START
     from adaptsim_jax.tasks.pushing.task import make_expectation
 
     table = read_table(path, measured.COLUMNS, least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
-    config = _config(session)
-    found = measured.measured_trajectory(table.columns, at, str(path), _pushes(session, state), config)
+    config, pushes = _config(session), _pushes(session, state)
+    found = measured.measured_trajectory(table.columns, at, str(path), pushes, config)
+    if not session.as_declared:
+        ends = np.asarray(found.points[:, -1], float)
+        if slight := check_frame(pushes.actions[:, 1], ends - np.array(START), str(path)):
+            print(f"warning: {slight}, where the robot does not turn its pushes itself")
     return make_expectation(config)(found, state.policy)
 
 
@@ -103,13 +111,6 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         apart = 100 * np.linalg.norm(end - goal)
         print(
             f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its goal: reward {float(reward):.3f}"
-        )
-    from adaptsim_jax.tasks.pushing.measured import looks_mirrored
-
-    if looks_mirrored(_pushes(session, before), ends):
-        print(
-            "warning: the bottles came out on the other side of the line than they were pushed to: is the camera's y mirrored? If so "
-            f"turn the sign of y, take this record back (adaptsim robot undo --dir {session.folder}), and record it again"
         )
     pushes = int(after.told) * _config(session).trajectories
     if pushes >= ENOUGH:

@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
 
 
-def recorded_pushes(folder: Path) -> Pushed:
-    """All pushes told to the session in `folder`, from the files that `robot record` was given. Raises BadInput where a file is
-    gone or another by now, or the session is of another task."""
+def recorded_pushes(folder: Path, as_declared: bool = False, without: Sequence[str] = ()) -> Pushed:
+    """All pushes told to the session in `folder` but those of `without`, from the files that `robot record` was given.
+
+    Raises BadInput where a file is gone or another by now, or the session is of another task.
+    """
     from adaptsim_jax.commands.robot_session import located
     from adaptsim_jax.core import store
     from adaptsim_jax.core.errors import BadInput
@@ -40,4 +44,4 @@ def recorded_pushes(folder: Path) -> Pushed:
     with tempfile.TemporaryDirectory() as scratch:
         actions = Path(scratch) / "actions.csv"
         actions.write_text("\n".join([*rows, ""]))
-        return assemble(actions, files, meta, folder)
+        return assemble(actions, files, meta, folder, as_declared, without)

@@ -24,6 +24,7 @@ class Session(NamedTuple):
     loop: Any
     options: dict[str, Any]
     part: Any
+    as_declared: bool = False  # what the record contradicts is taken all the same
 
 
 def open_session(folder: Path, moved: str | None = None) -> Session:

@@ -147,6 +147,23 @@ def _size(size: float | None, unit: str | None) -> str:
     return "more than all of the torque" if size > 1.0 else f"{100 * size:.2g} % of the torque"
 
 
+def trial_rows(report: Mapping) -> list[dict[str, Any]]:
+    """Trials with their own errors, where some of them differ: the odd ones first, then by error."""
+    told = report.get("trials") or {}
+    if not told.get("headline"):
+        return []
+    unit = report["error"]["unit"]
+    rows = sorted(told["each"], key=lambda row: (not row["odd"], -(row["error"] or row["unexplained_torque"] or 0.0)))
+    sizes = lambda size: ", ".join(f"{name} {value:+.2g}" for name, value in (size or {}).items()) or fmt.DASH
+    return [
+        {
+            "trial": row["trial"], "odd": row["odd"], "error": fmt.quantity(row["error"], unit, like=report["error"]["before"]),
+            "torque": fmt.percent(row["unexplained_torque"]), "size": sizes(row["size"]),
+        }
+        for row in rows
+    ]  # fmt: skip
+
+
 def audit_rows(evidence: Mapping) -> list[dict[str, str]]:
     """Findings, faults first."""
     order = {"fault": 0, "error": 0, "warning": 1}

@@ -110,7 +110,12 @@ def effect_names(report: Mapping) -> str:
 
 
 def headline(report: Mapping) -> str:
-    """The verdict in a sentence."""
+    """The verdict in a sentence, and in another that trials differ, where they do."""
+    differ = (report.get("trials") or {}).get("headline")
+    return f"{_verdict(report)} But {differ}." if differ else _verdict(report)
+
+
+def _verdict(report: Mapping) -> str:
     verdict, names, rest = report["verdict"], effect_names(report), _rest(report["error"])
     if verdict == "explained":
         return f"The declared model lacks {names}{rest}."

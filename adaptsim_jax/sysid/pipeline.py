@@ -20,8 +20,9 @@ from adaptsim_jax.sysid.io.model_file import write_model
 from adaptsim_jax.sysid.io.recording import read_recording, without_trials
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.quality.audit import Audit, audit, usable
-from adaptsim_jax.sysid.quality.pendulum_design import check_conventions
+from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
 from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.sysid.select.result import SearchResult
@@ -76,6 +77,7 @@ def diagnose(
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Criteria(), seed, say)
     result.report.update(told_in_short(recording, checked))
+    add_trials(result.report, result.evidence, pendulum_trials(recording), CHANNELS)
     result.evidence["audit"] += [{"severity": "info", "where": "", "message": note} for note in recording.notes]
     if follow_up:
         add_follow_up(result, seed, say, reward)

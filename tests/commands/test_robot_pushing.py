@@ -60,11 +60,16 @@ def pushed(folder, out):
 
 
 def straight(folder, out, length=0.2):
-    """Tracks of bottles that slide `length` m straight ahead, whatever was asked."""
+    """Tracks of bottles that slide `length` m along their pushes, whatever speed was asked."""
     time = np.arange(0, 1.34, 1 / 30)
     with open(folder / "actions.csv", newline="") as file:
-        numbers = [row["trial"] for row in csv.DictReader(file)]
-    rows = [f"{n},{t:.4f},{0.56 + length * np.clip(t - 0.25, 0, 1):.5f},0.0" for n in numbers for t in time]
+        asked = [(row["trial"], float(row["angle"])) for row in csv.DictReader(file)]
+    far = length * np.clip(time - 0.25, 0, 1)
+    rows = [
+        f"{n},{t:.4f},{0.56 + s * np.cos(a):.5f},{s * np.sin(a):.5f}"
+        for n, a in asked
+        for t, s in zip(time, far, strict=True)
+    ]
     out.write_text("\n".join(["trial,time,x,y", *rows, ""]))
     return out
 

@@ -14,6 +14,8 @@ from scipy.optimize import nnls
 
 BLOCK = 0.03
 """s over which readings are averaged."""
+SHARP = 0.01
+"""s of a sharp block, which is no shorter than a row."""
 MOST = 1200
 """Blocks that are looked at, evenly drawn."""
 LEAST = 60
@@ -59,7 +61,7 @@ class Hypothesis:
 
 def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
     """Block means of all trials, with the torque of `shift` s later taken to act."""
-    parts = [_blocks(t, shift) for t in tracks]
+    parts = [blocks(t, shift) for t in tracks]
     joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
     keep = (
         np.unique(np.linspace(0, len(joined[0]) - 1, min(MOST, len(joined[0]))).astype(int)) if len(joined[0]) else []
@@ -67,17 +69,21 @@ def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
     return Motion(*(x[keep] for x in joined))
 
 
-def _blocks(track: Track, shift: float) -> tuple[np.ndarray, ...]:
+def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.ndarray, ...]:
+    """Block means `q, v, a, tau [K, n]` of one trial, none beside a gap in time, and their numbers `[K]`.
+
+    sharp: short blocks, with accelerations from the speeds at their ends: exact where motion is fast, and as rough as the sensors.
+    """
     time = track.time
     step = float(np.median(np.diff(time)))
-    size = max(BLOCK, 3.0 * step)
+    size = max(SHARP, step) if sharp else max(BLOCK, 3.0 * step)
     edges = np.arange(time[0] + 0.05, time[-1] - 0.05, size)
     n = track.q.shape[1]
     if len(edges) < 8:
-        return (np.zeros((0, n)),) * 4
+        return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
     q = _means(time, track.q, edges)
     v = np.gradient(q, size, axis=0) if track.v is None else _means(time, track.v, edges)
-    a = np.gradient(v, size, axis=0)
+    a = _between(track, q, edges) if sharp else np.gradient(v, size, axis=0)
     held = np.concatenate([np.zeros((1, n)), np.cumsum(np.diff(time)[:, None] * track.tau[:-1], axis=0)])
     tau = np.stack([np.diff(np.interp(edges + shift, time, held[:, j])) / size for j in range(n)], 1)
     # a hole within or beside a block says nothing of it
@@ -86,7 +92,18 @@ def _blocks(track: Track, shift: float) -> tuple[np.ndarray, ...]:
     for g in gap:
         whole &= (edges[1:] + 2 * size < time[g]) | (edges[:-1] - 2 * size > time[g + 1])
     whole[[0, -1]] = False
-    return q[whole], v[whole], a[whole], tau[whole]
+    return q[whole], v[whole], a[whole], tau[whole], np.flatnonzero(whole)
+
+
+def _between(track: Track, q: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Mean accelerations `[K, n]` of blocks from the speeds at their ends, which are differences of `q` where none were logged."""
+    size = float(edges[1] - edges[0])
+    if track.v is not None:
+        ends = np.stack([np.interp(edges, track.time, v) for v in track.v.T], 1)
+    else:
+        inner = np.diff(q, axis=0) / size
+        ends = np.concatenate([inner[:1], inner, inner[-1:]])  # blocks at the ends of a trial are left out
+    return np.diff(ends, axis=0) / size
 
 
 def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -104,16 +121,22 @@ def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.stack(out, 1)
 
 
-def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
-    """Share of the torque's square that the best parameters leave, the joints weighed alike."""
+def rubbing(motion: Motion) -> np.ndarray:
+    """`[K, n, 4 n]`: torque of each joint's damping, its dry friction, and a constant of either sign."""
     k, n = motion.q.shape
-    columns = design(motion, gravity)
     loud = np.maximum(0.02 * np.max(np.abs(motion.v), axis=0), 1e-9)
     joints = np.zeros((k, n, 4 * n))
     for j in range(n):
         joints[:, j, 4 * j] = motion.v[:, j]
         joints[:, j, 4 * j + 1] = np.tanh(motion.v[:, j] / loud[j])
         joints[:, j, 4 * j + 2], joints[:, j, 4 * j + 3] = 1.0, -1.0
+    return joints
+
+
+def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
+    """Share of the torque's square that the best parameters leave, the joints weighed alike."""
+    k, n = motion.q.shape
+    columns, joints = design(motion, gravity), rubbing(motion)
     weight = 1.0 / np.maximum(np.std(motion.tau, axis=0), 1e-12)
     a = (np.concatenate([columns, joints], 2) * weight[None, :, None]).reshape(k * n, -1)
     b = (motion.tau * weight).reshape(-1)

@@ -15,6 +15,8 @@ from adaptsim_jax.sysid.quality.contradictions import (
 )
 from adaptsim_jax.sysid.quality.hypotheses import Design, Hypothesis, Motion, Track
 from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.trial_words import Channels
+from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
 from adaptsim_jax.sysid.types import Recording
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
@@ -24,6 +26,8 @@ WORDS = Words(
     lambda j: f"turn the signs of columns q{j + 1}, v{j + 1} and tau{j + 1}",
     lambda j, parent: "write q2 - q1 into column q2, and so v2 - v1 into v2",
 )  # fmt: skip
+
+CHANNELS = Channels(WORDS.q, WORDS.tau, WORDS.hinges)
 
 
 def design(l1: float, gravity: float, down: float) -> Design:
@@ -87,6 +91,12 @@ def pendulum_lateness(recording: Recording) -> Late | None:
     """See `contradictions.lateness`."""
     found = of_recording(recording)
     return None if found is None else lateness(*found)
+
+
+def pendulum_trials(recording: Recording) -> Differ | None:
+    """See `trials_differ.trials_differ`."""
+    found = of_recording(recording)
+    return None if found is None else trials_differ([t.name for t in recording.trials], *found)
 
 
 def check_conventions(recording: Recording) -> tuple[Finding, ...]:

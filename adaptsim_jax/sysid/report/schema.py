@@ -9,6 +9,7 @@ them; all but the last two are checked:
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
     warnings, notes       [sentence]                                        of the audit and the reader; the terminal shows them too
+    trials                {differ, leave_out, headline, each: [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words`
     task_reward           {before, after, oracle}                           in [0, 1]
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise

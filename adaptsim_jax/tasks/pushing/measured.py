@@ -31,7 +31,6 @@ ASIDE = 0.03  # m between where the bottle stood and where the task wants it
 FAR = 3.0  # m; nothing is pushed so far, so it is another unit
 STILL = 0.005  # m; every push within the bounds moves the bottle farther
 FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the bottle
-MIRROR_SEEN = 0.01  # m beside the line straight ahead from which on a mirrored camera shows
 _SIMULATOR = (
     "simulator", "pretrain", "refine", "coefficients", "friction", "duration", "mu", "e", "mu_p", "y_p",
 )  # fmt: skip  # options of it
@@ -146,14 +145,6 @@ def measured_trajectory(
         _check_track(columns["time"][i], track(i), told, config)
         places.append(_resampled(columns["time"][i], track(i), config))
     return pushing.measured(jnp.asarray(pushes.goals), jnp.asarray(np.stack(places), jnp.float32))
-
-
-def looks_mirrored(pushes: Pushes, ends: np.ndarray) -> bool:
-    """Whether the bottles' ends `[N, 2]` m fit the angles of their pushes far better with y turned about."""
-    way = np.asarray(ends, float) - np.array(model.START)
-    aside = way[:, 0] * np.tan(np.asarray(pushes.actions, float)[:, 1])
-    straight, mirrored = (float(np.sum((sign * way[:, 1] - aside) ** 2)) for sign in (1.0, -1.0))
-    return bool(np.max(np.abs(aside)) > MIRROR_SEEN and mirrored < 0.1 * straight)
 
 
 def _resampled(time: np.ndarray, track: np.ndarray, config: PushingConfig) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Recordings of pushes: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is refused with its row."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.table import read_table
 from adaptsim_jax.tasks.camera_record import check_increasing, check_unit
 from adaptsim_jax.tasks.pushing import model
+from adaptsim_jax.tasks.pushing.frame import check_frame
 from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients, check_options
@@ -44,19 +45,10 @@ class Pushed:
     coefficients: PlanarCoefficients
     notes: tuple[str, ...] = ()
 
-    def without(self, names: Sequence[str]) -> "Pushed":
-        """Without these pushes. Raises BadInput where one is not there, or too few are left."""
-        if unknown := sorted(set(names) - set(self.names)):
-            raise BadInput(f"no push is named {unknown[0]!r}; --without takes of {', '.join(self.names)}")
-        keep = [k for k, name in enumerate(self.names) if name not in set(names)]
-        if len(keep) < LEAST_TRIALS:
-            raise BadInput(f"--without leaves {len(keep)} pushes; a diagnosis needs {LEAST_TRIALS}")
-        rows = {k: getattr(self, k)[keep] for k in ("actions", "starts", "aside", "time", "xy", "mask")}
-        return replace(self, names=tuple(self.names[k] for k in keep), **rows)
 
-
-def read(folder: str | Path) -> Pushed:
-    """The pushes of a folder. Raises BadInput."""
+def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Pushed:
+    """The pushes of a folder. as_declared: whatever their directions say of the frame; without: pushes whose tracks are not looked
+    at. Raises BadInput."""
     folder = Path(folder)
     meta = config.read(folder / "meta.toml")
     for key in meta:
@@ -65,11 +57,18 @@ def read(folder: str | Path) -> Pushed:
     tracks = sorted(p for p in folder.glob("*.csv") if p.name not in ("actions.csv", "next_experiment.csv"))
     if not tracks:
         raise BadInput(f"{folder}: holds no tracks; add a CSV with columns trial, time, x, y (s and m)")
-    return assemble(folder / "actions.csv", tracks, meta, folder / "meta.toml")
+    return assemble(folder / "actions.csv", tracks, meta, folder / "meta.toml", as_declared, without)
 
 
-def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Path) -> Pushed:
-    """Pushes of an actions file and tracks' files."""
+def assemble(
+    actions: Path,
+    tracks: list[Path],
+    meta: dict[str, Any],
+    where: Path,
+    as_declared: bool = False,
+    without: Sequence[str] = (),
+) -> Pushed:
+    """Pushes of an actions file and tracks' files; see `read`."""
     table = read_table(actions, ("trial", "speed", "angle", "start_x", "start_y"), least=1)
     for name in ("trial", "speed", "angle"):
         if name not in table.columns:
@@ -84,9 +83,11 @@ def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Pat
     numbers = c["trial"]
     if len(np.unique(numbers)) < len(numbers):
         raise BadInput(f"{actions}: a trial is listed twice; number the pushes one by one")
+    if unknown := sorted(set(without) - {f"{n:g}" for n in numbers}):
+        raise BadInput(f"no push is named {unknown[0]!r}; --without takes of {', '.join(f'{n:g}' for n in numbers)}")
     found = {}
     for path in tracks:
-        _read_tracks(path, numbers, actions, found)
+        _read_tracks(path, numbers, actions, found, without)
     missing = [n for n in numbers if n not in found]
     names = [n for n in numbers if n in found]
     if len(names) < LEAST_TRIALS:
@@ -108,7 +109,10 @@ def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Pat
         )
     acts = np.stack([c["speed"], c["angle"]], 1)[at]
     aside = _aside(names, found, starts)
-    _check_frame(acts, starts, aside, xy, mask, where)
+    _check_start(starts, aside, where)
+    ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
+    if not as_declared:
+        check_frame(acts[:, 1], ends, str(where))  # a slight turn is an effect of the catalogue
     noise, source = _noise(meta, time, xy, mask)
     notes = [f"trial {n:g} has no track and is left out" for n in missing]
     quantum = _quantum(xy[mask > 0])
@@ -132,7 +136,7 @@ def assemble(actions: Path, tracks: list[Path], meta: dict[str, Any], where: Pat
     )
 
 
-def _read_tracks(path: Path, numbers: np.ndarray, actions: Path, found: dict) -> None:
+def _read_tracks(path: Path, numbers: np.ndarray, actions: Path, found: dict, without: Sequence[str]) -> None:
     table = read_table(path, ("trial", "time", "x", "y"), least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     for name in ("trial", "time", "x", "y"):
@@ -143,6 +147,8 @@ def _read_tracks(path: Path, numbers: np.ndarray, actions: Path, found: dict) ->
         raise BadInput(f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its push there")
     check_unit(c, at, FAR, "push")
     for n in np.unique(c["trial"]):
+        if f"{n:g}" in without:
+            continue
         i = np.flatnonzero(c["trial"] == n)
         told = lambda k, i=i, n=n: f"{at(int(i[k]))}: trial {n:g}"
         if n in found:
@@ -164,7 +170,8 @@ def _read_tracks(path: Path, numbers: np.ndarray, actions: Path, found: dict) ->
             )
         if np.linalg.norm(p - p[0], axis=1).max() < 2 * STILL:
             raise BadInput(
-                f"{told(-1)}: the bottle never moved: the hit never came, or the track ends before; leave it out or push again"
+                f"{told(-1)}: the bottle never moved: the hit never came, or the track ends before; leave it out "
+                f"(--without {n:g}) or push again"
             )
         keep = (t >= 0.0) & (t <= 3.0)
         found[n] = t[keep], p[keep], path.name
@@ -175,33 +182,14 @@ def _aside(names, found, starts) -> np.ndarray:
     return np.array([r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)])
 
 
-def _check_frame(actions, starts, aside, xy, mask, where: Path) -> None:
-    """Another frame, a mirrored camera: told before anything is fitted."""
+def _check_start(starts, aside, where: Path) -> None:
+    """Another frame, told before anything is fitted."""
     off = float(np.linalg.norm(np.median(aside, 0)))
     if off > ASIDE:
         x, y = np.median(aside + starts, 0)
         raise BadInput(
             f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they are declared: another frame? "
             "give tracks in the arm's base frame, or start_x, start_y in actions.csv"
-        )
-    ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
-    went = np.arctan2(ends[:, 1], ends[:, 0])
-    turn = lambda a: float(np.median(np.abs(np.angle(np.exp(1j * (a - np.median(np.angle(np.exp(1j * a)))))))))
-    wide = float(np.ptp(actions[:, 1])) > 0.1
-    straight, mirrored, back = (
-        turn(went - actions[:, 1]),
-        turn(went + actions[:, 1]),
-        np.median(np.cos(went - actions[:, 1])),
-    )
-    if back < 0.5:
-        raise BadInput(
-            f"{where}: bottles go {np.degrees(np.arccos(np.clip(back, -1, 1))):.0f} degrees off their pushes: another frame? give "
-            "tracks in the arm's base frame (x ahead, y to the left)"
-        )
-    if wide and mirrored < 0.3 * straight:
-        raise BadInput(
-            f"{where}: bottles go to the right where they are pushed to the left: tracks are mirrored; turn the sign of y "
-            "(or of angle: to the left is positive)"
         )
 
 

@@ -1,0 +1,92 @@
+"""Where bottles went against where they were pushed: a mirrored or turned camera and angles in another unit, told before they count.
+
+A bottle slides along its push's angle, whatever the frictions are, in every engine to 0.001 rad. A plate that is not held square or a
+camera that is not level adds some degrees, which the task adapts to and `diagnose` names.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+
+SURE = 0.1
+"""rad (root mean square) by which the bottles must miss their pushes' angles for the frame to be doubted."""
+BETTER = 3.0
+"""Times by which they must miss less in another frame."""
+SLIGHT, TURNED = 0.05, 0.35
+"""rad by which all may be turned without a word; from which on that is refused."""
+LEAST = 0.02
+"""m that a bottle must have gone for its direction to say anything."""
+TURN_MEND = "give tracks in the arm's base frame (x ahead, y to the left)"
+
+
+@dataclass(frozen=True)
+class Told:
+    """What looks otherwise: `name`, `says`, `mend`; `slight`: no reason to refuse the tracks."""
+
+    name: str
+    says: str
+    mend: str
+    slight: bool = False
+
+
+OTHERS = (
+    (
+        Told("mirrored", "the bottles came out on the other side of the line than they were pushed to: the tracks look mirrored",
+             "turn the sign of y (or of the angles: to the left is positive)"),
+        lambda a: -a,
+    ),
+    (
+        Told("degrees", "the bottles went straight ahead whatever the angle: the robot looks to have taken the angles for degrees",
+             "give the robot radians, and push again"),
+        np.radians,
+    ),
+    (
+        Told("in_degrees", "the bottles went much wider than they were pushed: the angles look to be other than in radians",
+             "write the angles in radians"),
+        np.degrees,
+    ),
+)  # fmt: skip
+
+
+def frame_told(angles: np.ndarray, way: np.ndarray) -> Told | None:
+    """What pushes at `angles [N]` rad say of the frame of bottles that went `way [N, 2]` m; None where all agrees."""
+    far = np.linalg.norm(way, axis=1) > LEAST
+    angles, went = np.asarray(angles, float)[far], np.arctan2(way[far, 1], way[far, 0])
+    if not len(angles):
+        return None
+    missed = _rms(went - angles)
+    turn = float(np.angle(np.mean(np.exp(1j * (went - angles)))))
+    turned = _rms(went - angles - turn)
+    if missed > SURE:
+        for told, frame in OTHERS:
+            left = _rms(went - frame(angles))
+            # pushes in about one direction do not tell a small turn apart from another frame
+            if left * BETTER < missed and (left * BETTER < turned or abs(turn) > 0.5 * TURNED):
+                return told
+    alike = turned < 0.5 * abs(turn)
+    if alike and abs(turn) > SLIGHT and (len(angles) > 1 or abs(turn) > TURNED):
+        what = f"the bottles went {abs(np.degrees(turn)):.0f} degrees to the {'left' if turn > 0 else 'right'} of their pushes"
+        slight = abs(turn) < TURNED
+        return Told(
+            "turned", f"{what}: {'is the frame turned a little' if slight else 'another frame'}?", TURN_MEND, slight
+        )
+    if missed > 2.0 * TURNED:
+        return Told("frame", "the bottles did not go where they were pushed: another frame?", TURN_MEND)
+    return None
+
+
+def check_frame(angles: np.ndarray, way: np.ndarray, where: str) -> str | None:
+    """A sentence where the frame looks a little turned, else None. BadInput, naming `where`, where it looks another."""
+    told = frame_told(angles, way)
+    if told is None:
+        return None
+    if told.slight:
+        return f"{told.says}; {told.mend}"
+    raise BadInput(f"{where}: {told.says}; {told.mend}; if all is as declared, add --as-declared")
+
+
+def _rms(off: np.ndarray) -> float:
+    """Of angles, whole turns apart."""
+    return float(np.sqrt(np.mean(np.square(np.angle(np.exp(1j * off))))))
