@@ -1,30 +1,64 @@
-"""What a session of `adaptsim robot` has recorded, as pushes to be diagnosed."""
+"""What a session of `adaptsim robot` has recorded, as pushes or scoops to be diagnosed."""
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
+    from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
+
+
+def session_task(folder: Path, known: tuple[str, ...]) -> str:
+    """The task of the session in `folder`. Raises BadInput where it is none of `known`."""
+    from adaptsim_jax.core import store
+    from adaptsim_jax.core.errors import BadInput
+
+    task = store.read_manifest(folder / store.CHECKPOINT).get("task")
+    if task not in known:
+        raise BadInput(f"{folder}: a session of task '{task}'; diagnose reads sessions of {', '.join(known)}")
+    return task
 
 
 def recorded_pushes(folder: Path) -> Pushed:
     """All pushes told to the session in `folder`, from the files that `robot record` was given. Raises BadInput where a file is
     gone or another by now, or the session is of another task."""
+    from adaptsim_jax.tasks.pushing.diagnosis.read import assemble
+
+    def made(visit: dict[str, Any]) -> list[str]:
+        return [f"{p['trial']},{p['action'][0]},{p['action'][1]}" for p in visit["pushes"]]
+
+    return _recorded(folder, "pushing", "trial,speed,angle", made, ("friction", "coefficients"), assemble)
+
+
+def recorded_scoops(folder: Path) -> Scooped:
+    """All scoops told to the session in `folder`, likewise; each track is counted from where its piece lay."""
+    from functools import partial
+
+    from adaptsim_jax.tasks.scooping.diagnosis.read import assemble
+
+    def made(visit: dict[str, Any]) -> list[str]:
+        return [",".join(map(str, (s["trial"], *s["place"], *s["action"]))) for s in visit["scoops"]]
+
+    head = "trial,place_x,place_y,pitch,rate,distance"
+    return _recorded(folder, "scooping", head, made, ("clearance",), partial(assemble, own_frame=True))
+
+
+RECORDED: dict[str, Callable[[Path], Any]] = {"pushing": recorded_pushes, "scooping": recorded_scoops}
+
+
+def _recorded(folder: Path, task: str, head: str, made: Callable, keys: tuple[str, ...], assemble: Callable) -> Any:
     from adaptsim_jax.commands.robot_session import located
     from adaptsim_jax.core import store
     from adaptsim_jax.core.errors import BadInput
-    from adaptsim_jax.tasks.pushing.diagnosis.read import assemble
 
-    manifest = store.read_manifest(folder / store.CHECKPOINT)
-    if manifest.get("task") != "pushing":
-        raise BadInput(f"{folder}: a session of task '{manifest.get('task')}'; diagnose reads sessions of pushing")
-    history = manifest["extra"]["history"]
-    files, rows = [], ["trial,speed,angle"]
-    for visit in history:
+    session_task(folder, (task,))
+    files, rows = [], [head]
+    for visit in store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]:
         path = Path(visit["file"])
         try:
             same = hashlib.sha256(path.read_bytes()).hexdigest() == visit["sha256"]
@@ -33,10 +67,9 @@ def recorded_pushes(folder: Path) -> Pushed:
         if not same:
             raise BadInput(f"{path}: is not the file that was told to the session in {folder}; put that one back")
         files.append(path)
-        rows += [f"{p['trial']},{p['action'][0]},{p['action'][1]}" for p in visit["pushes"]]
-    run = located(folder)["run"]
-    task = store.RunFolder.open(run).config.get("task", {})
-    meta = {k: task[k] for k in ("friction", "coefficients") if k in task}
+        rows += made(visit)
+    options = store.RunFolder.open(located(folder)["run"]).config.get("task", {})
+    meta = {k: options[k] for k in keys if k in options}
     with tempfile.TemporaryDirectory() as scratch:
         actions = Path(scratch) / "actions.csv"
         actions.write_text("\n".join([*rows, ""]))

@@ -26,6 +26,7 @@ class Seen:
     """What was recorded of T trials of at most R rows, C coordinates each.
 
     trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of the axes `channels`; noise m.
+    judged `[T, R]`: rows that errors are taken over, where not all are.
     """
 
     trial: str
@@ -37,6 +38,12 @@ class Seen:
     channels: tuple[str, ...]
     noise: float
     noise_source: str
+    judged: np.ndarray | None = None
+
+    @property
+    def rows(self) -> np.ndarray:
+        """The rows that errors are taken over `[T, R]`."""
+        return self.mask if self.judged is None else self.judged
 
 
 def check_exclude(exclude: tuple[str, ...], effects: tuple[TrialEffect, ...], trial: str) -> tuple[TrialEffect, ...]:
@@ -75,7 +82,8 @@ def message(seen: Seen, found: TrialSelection, over: float, worst: float) -> str
     """What was found, in a few sentences."""
     size = lambda m: f"{1e3 * seen.noise * over_floor(m):.3g}"
     if not found.named:
-        told = f"The declared {seen.trial}, fitted, predicts left-out tracks to {size(found.null)} mm, {over:.1f} times the noise floor."
+        left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
+        told = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
         return f"{told} No effect of the catalogue holds out." if worst > 1.5 else f"{told} Nothing need be added."
     lines = [
         f"{n.effect.name.replace('_', ' ')} holds out in {n.test.better} of {n.test.folds} {seen.trials} "
@@ -136,7 +144,7 @@ def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarr
     draws = rng.integers(0, len(seen.names), (400, len(seen.names)))
     whole = lambda e, at=slice(None): float(np.median(e[at]))
     one = lambda k, c: np.sqrt(
-        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.mask).sum(1) / np.maximum(seen.mask.sum(1), 1)
+        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows).sum(1) / np.maximum(seen.rows.sum(1), 1)
     )
     channels = {
         name: {"unit": "m", **{k: whole(one(k, c)) for k in held}, "noise_floor": seen.noise}
