@@ -1,7 +1,8 @@
 """Worlds of scoops: tracks that a camera would record, from the physics of the scoop written anew, with or without an effect.
 
-Shares no code with the package: NumPy, float64, SAP's problem by Newton's method with a bisected line search. Step, points of the contact
-surfaces and regularisation are the declared engine's, which are part of the model. All worlds of a call are simulated side by side.
+Shares no code with the package: NumPy, float64, SAP's problem by Newton's method with a bisected line search. Step, points of the
+contact surfaces and regularisation are the declared engine's, which are part of the model. All worlds of a call are simulated side by
+side.
 
     python experiments/scooping_worlds.py --suite singles --seed 1 --out worlds/         writes a folder for each world
 """
@@ -193,7 +194,7 @@ def solved(c, mass, free, guess):
         pn, pt, nn, nt, tt = law(k, vn, vt)
         pull = np.einsum("bn,bni->bi", pn, k["n"]) - np.einsum("bn,bni->bi", pt, k["t"])
         gradient = m * (now - f) - pull
-        size = lambda z: np.sqrt((z * z / m).sum(1))
+        size = lambda z, m=m: np.sqrt((z * z / m).sum(1))
         far = size(gradient) > 1e-9 * (size(m * f) + size(pull) + 1e-9)
         if not far.any():
             break

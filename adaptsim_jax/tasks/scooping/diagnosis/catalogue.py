@@ -120,3 +120,4 @@ HEIGHT = _E(
 )
 SHIFTS = ("shift_x", "shift_y", "shift_z")
 """Of `camera_shift` where heights are seen, too."""
+SHAPE = _E("shape", "piece", (), "the piece moves like one of another shape than declared", "pieces that roll or slide")

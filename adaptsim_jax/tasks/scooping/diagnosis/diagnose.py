@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.trials.report import Seen
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.tasks.scooping.diagnosis.experiment import telling
-from adaptsim_jax.tasks.scooping.diagnosis.passes import Found, diagnosed, effects_of
+from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
 from adaptsim_jax.tasks.scooping.diagnosis.read import KIND, Scooped, read
 from adaptsim_jax.tasks.scooping.model import SHAPES
 
@@ -35,7 +35,7 @@ def diagnose(
     be told apart, `next_experiment.csv`. exclude: effects that are not considered; named: what `Scooped` came of. Raises BadInput.
     """
     began = time.monotonic()
-    criteria = criteria or Criteria()
+    criteria = criteria or CRITERIA
     say = progress or (lambda done, total, note: None)
     scooped = data if isinstance(data, Scooped) else read(data)
     effects = trials.check_exclude(exclude, effects_of(scooped), KIND.trial)

@@ -19,7 +19,7 @@ from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, executed, poses
 
 Array = Any
-DRAWS = 192
+DRAWS = 128
 PAIRS = (("mu", "log_e"), ("mu", "h"), ("log_e", "h"))
 REACH = 3.0  # widths from the centre within which the regression is believed; beyond, its end is
 RIDGE = 1.0  # draws' worth of belief that a row depends on nothing
@@ -57,7 +57,7 @@ def predicted(weights: Array, centre: Array, width: Array, values: Array) -> Arr
 def emulate(scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray, seed: int = 0) -> Emulator:
     """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within bounds."""
     count = len(scooped.names)
-    u = qmc.Sobol(len(OWN), rng=np.random.default_rng(seed)).random(256)[:DRAWS]
+    u = qmc.Sobol(len(OWN), rng=np.random.default_rng(seed)).random(DRAWS)
     z = np.clip(ndtri(np.clip(u, 1e-3, 1 - 1e-3)), -2.5, 2.5)
     own = np.clip(centre[OWN] + width * z, LOW, HIGH)
     values = np.tile(centre, (DRAWS, 1))
