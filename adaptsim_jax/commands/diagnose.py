@@ -23,7 +23,8 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
   adaptsim diagnose logs/pushes --out out6      the push: meta.toml says task = "pushing"; actions.csv and tracks beside it
-  adaptsim diagnose robot --out out7            a session of `adaptsim robot` of the push, as it is
+  adaptsim diagnose logs/scoops --out out8      the scoop: task = "scooping", likewise
+  adaptsim diagnose robot --out out7            a session of `adaptsim robot` of either, as it is
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -62,8 +63,8 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.sysid.io.recording import read_recording, without_trials
 
     check_apart(Path(args.data), Path(args.out))
-    if args.model is None and of_pushes(Path(args.data)):
-        return run_pushing(args)
+    if args.model is None and (task := of_trials(Path(args.data))):
+        return run_trials(args, task)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     # refused within a second, and before JAX is loaded
@@ -104,35 +105,45 @@ def of_a_mechanism(data: Path) -> bool:
     return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
 
 
-def of_pushes(data: Path) -> bool:
-    """Whether DATA is a folder of pushes, or a session of `adaptsim robot`."""
+TRIALS = ("pushing", "scooping")
+"""Tasks of short trials that a camera saw."""
+
+
+def of_trials(data: Path) -> str | None:
+    """Which of `TRIALS` DATA holds, a folder of them or a session of `adaptsim robot`; None where it is something else."""
     from adaptsim_jax.sysid.io.meta import declared_task
 
-    return (data / "robot.toml").exists() or declared_task(data) == "pushing"
+    if (data / "robot.toml").exists():
+        from adaptsim_jax.commands.robot_recorded import session_task
+
+        return session_task(data, TRIALS)
+    task = declared_task(data)
+    return task if task in TRIALS else None
 
 
-def run_pushing(args: argparse.Namespace) -> int:
-    """Measured pushes: effects judged one by one, the mended push, and the pushes that tell a class apart."""
+def run_trials(args: argparse.Namespace, task: str) -> int:
+    """Measured pushes or scoops: effects judged one by one, the mended model, and the trials that tell a class apart."""
+    from importlib import import_module
+
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.tasks.pushing.diagnosis.read import read
 
-    data = Path(args.data)
+    data, room = Path(args.data), f"adaptsim_jax.tasks.{task}.diagnosis"
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     if (data / "robot.toml").exists():
-        from adaptsim_jax.commands.robot_recorded import recorded_pushes
+        from adaptsim_jax.commands.robot_recorded import RECORDED
 
-        pushed = recorded_pushes(data, args.as_declared, split_names(args.without))
-    else:
-        pushed = read(data, args.as_declared, split_names(args.without))  # refused before anything is written
+        recorded = RECORDED[task](data, args.as_declared, split_names(args.without))
+    else:  # refused before anything is written
+        recorded = import_module(f"{room}.read").read(data, args.as_declared, split_names(args.without))
     from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
-    from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
 
+    judge = import_module(f"{room}.diagnose").diagnose
     with output(args.out) as folder, progress("diagnose") as report:
-        result = diagnose_pushes(
-            pushed, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=str(data)
+        result = judge(
+            recorded, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=str(data)
         )
     if args.json:
         from adaptsim_jax.commands.common import print_file

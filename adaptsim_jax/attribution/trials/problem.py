@@ -42,7 +42,8 @@ class TrialProblem:
 
     residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
     nothing was measured. columns: `values [P]`, `basis [K, P]` -> derivatives `[T, R, K]` of what is simulated over the noise.
-    counts: measured numbers of each trial `[T]`. starts: points `[S, P]` from which the declared fit may begin.
+    counts: measured numbers of each trial `[T]`. channels: coordinates of a row, of
+    which `R` is a multiple. starts: points `[S, P]` from which the declared fit may begin.
     """
 
     quantities: tuple[Quantity, ...]
@@ -57,6 +58,7 @@ class TrialProblem:
         None  # values [S, P] -> loss [S], roughly; where a cheaper way exists
     )
     index: Mapping[str, int] = field(default_factory=dict)
+    channels: int = 2
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "index", {q.name: i for i, q in enumerate(self.quantities)})

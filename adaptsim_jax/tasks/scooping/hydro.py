@@ -142,7 +142,7 @@ def rollout(
         now, after = row
         surfaces = contact.together(ground, contact.spatula(now, (after - now) / numerics.dt, friction))
         new, info = step(piece, modulus, state, surfaces, numerics)
-        lost = lost | ~_in_room(new)
+        lost = lost | ~in_room(new)
         state = jax.tree.map(lambda a, b: jnp.where(lost, a, b), state, new)
         worst = jnp.maximum(worst, jnp.where(lost, 0.0, info.residual))
         return (state, lost, worst), state.pose
@@ -163,7 +163,8 @@ def seen_rows(numerics: Numerics) -> np.ndarray:
     return np.round(np.array(model.SEEN_AT) / numerics.dt).astype(int)
 
 
-def _in_room(state: PieceState) -> Array:
+def in_room(state: PieceState) -> Array:
+    """Whether all of `state` is finite and the piece where pieces can be `[]`."""
     finite = jnp.all(jnp.isfinite(state.pose)) & jnp.all(jnp.isfinite(state.velocity))
     return finite & (jnp.abs(state.pose[0]) < 2.0) & (jnp.abs(state.pose[1]) < 1.0)
 

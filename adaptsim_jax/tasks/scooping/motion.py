@@ -82,16 +82,23 @@ def _travelled(steps: int) -> np.ndarray:
     return spline_matrix(np.linspace(0.0, KNOTS[-1], steps + 1), integral=True)
 
 
-def motion(action: Array, steps: int, options: ScoopOptions = ScoopOptions()) -> Motion:  # noqa: B008
-    """The tip's pose at `steps + 1` even times for `action [3]`; pure, and as precise as `action`.
+def motion(
+    action: Array,
+    steps: int,
+    options: ScoopOptions = ScoopOptions(),  # noqa: B008
+    speed: Array = 1.0,
+    lift: Array = 1.0,
+) -> Motion:
+    """The tip's pose at `steps + 1` even times for `action [3]`; pure, and as precise as `action`. speed, lift: times the declared
+    speed forward and pitch rate.
 
     The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with it. Then the blade is
     lifted wherever its lower edges would pass below the clearance.
     """
     pitch, rate, distance = action[0], action[1], action[2]
     table = jnp.asarray(_travelled(steps), action.dtype)
-    ahead = table @ jnp.asarray(FORWARD, action.dtype)
-    turned = table @ jnp.asarray(PITCH, action.dtype) + table[:, 1] * rate
+    ahead = speed * (table @ jnp.asarray(FORWARD, action.dtype))
+    turned = lift * (table @ jnp.asarray(PITCH, action.dtype) + table[:, 1] * rate)
     sunk = table @ jnp.asarray(PRESS, action.dtype) * options.press
     held = model.TIP_BELOW - model.GRIP_BELOW
     arm_x, arm_z = turn(pitch, model.TIP_AHEAD, -held)

@@ -4,6 +4,8 @@ import itertools
 import math
 
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+from adaptsim_jax.tasks import camera_effects
+from adaptsim_jax.tasks.camera_effects import quantity as _q
 
 DECLARED = ("mu", "log_e", "mu_p", "y_p")
 BOUNDS = {"mu": (0.02, 0.6), "log_e": (3.5, 7.0), "mu_p": (0.02, 1.2), "y_p": (-0.2, 0.2)}
@@ -16,10 +18,6 @@ def _declared(name: str, scale: float) -> Quantity:
     return Quantity(
         name, "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "", middle, low, high, scale, high - low
     )
-
-
-def _q(name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0) -> Quantity:
-    return Quantity(name, unit, neutral, low, high, scale, 2.0 * max(abs(low), abs(high)))
 
 
 QUANTITIES = (
@@ -46,14 +44,9 @@ QUANTITIES = (
     _q("other_x", "m", 0.6, 1.3, 0.01, 0.85),
     _q("other_y", "m", -0.35, 0.35, 0.01),
     _q("other_mu", "", -0.5, 1.0, 0.1),
-    _q("shift_x", "m", -0.1, 0.1, 0.002),
-    _q("shift_y", "m", -0.1, 0.1, 0.002),
-    _q("scale", "", -0.2, 0.2, 0.01),
     _q("scale_start", "", -0.2, 0.2, 0.01),
-    _q("turn", "rad", -0.25, 0.25, 0.01),
     _q("turn_start", "rad", -0.25, 0.25, 0.02),
-    _q("latency", "s", -0.1, 0.2, 0.005),
-    _q("clock", "", -0.2, 0.2, 0.01),
+    *camera_effects.QUANTITIES,
 )
 
 PLACES = tuple(
@@ -150,14 +143,6 @@ EFFECTS = (
         "pushes over all of the table",
         shapes=PLACES,
     ),
-    _E("camera_shift", "measurement", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's", "any push"),
-    _E(
-        "camera_scale",
-        "measurement",
-        ("scale",),
-        "lengths are measured too long or too short, from the arm's base",
-        "any push",
-    ),
     _E(
         "camera_scale_at_start",
         "measurement",
@@ -165,7 +150,6 @@ EFFECTS = (
         "lengths are measured too long or too short, from the bottle's start",
         "any push",
     ),
-    _E("camera_turn", "measurement", ("turn",), "the camera is turned about the arm's base", "any push"),
     _E(
         "camera_turn_at_start",
         "measurement",
@@ -173,17 +157,8 @@ EFFECTS = (
         "the camera is turned about the bottle's start",
         "any push",
     ),
-    _E(
-        "latency",
-        "measurement",
-        ("latency",),
-        "tracks are told later than they happen",
-        "any push",
-        same=("late_start",),
-    ),
-    _E("clock_scale", "measurement", ("clock",), "the camera's clock runs fast or slow", "any push"),
+    *camera_effects.effects("push", "the arm's base"),
 )
-"""A late start of the arm shifts all of a track in time, as a latency does: no push tells them apart, only the arm's own log."""
 
 
 def physical(values: dict) -> dict:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.tasks.camera_effects import happened, turned, viewed
 from adaptsim_jax.tasks.pushing import model, slide
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import DECLARED, EFFECTS, QUANTITIES, physical
 from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
@@ -32,16 +33,10 @@ def seen(
     inner = {n: v[n] for n in (*model.PARAMETERS, *slide.NEUTRAL)}
     start = push["start"] + v["placed"] * push["aside"]
     rows = slide.rollout(inner, push["action"], options, coefficients, start, step)
-    at = at_times(rows, (1.0 + v["clock"]) * push["time"] - v["latency"])
+    at = at_times(rows, happened(v, push["time"]))
     origin = jnp.asarray(model.START)[None]
     local = origin + (1.0 + v["scale_start"]) * turned(at - origin, v["turn_start"])
-    return (1.0 + v["scale"]) * turned(local, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])[None]
-
-
-def turned(xy: Array, angle: Array) -> Array:
-    """Points `[R, 2]` turned by `angle` rad."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], 1)
+    return viewed(v, local)
 
 
 def at_times(rows: Array, time: Array) -> Array:

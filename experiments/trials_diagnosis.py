@@ -1,25 +1,29 @@
-"""Score `adaptsim diagnose` on worlds of pushes: a line a world, and the tally.
+"""Score `adaptsim diagnose` on worlds of pushes or scoops: a line a world, and the tally.
 
-python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/
-python experiments/pushing_diagnosis.py worlds/
+python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/      or experiments/scooping_worlds.py
+python experiments/trials_diagnosis.py worlds/
 """
 
 import json
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose
+from adaptsim_jax.core import compile_flags
+from adaptsim_jax.sysid.io.meta import declared_task
 
 
 def main(folder):
+    compile_flags.small_steps()
     rows = []
     for path in sorted(p for p in Path(folder).iterdir() if (p / "truth.json").exists()):
         truth = json.loads((path / "truth.json").read_text())["kind"]
+        judge = import_module(f"adaptsim_jax.tasks.{declared_task(path)}.diagnosis.diagnose").diagnose
         began = time.monotonic()
-        report = diagnose(path)
+        report = judge(path)
         names = [e["name"] for e in report["effects"]]
         classes = [{e["name"], *(a.split("@")[0] for a in e["alternatives"])} for e in report["effects"]]
         right = any(truth in c for c in classes)

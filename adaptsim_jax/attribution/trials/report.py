@@ -1,0 +1,283 @@
+"""What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import adaptsim_jax
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.attribution.trials.select import TrialModel, TrialNamed, TrialSelection, spread
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.sysid.report.schema import check
+
+MODEL, NEXT = "model.toml", "next_experiment.csv"
+OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was recorded of T trials of at most R rows, C coordinates each.
+
+    trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of the axes `channels`; noise m.
+    judged `[T, R]`: rows that errors are taken over, where not all are.
+    """
+
+    trial: str
+    trials: str
+    names: tuple[str, ...]
+    time: np.ndarray
+    places: np.ndarray
+    mask: np.ndarray
+    channels: tuple[str, ...]
+    noise: float
+    noise_source: str
+    judged: np.ndarray | None = None
+
+    @property
+    def rows(self) -> np.ndarray:
+        """The rows that errors are taken over `[T, R]`."""
+        return self.mask if self.judged is None else self.judged
+
+
+def check_exclude(exclude: tuple[str, ...], effects: tuple[TrialEffect, ...], trial: str) -> tuple[TrialEffect, ...]:
+    """`effects` without those excluded. Raises BadInput where a name is none of them."""
+    known = {e.name for e in effects}
+    for name in exclude:
+        if name not in known:
+            raise BadInput(f"--exclude: {name!r} is no effect of a {trial}; it has {', '.join(sorted(known))}")
+    return tuple(e for e in effects if e.name not in exclude)
+
+
+def over_floor(model: TrialModel) -> float:
+    """Left-out error over the noise floor, median over trials."""
+    return float(np.sqrt(np.median(model.fit.held)))
+
+
+def left_by_fit(problem: TrialProblem, model: TrialModel) -> float:
+    """What the whole fit leaves over the noise floor, all trials together.
+
+    A trial that alone shows something (where a patch ends) is predicted badly by the others though the model is right; a model that
+    lacks something leaves more than noise where it was fitted, too.
+    """
+    return float(np.sqrt(model.fit.loss / problem.counts.sum()))
+
+
+def verdict(named: tuple[TrialNamed, ...], over: float, criteria: Criteria) -> str:
+    """The kind of the verdict by the larger of both errors over the noise floor."""
+    if not named:
+        return "within_noise" if over <= criteria.explained else "structured_unattributed"
+    if over > criteria.explained:
+        return "partly_explained"
+    return "explained_class" if any(n.alternatives or n.effect.same for n in named) else "explained"
+
+
+def message(seen: Seen, found: TrialSelection, over: float, worst: float) -> str:
+    """What was found, in a few sentences."""
+    size = lambda m: f"{1e3 * seen.noise * over_floor(m):.3g}"
+    if not found.named:
+        left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
+        told = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
+        return f"{told} No effect of the catalogue holds out." if worst > 1.5 else f"{told} Nothing need be added."
+    lines = [
+        f"{n.effect.name.replace('_', ' ')} holds out in {n.test.better} of {n.test.folds} {seen.trials} "
+        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
+        for n in found.named
+    ]
+    told = "; ".join(lines)
+    left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
+    if worst > 1.5 >= over:
+        left += f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times the noise floor."
+    return f"{told[:1].upper()}{told[1:]}. {left}"
+
+
+def interval(problem: TrialProblem, model: TrialModel, name: str) -> tuple[float, float, float]:
+    """Value of a quantity and its 90 % interval by the jackknife."""
+    i = problem.index[name]
+    value, width = float(model.fit.values[i]), NINETY * float(spread(model)[i])
+    return value, value - width, value + width
+
+
+def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed) -> dict[str, Any]:
+    """A named effect as `report.json` holds it."""
+    e = n.effect
+    numbers = {}
+    for name in e.quantities:
+        value, low, high = interval(problem, found.final, name)
+        numbers[name] = {"value": value, "low": low, "high": high, "unit": problem.quantities[problem.index[name]].unit}
+    return {
+        "name": e.name,
+        "where": e.where,
+        "parameters": numbers,
+        "physics": e.physics,
+        "shown_by": e.seen,
+        "alternatives": [*[f"{a.name}@{a.where}" for a, _ in n.alternatives], *[f"{s}@command" for s in e.same]],
+        "held_out_gain": n.test.gain,
+        "p_value": n.test.p,
+        "better": n.test.better,
+        "folds": n.test.folds,
+        "size_over_scatter": min(n.steady, 1e3),
+    }
+
+
+def same_rows(found: TrialSelection, trial: str) -> list[str]:
+    """A sentence for each pair of names that no trial tells apart."""
+    return [
+        f"{n.effect.name.replace('_', ' ')} or {s.replace('_', ' ')}: no {trial} tells them apart, only a log of the arm by the "
+        "camera's clock."
+        for n in found.named
+        for s in n.effect.same
+    ]
+
+
+def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T, R, C]` m, of left-out trials."""
+    held = {"before": found.null.fit.held, "after": found.final.fit.held}
+    size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
+    rng = np.random.default_rng(0)
+    draws = rng.integers(0, len(seen.names), (400, len(seen.names)))
+    whole = lambda e, at=slice(None): float(np.median(e[at]))
+    one = lambda k, c: np.sqrt(
+        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows).sum(1) / np.maximum(seen.rows.sum(1), 1)
+    )
+    channels = {
+        name: {"unit": "m", **{k: whole(one(k, c)) for k in held}, "noise_floor": seen.noise}
+        for c, name in enumerate(seen.channels)
+    }
+    trials = [
+        {
+            "trial": name,
+            **{k: float(size[k][i]) for k in held},
+            "per_channel": {n: {k: float(one(k, c)[i]) for k in held} for c, n in enumerate(seen.channels)},
+        }
+        for i, name in enumerate(seen.names)
+    ]
+    return {
+        "metric": f"median over left-out {seen.trials} of the RMS error of a coordinate of the track",
+        "unit": "m",
+        **{k: whole(v) for k, v in size.items()},
+        "noise_floor": seen.noise,
+        "ceiling": None,
+        "per_channel": channels,
+        "per_trial": trials,
+        "noise_floor_source": seen.noise_source,
+        "intervals": {
+            k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])] for k, v in size.items()
+        },
+    }
+
+
+def candidate_rows(found: TrialSelection) -> list[dict[str, Any]]:
+    """Every candidate, what the first score test said of it, and what became of it."""
+    names = {n.effect.name for n in found.named}
+    alike = {a.name for n in found.named for a, _ in n.alternatives}
+    rows = []
+    for s in found.scores:
+        name = s.effect.name
+        status = "accepted" if name in names else "look-alike" if name in alike else "rejected"
+        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
+            name, "gains less than what was taken"
+        )
+        rows.append(
+            {
+                "name": name,
+                "where": s.effect.where,
+                "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
+                "p_value": float(min(1.0, s.p * len(found.scores))),
+                "accepted": name in names,
+                "status": status,
+                "why": why,
+            }
+        )
+    return rows
+
+
+def declared_rows(problem: TrialProblem, model: TrialModel) -> dict[str, Any]:
+    """The declared quantities as fitted; a modulus `log_e` is told as `e` in Pa."""
+    out = {}
+    for name in problem.declared:
+        q, (value, low, high) = problem.quantities[problem.index[name]], interval(problem, model, name)
+        known = high - low < 0.3 * (q.high - q.low)
+        if name == "log_e":
+            value, low, high = (10.0 ** float(np.clip(z, q.low, q.high)) for z in (value, low, high))
+        unit = "Pa" if name == "log_e" else q.unit
+        out["e" if name == "log_e" else name] = {
+            "value": value,
+            "low": low,
+            "high": high,
+            "unit": unit,
+            "identifiable": bool(known),
+        }
+    return out
+
+
+def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list[dict[str, Any]]:
+    """Each trial over time, measured and simulated while left out, for the page."""
+    out = []
+    for i, name in enumerate(seen.names):
+        k = seen.mask[i] > 0
+        channels = lambda z, i=i, k=k: {n: z[i][k, c] for c, n in enumerate(seen.channels)}
+        out.append(
+            {
+                "trial": name,
+                "unit": "m",
+                "time": seen.time[i][k],
+                "measured": channels(seen.places),
+                "before": channels(tracks["before"]),
+                "after": channels(tracks["after"]) if mended else None,
+            }
+        )
+    return out
+
+
+def plane_tracks(
+    seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool, axes: tuple[int, int] = (0, 1)
+) -> dict[str, Any]:
+    """Tracks `[n, 2]` m of all trials in a plane of two coordinates, for the page."""
+    cut = lambda z: [z[i][seen.mask[i] > 0][:, list(axes)] for i in range(len(seen.names))]
+    return {
+        "measured": cut(seen.places),
+        "before": cut(tracks["before"]),
+        "after": cut(tracks["after"]) if mended else None,
+    }
+
+
+def finished(
+    report: dict[str, Any],
+    evidence: dict[str, Any],
+    command: str,
+    seconds: float,
+    plan: Mapping[str, Any] | None,
+    folder: Path | None,
+    model: dict[str, Any],
+    columns: tuple[str, ...],
+    page: Any,
+) -> dict[str, Any]:
+    """The checked report; where there is a folder, it, its page, `model.toml` and `next_experiment.csv` with `columns` are written."""
+    if plan is not None:
+        report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
+            {"csv": NEXT} if plan["rows"] else {}
+        )
+    report["run"] = evidence["run"] = {
+        "version": adaptsim_jax.__version__,
+        "seed": 0,
+        "command": command,
+        "seconds": round(seconds, 1),
+    }
+    report = check(report)
+    if folder is not None:
+        for name in (*OTHERS, MODEL, NEXT):
+            (folder / name).unlink(missing_ok=True)
+        write_bytes(folder / MODEL, config.dumps(model).encode())
+        if plan is not None and plan["rows"]:
+            rows = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
+            write_bytes(folder / NEXT, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())
+        if page is not None:
+            page(folder, report, evidence)
+    return report

@@ -1,0 +1,57 @@
+"""What a camera may do to tracks of trials, whatever the task: quantities, effects, and the view itself."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+
+from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+
+Array = Any
+
+
+def quantity(name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0) -> Quantity:
+    """A quantity of an effect, with a prior as wide as twice its farther bound."""
+    return Quantity(name, unit, neutral, low, high, scale, 2.0 * max(abs(low), abs(high)))
+
+
+QUANTITIES = (
+    quantity("shift_x", "m", -0.1, 0.1, 0.002),
+    quantity("shift_y", "m", -0.1, 0.1, 0.002),
+    quantity("scale", "", -0.2, 0.2, 0.01),
+    quantity("turn", "rad", -0.25, 0.25, 0.01),
+    quantity("latency", "s", -0.1, 0.2, 0.005),
+    quantity("clock", "", -0.2, 0.2, 0.01),
+)
+
+
+def effects(trial: str, origin: str) -> tuple[TrialEffect, ...]:
+    """The effects on tracks of a `trial`, in a frame about `origin`.
+
+    A late start of the arm shifts all of a track in time, as a latency does: no trial tells them apart, only the arm's own log.
+    """
+    seen = f"any {trial}"
+    make = lambda name, quantities, physics, **more: TrialEffect(name, "measurement", quantities, physics, seen, **more)
+    return (
+        make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
+        make("camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"),
+        make("camera_turn", ("turn",), f"the camera is turned about {origin}"),
+        make("latency", ("latency",), "tracks are told later than they happen", same=("late_start",)),
+        make("clock_scale", ("clock",), "the camera's clock runs fast or slow"),
+    )
+
+
+def happened(v: Mapping[str, Array], time: Array) -> Array:
+    """When it happened what the camera's clock tells at `time [R]` s."""
+    return (1.0 + v["clock"]) * time - v["latency"]
+
+
+def turned(xy: Array, angle: Array) -> Array:
+    """Points `[R, 2]` turned by `angle` rad."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], 1)
+
+
+def viewed(v: Mapping[str, Array], xy: Array) -> Array:
+    """Places `[R, 2]` m as the camera tells them."""
+    return (1.0 + v["scale"]) * turned(xy, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])[None]

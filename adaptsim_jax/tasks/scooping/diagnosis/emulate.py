@@ -1,0 +1,77 @@
+"""Scoops by local regression: poses as a quadratic function of the values, and how far a scoop strays from it.
+
+A scoop is chaotic from where the blade's edge is under a flat bottom: friction changed by a millionth moves one piece in two by a
+millimetre, so that the engine's exact derivatives say nothing. What can be told beforehand is the mean over neighbours. Each scoop is
+therefore simulated at `DRAWS` points around a centre, all values drawn at once and the action executed as an arm repeats it.
+Its poses are regressed on the values, row by row; what they stray by about the regression is a row's own uncertainty.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from adaptsim_jax.tasks.scooping.diagnosis.catalogue import QUANTITIES
+from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
+from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, executed, poses
+
+Array = Any
+DRAWS = 128
+PAIRS = (("mu", "log_e"), ("mu", "h"), ("log_e", "h"))
+REACH = 3.0  # widths from the centre within which the regression is believed; beyond, its end is
+RIDGE = 1.0  # draws' worth of belief that a row depends on nothing
+LOW, HIGH = (np.array([getattr(q, end) for q in QUANTITIES])[OWN] for end in ("low", "high"))
+PLACE = {int(o): i for i, o in enumerate(OWN)}
+WIDTHS = 2.0 * np.array([q.scale for q in QUANTITIES])[OWN]
+"""Of the draws where nothing is known better."""
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """centre, width `[O]` of the values that matter to a simulation; weights `[T, F, N, 2]`; stray `[T, N, 2]` m; shape."""
+
+    centre: np.ndarray
+    width: np.ndarray
+    weights: np.ndarray
+    stray: np.ndarray
+    shape: str
+
+
+def features(z: Array) -> Array:
+    """`[..., F]` of values in widths from the centre `[..., O]`."""
+    at = [tuple(PLACE[INDEX[n]] for n in pair) for pair in PAIRS]
+    one = jnp.ones_like(z[..., :1])
+    pairs = jnp.stack([z[..., a] * z[..., b] for a, b in at], -1)
+    return jnp.concatenate([one, z, z * z - 1.0, pairs], -1)
+
+
+def predicted(weights: Array, centre: Array, width: Array, values: Array) -> Array:
+    """Poses `[N, 2]` of one scoop with `weights [F, N, 2]` at `values [P]`."""
+    z = jnp.clip((values[OWN] - centre) / width, -REACH, REACH)
+    return jnp.tensordot(features(z), weights, 1)
+
+
+def emulate(scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray, seed: int = 0) -> Emulator:
+    """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within bounds."""
+    count = len(scooped.names)
+    u = qmc.Sobol(len(OWN), rng=np.random.default_rng(seed)).random(DRAWS)
+    z = np.clip(ndtri(np.clip(u, 1e-3, 1 - 1e-3)), -2.5, 2.5)
+    own = np.clip(centre[OWN] + width * z, LOW, HIGH)
+    values = np.tile(centre, (DRAWS, 1))
+    values[:, OWN] = own
+    trials = np.repeat(np.arange(count), DRAWS)
+    actions = scooped.actions[trials] + executed(scooped, len(trials), seed)
+    out = poses(scooped, shape, np.tile(values, (count, 1)), trials, actions)
+    out = out.reshape(count, DRAWS, -1, 2).astype(float)
+    x = np.asarray(features((own - centre[OWN]) / width), float)
+    penalty = RIDGE * np.eye(x.shape[1])
+    penalty[0, 0] = 0.0
+    inverse = np.linalg.inv(x.T @ x + penalty)
+    weights = np.einsum("fs,tsnc->tfnc", inverse @ x.T, out)
+    # each draw predicted by the others
+    leverage = np.einsum("sf,fg,sg->s", x, inverse, x)
+    left = (out - np.einsum("sf,tfnc->tsnc", x, weights)) / (1.0 - leverage)[:, None, None]
+    return Emulator(centre[OWN], width, weights, np.sqrt(np.square(left).mean(1)), shape)

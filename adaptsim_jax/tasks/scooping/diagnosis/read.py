@@ -1,0 +1,154 @@
+"""Recordings of scoops: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is refused with its row."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks import trial_record
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping.measured import FAR, FASTEST, SLIP
+from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
+
+QUIET = 0.05  # s; no blade within the bounds touches the piece so early
+ASIDE = 0.10  # m between place and first rows from which it is another frame
+KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "note", "noise")
+REPEATS = (5e-4, 2e-3, 1e-4)
+"""How well an arm repeats a scoop: pitch rad, rate rad/s, distance m, one standard deviation."""
+KIND = trial_record.Kind(
+    "scoop", "scoops", "the piece", far=FAR, fastest=FASTEST, slip=SLIP, moves=0.01, ends=model.SECONDS,
+    never="the blade never came, or the track ends before", optional=("z",),
+)  # fmt: skip
+_LIMITS = {"pitch": (0.0, 0.35, "rad"), "rate": (-0.6, 0.6, "rad/s"), "distance": (0.0, 0.1, "m")}
+
+
+@dataclass(frozen=True)
+class Scooped:
+    """T scoops of at most R rows.
+
+    names `[T]`; actions `[T, 3]` rad, rad/s, m; starts `[T, 2]` m as declared; aside `[T, 2]` m from there to the first rows' mean;
+    time `[T, R]` s, places `[T, R, C]` m (x, y and z where it was seen), mask `[T, R]`; noise m of one coordinate; shape, height: of
+    the piece where declared; repeats: see `REPEATS`; notes: what the files say beside.
+    """
+
+    names: tuple[str, ...]
+    actions: np.ndarray
+    starts: np.ndarray
+    aside: np.ndarray
+    time: np.ndarray
+    places: np.ndarray
+    mask: np.ndarray
+    noise: float
+    noise_source: str
+    options: ScoopOptions
+    shape: str | None = None
+    height: float | None = None
+    repeats: tuple[float, ...] = REPEATS
+    notes: tuple[str, ...] = ()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return ("x", "y", "z")[: self.places.shape[-1]]
+
+
+def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Scooped:
+    """The scoops of a folder. as_declared: whatever their places say of the frame; without: scoops whose tracks are not looked at.
+    Raises BadInput."""
+    folder = Path(folder)
+    meta = trial_record.read_meta(folder / "meta.toml", KEYS)
+    return assemble(
+        folder / "actions.csv", trial_record.track_files(folder), meta, folder / "meta.toml", as_declared, without
+    )
+
+
+def assemble(
+    actions: Path,
+    tracks: list[Path],
+    meta: dict[str, Any],
+    where: Path,
+    as_declared: bool = False,
+    without: Sequence[str] = (),
+    own_frame: bool = False,
+) -> Scooped:
+    """Scoops of an actions file and tracks' files; see `read`. own_frame: tracks count from anywhere; each is moved to begin at
+    its place."""
+    needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
+    table, told = trial_record.read_actions(actions, needed, (), KIND.trials)
+    c = table.columns
+    for name, (low, high, unit) in _LIMITS.items():
+        for i in np.flatnonzero((c[name] < low) | (c[name] > high))[:1]:
+            mend = "in degrees? write radians" if name != "distance" else "in mm? write metres"
+            raise BadInput(f"{told(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it {mend}")
+    numbers = c["trial"]
+    found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without)
+    names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
+    at = np.array([int(np.flatnonzero(numbers == n)[0]) for n in names])
+    starts = np.stack([c["place_x"], c["place_y"]], 1)[at]
+    if own_frame:
+        apart = trial_record.aside(names, found, starts, QUIET)
+        for n, off in zip(names, apart, strict=True):
+            t, p, file = found[n]
+            found[n] = t, p - np.pad(off, (0, p.shape[1] - 2)), file
+        notes.append("places are counted from where each piece lay: a shifted camera or piece would not show")
+    time, places, mask = trial_record.padded(names, found)
+    acts = np.stack([c[name] for name in _LIMITS], 1)[at]
+    aside = trial_record.aside(names, found, starts, QUIET)
+    if not as_declared:
+        _check_frame(starts, aside, places, mask, where)
+    noise, source = trial_record.noise_of(meta, time, places, mask, QUIET, "blade came")
+    quantum = trial_record.rounded(places[mask > 0])
+    if quantum > 0.5 * noise:
+        notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")
+    if not more:
+        notes.append("no heights were seen (column z): a blade's lift and a piece's height show less")
+    shape, height = _piece(meta, where)
+    options = ScoopOptions(**{k: float(meta[k]) for k in ("clearance", "press") if k in meta})
+    return Scooped(
+        tuple(f"{n:g}" for n in names), acts, starts, aside, time, places, mask, noise, source, check_options(options),
+        shape, height, _repeats(meta, where), tuple(notes),
+    )  # fmt: skip
+
+
+def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]:
+    shape, height = meta.get("shape"), meta.get("height")
+    if shape is not None:
+        config.pick("shape", shape, model.SHAPES)
+    if height is not None and not (isinstance(height, int | float) and 0.01 <= height <= 0.035):
+        raise BadInput(f"{where}: height = {height!r} is no height of a piece within 0.01 to 0.035 m; write e.g. 0.02")
+    return shape, None if height is None else float(height)
+
+
+def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
+    given = meta.get("repeats", REPEATS)
+    if len(given) != 3 or not all(isinstance(v, int | float) and 0 < v < 0.1 for v in given):
+        raise BadInput(f"{where}: repeats = {given!r}; give three sizes in rad, rad/s, m, such as {list(REPEATS)}")
+    return tuple(map(float, given))
+
+
+def _check_frame(starts, aside, places, mask, where: Path) -> None:
+    """Another frame, a mirrored camera: told before anything is fitted."""
+    off = float(np.linalg.norm(np.median(aside, 0)))
+    if off > ASIDE:
+        x, y = np.median(aside, 0)
+        raise BadInput(
+            f"{where}: pieces lie ({x:.3g}, {y:.3g}) m from where they are declared: another frame? give tracks from the middle of "
+            "the box that place_x, place_y count from, x along the spatula's way"
+        )
+    ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)])
+    back = float(np.median(np.cos(np.arctan2(ends[:, 1], ends[:, 0]))))
+    if back < 0.5:
+        raise BadInput(
+            f"{where}: pieces go {np.degrees(np.arccos(np.clip(back, -1, 1))):.0f} degrees off the spatula's way: another frame? give "
+            "tracks with x along it"
+        )
+    wide = np.ptp(starts[:, 1]) > 0.02
+    y = aside[:, 1] + starts[:, 1]
+    spread = lambda v: float(np.median(np.abs(v - np.median(v))))
+    if wide and spread(y + starts[:, 1]) < 0.3 * spread(y - starts[:, 1]):
+        raise BadInput(
+            f"{where}: pieces lie to the right where they are declared to the left: tracks are mirrored; turn the sign of y"
+        )

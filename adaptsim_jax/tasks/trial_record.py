@@ -1,0 +1,189 @@
+"""Folders of measured trials: `actions.csv` and tracks, whatever the task. What cannot be judged is refused with its row."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.table import Table, read_table
+from adaptsim_jax.tasks.camera_record import check_increasing, check_unit
+
+LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
+LEAST_NOISE = 1e-4  # m
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther no body goes; fastest m/s, slip m: a
+    row farther than this from the one before is another thing; moves m: less in all is no trial; ends s: later rows are left out;
+    optional: columns that are read where they are there."""
+
+    trial: str
+    trials: str
+    body: str
+    far: float
+    fastest: float
+    slip: float
+    moves: float
+    never: str
+    ends: float
+    least: int = 5
+    optional: tuple[str, ...] = ()
+
+
+Tracks = dict[float, tuple[np.ndarray, np.ndarray, str]]
+"""By trial: times `[R]` s, places `[R, C]` m, and the file's name."""
+
+
+def track_files(folder: Path) -> list[Path]:
+    """All CSV files of a folder that hold tracks. Raises BadInput where there is none."""
+    tracks = sorted(p for p in folder.glob("*.csv") if p.name not in ("actions.csv", "next_experiment.csv"))
+    if not tracks:
+        raise BadInput(f"{folder}: holds no tracks; add a CSV with columns trial, time, x, y (s and m)")
+    return tracks
+
+
+def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
+    """meta.toml with no keys but `keys`. Raises BadInput."""
+    meta = config.read(path)
+    for key in meta:
+        if key not in keys:
+            raise BadInput(f"{path}: key '{key}' is unknown{config.suggest(key, keys)}")
+    return meta
+
+
+def read_actions(path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str) -> tuple[Table, Callable]:
+    """The table of an actions file, and how its row i is named; needed: columns beside `trial` with their units. Raises BadInput."""
+    table = read_table(path, ("trial", *needed, *optional), least=1)
+    for name in ("trial", *needed):
+        if name not in table.columns:
+            words = ", ".join(["trial", *[f"{n} ({u})" for n, u in needed.items()]])
+            raise BadInput(f"{path}: column '{name}' is missing; needed are {words}")
+    numbers = table.columns["trial"]
+    if len(np.unique(numbers)) < len(numbers):
+        raise BadInput(f"{path}: a trial is listed twice; number the {trials} one by one")
+    return table, lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+
+
+def read_tracks(
+    paths: Sequence[Path], numbers: np.ndarray, actions: Path, kind: Kind, without: Sequence[str] = ()
+) -> tuple[Tracks, tuple[str, ...]]:
+    """The tracks of all files but those of the trials `without`, which are not looked at, and which of the optional columns each of
+    them has. Raises BadInput with the row."""
+    if unknown := sorted(set(without) - {f"{n:g}" for n in numbers}):
+        raise BadInput(
+            f"no {kind.trial} is named {unknown[0]!r}; --without takes of {', '.join(f'{n:g}' for n in numbers)}"
+        )
+    found: Tracks = {}
+    tables = [(path, read_table(path, ("trial", "time", "x", "y", *kind.optional), least=1)) for path in paths]
+    more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
+    for path, table in tables:
+        _read_tracks(path, table, numbers, actions, kind, more, without, found)
+    return found, more
+
+
+def _read_tracks(
+    path: Path, table: Table, numbers, actions: Path, kind: Kind, more, without: Sequence[str], found: Tracks
+) -> None:
+    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+    for name in ("trial", "time", "x", "y"):
+        if name not in table.columns:
+            raise BadInput(f"{path}: column '{name}' is missing; needed are trial, time, x, y (s and m)")
+    c = table.columns
+    for i in np.flatnonzero(~np.isin(c["trial"], numbers))[:1]:
+        raise BadInput(f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its {kind.trial} there")
+    check_unit(c, at, kind.far, kind.trial)
+    for n in np.unique(c["trial"]):
+        if f"{n:g}" in without:
+            continue
+        i = np.flatnonzero(c["trial"] == n)
+        told = lambda k, i=i, n=n: f"{at(int(i[k]))}: trial {n:g}"
+        if n in found:
+            raise BadInput(f"{told(0)}: has a track in {found[n][2]} already; keep one")
+        t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
+        check_increasing(t, told)
+        if t[-1] > 60.0:
+            raise BadInput(f"{told(-1)}: lasts {t[-1]:.6g} s; is time in ms? write seconds since the arm's start")
+        if len(t) < LEAST_ROWS or np.median(np.diff(t)) > SLOWEST:
+            raise BadInput(
+                f"{told(0)}: {len(t)} rows {np.median(np.diff(t)) if len(t) > 1 else 0:.2g} s apart; 20 Hz at least are needed"
+            )
+        if t[0] < -0.5:
+            raise BadInput(f"{told(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm starts")
+        leap = np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1)
+        for k in np.flatnonzero(leap > kind.fastest * np.diff(t) + kind.slip)[:1] + 1:
+            raise BadInput(
+                f"{told(k)}: {kind.body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it"
+            )
+        if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
+            raise BadInput(
+                f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {n:g}) or make it again"
+            )
+        keep = (t >= 0.0) & (t <= kind.ends)
+        found[n] = t[keep], p[keep], path.name
+
+
+def tracked(numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: str) -> tuple[list[float], list[str]]:
+    """The trials that have a track, and a note for each that has none. Raises BadInput where too few are left."""
+    names = [n for n in numbers if n in found]
+    if len(names) < kind.least:
+        raise BadInput(
+            f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are needed, {serve} serve"
+        )
+    return names, [f"trial {n:g} has no track and is left out" for n in numbers if n not in found]
+
+
+def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times `[T, R]`, places `[T, R, C]` and mask `[T, R]`, each track held after its last row."""
+    longest = max(len(found[n][0]) for n in names)
+    width = found[names[0]][1].shape[1]
+    time, places, mask = (
+        np.zeros((len(names), longest)),
+        np.zeros((len(names), longest, width)),
+        np.zeros((len(names), longest)),
+    )
+    for k, n in enumerate(names):
+        t, p, _ = found[n]
+        time[k], places[k] = (
+            np.pad(t, (0, longest - len(t)), "edge"),
+            np.pad(p, ((0, longest - len(t)), (0, 0)), "edge"),
+        )
+        mask[k, : len(t)] = 1
+    return time, places, mask
+
+
+def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: float) -> np.ndarray:
+    """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `quiet` s; 0 where there are none."""
+    rows = [found[n][1][found[n][0] < quiet, :2] for n in names]
+    return np.array([r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)])
+
+
+def noise_of(meta: Mapping[str, Any], time, places, mask, quiet: float, before: str) -> tuple[float, str]:
+    """Noise of a coordinate m, and where it is known from: declared, rows before `quiet` s, or third differences."""
+    if "noise" in meta:
+        if not isinstance(meta["noise"], int | float) or not 0.0 < meta["noise"] < 0.05:
+            raise BadInput(f"meta.toml: noise = {meta['noise']!r} is no size in m; write e.g. 0.0005")
+        return float(meta["noise"]), "declared"
+    total, count = 0.0, 0
+    for t, p, m in zip(time, places, mask, strict=True):
+        r = p[(m > 0) & (t < quiet)]
+        if len(r) > 1:
+            total, count = total + float(np.square(r - r.mean(0)).sum()), count + r.shape[1] * (len(r) - 1)
+    if count >= 20:
+        return max(float(np.sqrt(total / count)), LEAST_NOISE), f"rows before the {before}"
+    d = np.concatenate([np.diff(p[m > 0], 3, axis=0).ravel() for p, m in zip(places, mask, strict=True)])
+    return max(float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0)), LEAST_NOISE), "third differences"
+
+
+def rounded(places: np.ndarray) -> float:
+    """The step of places `[N, C]` whose first coordinate is rounded to a grid; 0 where it is not."""
+    d = np.diff(np.unique(np.round(places[:, 0], 7)))
+    d = d[d > 1e-7]
+    if len(d) < 10:
+        return 0.0
+    step = float(d.min())
+    return step if step > 5e-5 and np.all(np.abs(d / step - np.round(d / step)) < 0.02) else 0.0
