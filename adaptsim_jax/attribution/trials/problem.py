@@ -23,8 +23,8 @@ class Quantity:
 @dataclass(frozen=True)
 class TrialEffect:
     """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at where nothing acts until another
-    moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done. seen: what
-    excites it. absorbed: declared quantities that may take it up."""
+    moves (a patch has to lie somewhere). same: other effects (`name@where`) that these trials cannot show apart whatever is done.
+    seen: what excites it. absorbed: declared quantities that may take it up."""
 
     name: str
     where: str
@@ -42,7 +42,9 @@ class TrialProblem:
 
     residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
     nothing was measured. columns: `values [P]`, `basis [K, P]` -> derivatives `[T, R, K]` of what is simulated over the noise.
-    counts: measured numbers of each trial `[T]`. starts: points `[S, P]` from which the declared fit may begin.
+    counts: measured numbers of each trial `[T]`. starts: points `[S, P]` from which the declared fit may begin; begun: from how
+    many of them, the best, it does. channels: of a row; R is rows times channels. What each trial has of its own (where it started) is
+    the task's: it fits it inside of `residuals`, and takes out of `columns` what it would take up.
     """
 
     quantities: tuple[Quantity, ...]
@@ -56,6 +58,8 @@ class TrialProblem:
     scan: Callable[[np.ndarray], np.ndarray] | None = (
         None  # values [S, P] -> loss [S], roughly; where a cheaper way exists
     )
+    channels: int = 2
+    begun: int = 4
     index: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

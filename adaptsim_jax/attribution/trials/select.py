@@ -65,7 +65,7 @@ def paired(without: np.ndarray, with_: np.ndarray) -> Test:
 
 def together(problem: TrialProblem, residual: np.ndarray) -> float:
     """Rows over which residuals hang together: the sum of their autocorrelation while it is above the noise, at least 1."""
-    r = residual.reshape(len(residual), -1, 2)
+    r = residual.reshape(len(residual), -1, problem.channels)
     power = float(np.square(r).sum())
     total = 1.0
     for lag in range(1, min(LAGS, r.shape[1] - 1)):

@@ -179,7 +179,7 @@ EFFECTS = (
         ("latency",),
         "tracks are told later than they happen",
         "any push",
-        same=("late_start",),
+        same=("late_start@command",),
     ),
     _E("clock_scale", "measurement", ("clock",), "the camera's clock runs fast or slow", "any push"),
 )
