@@ -34,7 +34,7 @@ WITHIN = {
     ),
     "tasks": (
         "base", "camera_record", "saved_policy", "one_shot", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing",
-        "scooping", "parity", "registry",
+        "scooping", "toss", "parity", "registry",
     ),
 }  # fmt: skip
 FILES = sorted(f for f in PACKAGE.rglob("*.py") if f != PACKAGE / "__init__.py")

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from adaptsim_jax.core.progress import Report
     from adaptsim_jax.sysid.types import Recording
 
@@ -23,6 +25,7 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
   adaptsim diagnose logs/pushes --out out6      the push: meta.toml says task = "pushing"; actions.csv and tracks beside it
+  adaptsim diagnose logs/tosses --out out8      a tossed body: meta.toml says task = "toss", model = "cube.xml"; poses beside it
   adaptsim diagnose robot --out out7            a session of `adaptsim robot` of the push, as it is
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
@@ -64,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
     check_apart(Path(args.data), Path(args.out))
     if args.model is None and of_pushes(Path(args.data)):
         return run_pushing(args)
+    if args.model is None and of_tosses(Path(args.data)):
+        return run_toss(args)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     # refused within a second, and before JAX is loaded
@@ -111,11 +116,16 @@ def of_pushes(data: Path) -> bool:
     return (data / "robot.toml").exists() or declared_task(data) == "pushing"
 
 
+def of_tosses(data: Path) -> bool:
+    """Whether DATA is a folder of tosses of a body."""
+    from adaptsim_jax.sysid.io.meta import declared_task
+
+    return declared_task(data) == "toss"
+
+
 def run_pushing(args: argparse.Namespace) -> int:
     """Measured pushes: effects judged one by one, the mended push, and the pushes that tell a class apart."""
-    from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
-    from adaptsim_jax.core.progress import progress
     from adaptsim_jax.tasks.pushing.diagnosis.read import read
 
     data = Path(args.data)
@@ -128,16 +138,32 @@ def run_pushing(args: argparse.Namespace) -> int:
     else:
         pushed = read(data)  # refused before anything is written
     pushed = pushed.without(split_names(args.without))
-    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
     from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
 
+    return of_trials(args, diagnose_pushes, pushed)
+
+
+def run_toss(args: argparse.Namespace) -> int:
+    """Measured tosses: effects judged one by one, and the mended body."""
+    from adaptsim_jax.tasks.toss.read import read
+
+    tossed = read(args.data).without(split_names(args.without))  # refused before anything is written
+    from adaptsim_jax.tasks.toss.diagnose import diagnose as diagnose_tosses
+
+    return of_trials(args, diagnose_tosses, tossed)
+
+
+def of_trials(args: argparse.Namespace, diagnose_them: Callable[..., dict[str, Any]], trials: Any) -> int:
+    """Short trials that were read: the report and the page into `--out`, and the summary."""
+    from adaptsim_jax.commands.common import output, print_file
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+
     with output(args.out) as folder, progress("diagnose") as report:
-        result = diagnose_pushes(
-            pushed, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=str(data)
+        result = diagnose_them(
+            trials, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=args.data
         )
     if args.json:
-        from adaptsim_jax.commands.common import print_file
-
         print_file(folder / "report.json")
         return 0
     from rich.console import Console

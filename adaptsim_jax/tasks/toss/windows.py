@@ -1,0 +1,93 @@
+"""Tosses cut into windows that begin anew: over a few impacts a toss can no longer be told, over one it can.
+
+Where a corner strikes, a turn by a milliradian more decides over which edge the body goes; after two or three impacts simulations from
+starts that no camera could tell apart lie centimetres apart. So each toss is cut into windows of some tenth of a second, each with a
+start of its own that is fitted beside everything else; what the parameters say is judged over windows, never through such a fork.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.tasks.toss.read import Tossed, lowest
+
+LENGTH = 0.12  # s
+LEAST = 8  # rows of a window
+BEGIN = 5  # rows from which a start is guessed
+STILL = 0.02  # m/s; rows after the last that is faster say nothing more than one second of them does
+REST = 5  # rows kept after it
+CLEAR = 0.05  # of the body's size, above the plane: free flight
+
+
+@dataclass(frozen=True)
+class Windows:
+    """W windows of at most R rows. toss `[W]`: whose; first `[W]`: its row there; time `[W, R]` s from its first row; place
+    `[W, R, 3]`, turn `[W, R, 4]`, mask `[W, R]`; start `[W, 13]`: guessed (`simulate`)."""
+
+    toss: np.ndarray
+    first: np.ndarray
+    time: np.ndarray
+    place: np.ndarray
+    turn: np.ndarray
+    mask: np.ndarray
+    start: np.ndarray
+
+    @property
+    def free(self) -> np.ndarray:
+        """Measured numbers `[W]` less those of the start."""
+        return 6.0 * self.mask.sum(1) - 12.0
+
+
+def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
+    """Windows of about `length` s up to where each toss lies still; its free flight is one of its own."""
+    spans, corners = [], tossed.body.corners()
+    for t, (time, place, turn) in enumerate(zip(tossed.time, tossed.place, tossed.turn, strict=True)):
+        speed = np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time)
+        moving = np.flatnonzero(speed > STILL)
+        stop = min(len(time), (int(moving[-1]) if len(moving) else 0) + 2 + REST)
+        begin = min(flight(place, turn, corners, CLEAR * tossed.body.size), stop)
+        if begin >= LEAST:
+            spans.append((t, 0, begin))
+        else:
+            begin = 0
+        count = max(1, round((time[stop - 1] - time[begin - 1]) / length)) if stop > begin else 0
+        edges = np.unique(np.round(np.linspace(begin, stop, count + 1)).astype(int))
+        spans += [(t, a, b) for a, b in itertools.pairwise(edges) if b - a >= LEAST]
+    return gathered(tossed, spans)
+
+
+def flight(place: np.ndarray, turn: np.ndarray, corners: np.ndarray, clear: float) -> int:
+    """Rows before the body first comes nearer than `clear` m to the plane; place `[R, 3]`, turn `[R, 4]`, corners `[C, 3]` m."""
+    near = np.flatnonzero(lowest(place, turn, corners) < clear)
+    return int(near[0]) if len(near) else len(place)
+
+
+def gathered(tossed: Tossed, spans: list[tuple[int, int, int]]) -> Windows:
+    """Windows of rows a to b of tosses t, `spans` of (t, a, b)."""
+    longest = max(b - a for _, a, b in spans)
+    pad = lambda z, n: np.pad(z, ((0, n), *[(0, 0)] * (z.ndim - 1)), "edge")
+    rows = lambda name: np.stack([pad(getattr(tossed, name)[t][a:b], longest - (b - a)) for t, a, b in spans])
+    time, place, turn = rows("time"), rows("place"), rows("turn")
+    time = time - time[:, :1]
+    mask = np.stack([np.arange(longest) < b - a for _, a, b in spans]).astype(float)
+    toss, first = np.array([s[0] for s in spans]), np.array([s[1] for s in spans])
+    start = np.stack([guessed(time[w], place[w], turn[w]) for w in range(len(spans))])
+    return Windows(toss, first, time, place, turn, mask, start)
+
+
+def guessed(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The start `[13]` by parabolas and lines through a window's first rows."""
+    t = time[:BEGIN]
+    fit = np.polynomial.polynomial.polyfit(t, place[:BEGIN], 2)
+    angle = turns.log(turns.times(turns.inverse(turn[:1]), turn[:BEGIN]))
+    spin = np.polynomial.polynomial.polyfit(t, angle, 1)
+    begin = turns.times(turn[0], turns.exp(spin[0]))
+    return np.concatenate([fit[0], begin, fit[1], spin[1]])
+
+
+def moved(start: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Starts `[..., 13]` moved by `[..., 12]`: m, rad in the body's axes, m/s, rad/s."""
+    turn = turns.times(start[..., 3:7], turns.exp(by[..., 3:6]))
+    return np.concatenate([start[..., :3] + by[..., :3], turn, start[..., 7:] + by[..., 6:]], -1)
