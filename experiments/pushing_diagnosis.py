@@ -1,4 +1,4 @@
-"""Score `adaptsim diagnose` on worlds of pushes: a line a world, and the tally.
+"""Score `adaptsim diagnose` on worlds of pushes or tosses: a line a world, and the tally.
 
 python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/
 python experiments/pushing_diagnosis.py worlds/
@@ -11,7 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose
+from adaptsim_jax.sysid.io.meta import declared_task
+from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as of_pushes
+from adaptsim_jax.tasks.toss.diagnose import diagnose as of_tosses
+
+KINDS = {"pushing": of_pushes, "toss": of_tosses}
 
 
 def main(folder):
@@ -19,7 +23,7 @@ def main(folder):
     for path in sorted(p for p in Path(folder).iterdir() if (p / "truth.json").exists()):
         truth = json.loads((path / "truth.json").read_text())["kind"]
         began = time.monotonic()
-        report = diagnose(path)
+        report = KINDS[declared_task(path)](path)
         names = [e["name"] for e in report["effects"]]
         classes = [{e["name"], *(a.split("@")[0] for a in e["alternatives"])} for e in report["effects"]]
         right = any(truth in c for c in classes)

@@ -25,6 +25,7 @@ from adaptsim_jax.tasks.toss.read import Tossed, read
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 TOML, XML = "model.toml", "model.xml"
 OTHERS = ("next_experiment.csv", "leading.toml")  # of an earlier run of another kind into the same folder
+CRITERIA = Criteria(rounds=3, glance=1)  # a simulation of strikes is rough: fits gain little after a few rounds
 LOGS = {"log_time": ("contact_time", "s")}
 HELD = ("body_size", "inertia", "centre_of_mass", "tilt")
 """Effects that MJCF has a place for; the declared contact, too."""
@@ -57,7 +58,7 @@ def diagnose(
     exclude: effects that are not considered; named: what `Tossed` came of. Raises BadInput.
     """
     began = time.monotonic()
-    criteria = criteria or Criteria()
+    criteria = criteria or CRITERIA
     say = progress or (lambda done, total, note: None)
     tossed = data if isinstance(data, Tossed) else read(data)
     kept = parts.considered(effects(tossed.body), exclude, "a toss")

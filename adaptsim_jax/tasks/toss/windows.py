@@ -14,10 +14,15 @@ from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.read import Tossed, lowest
 
 LENGTH = 0.12  # s
+FLAT, LIES = 0.026, 2e-3  # rad, m: how near to its last pose a body that slides on a face lies
+SETTLED = 2  # rows after it first does
+SLIDES = 0.1  # m/s; slower is rest
 LEAST = 8  # rows of a window
 BEGIN = 5  # rows from which a start is guessed
 STILL = 0.02  # m/s; rows after the last that is faster say nothing more than one second of them does
 REST = 5  # rows kept after it
+BEFORE = 4  # rows of flight left to the window of the first strike, from which its start is guessed
+ASIDE = 4  # rows by which a window may begin earlier or later, where it jolts less
 CLEAR = 0.05  # of the body's size, above the plane: free flight
 
 
@@ -41,21 +46,55 @@ class Windows:
 
 
 def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
-    """Windows of about `length` s up to where each toss lies still; its free flight is one of its own."""
+    """Windows of about `length` s up to where each toss lies still. What can be told for longer is a window of its own: the free
+    flight (less `BEFORE` rows), and the last slide on a face."""
     spans, corners = [], tossed.body.corners()
     for t, (time, place, turn) in enumerate(zip(tossed.time, tossed.place, tossed.turn, strict=True)):
         speed = np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time)
         moving = np.flatnonzero(speed > STILL)
         stop = min(len(time), (int(moving[-1]) if len(moving) else 0) + 2 + REST)
-        begin = min(flight(place, turn, corners, CLEAR * tossed.body.size), stop)
+        begin = min(flight(place, turn, corners, CLEAR * tossed.body.size) - BEFORE, stop)
         if begin >= LEAST:
             spans.append((t, 0, begin))
         else:
             begin = 0
-        count = max(1, round((time[stop - 1] - time[begin - 1]) / length)) if stop > begin else 0
-        edges = np.unique(np.round(np.linspace(begin, stop, count + 1)).astype(int))
-        spans += [(t, a, b) for a, b in itertools.pairwise(edges) if b - a >= LEAST]
-    return gathered(tossed, spans)
+        last = slide(time, place, turn)
+        if last is not None and stop - last >= LEAST and last - begin >= LEAST:
+            spans.append((t, last, stop))
+            stop = last
+        count = max(1, round((time[stop - 1] - time[begin]) / length)) if stop - begin >= LEAST else 0
+        smooth = jolts(time, place, turn, tossed.body.size)
+        edges = [begin]
+        for edge in np.round(np.linspace(begin, stop, count + 1)[1:-1]).astype(int):
+            near = np.arange(max(edge - ASIDE, edges[-1] + LEAST), min(edge + ASIDE + 1, stop - LEAST + 1))
+            if len(near):
+                edges.append(int(near[np.argmin(smooth[near])]))
+        spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= LEAST]
+    return gathered(tossed, sorted(spans))
+
+
+def slide(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> int | None:
+    """The row from which the body lies as it does at the end, but for a turn about z, and slides; None where it does not."""
+    w, x, y, z = turn.T
+    up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)
+    lies = (np.arccos(np.clip(up @ up[-1], -1.0, 1.0)) < FLAT) & (np.abs(place[:, 2] - place[-1, 2]) < LIES)
+    away = np.flatnonzero(~lies)
+    begin = (int(away[-1]) + 1 if len(away) else 0) + SETTLED
+    if len(place) - begin < 2 * LEAST:
+        return None
+    ahead = begin + LEAST - 1
+    speed = np.linalg.norm(place[ahead, :2] - place[begin, :2]) / (time[ahead] - time[begin])
+    return begin if speed > SLIDES else None
+
+
+def jolts(time: np.ndarray, place: np.ndarray, turn: np.ndarray, size: float) -> np.ndarray:
+    """The largest change of velocity `[R]` m/s over the rows from which a start at each row would be guessed; turning at `size` m."""
+    gaps = np.diff(time)[:, None]
+    speed = np.diff(place, axis=0) / gaps
+    spin = turns.turned(turn[:-1], turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:]))) / gaps
+    jump = np.linalg.norm(np.diff(speed, axis=0), axis=1) + size * np.linalg.norm(np.diff(spin, axis=0), axis=1)
+    padded = np.concatenate([jump, np.full(BEGIN + 2, jump[-1])])
+    return np.array([padded[max(r - 2, 0) : r + BEGIN - 1].max() for r in range(len(time))])
 
 
 def flight(place: np.ndarray, turn: np.ndarray, corners: np.ndarray, clear: float) -> int:
