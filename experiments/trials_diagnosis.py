@@ -1,4 +1,4 @@
-"""Score `adaptsim diagnose` on worlds of pushes or scoops: a line a world, and the tally.
+"""Score `adaptsim diagnose` on worlds of pushes, scoops or tosses: a line a world, and the tally.
 
 python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/      or experiments/scooping_worlds.py
 python experiments/trials_diagnosis.py worlds/
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax.commands.diagnose import TRIALS
 from adaptsim_jax.core import compile_flags
 from adaptsim_jax.sysid.io.meta import declared_task
 
@@ -21,7 +22,7 @@ def main(folder):
     rows = []
     for path in sorted(p for p in Path(folder).iterdir() if (p / "truth.json").exists()):
         truth = json.loads((path / "truth.json").read_text())["kind"]
-        judge = import_module(f"adaptsim_jax.tasks.{declared_task(path)}.diagnosis.diagnose").diagnose
+        judge = import_module(f"adaptsim_jax.tasks.{TRIALS[declared_task(path)]}.diagnose").diagnose
         began = time.monotonic()
         report = judge(path)
         names = [e["name"] for e in report["effects"]]

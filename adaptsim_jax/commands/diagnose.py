@@ -24,6 +24,7 @@ EXAMPLES = """
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
   adaptsim diagnose logs/pushes --out out6      the push: meta.toml says task = "pushing"; actions.csv and tracks beside it
   adaptsim diagnose logs/scoops --out out8      the scoop: task = "scooping", likewise
+  adaptsim diagnose logs/tosses --out out9      a tossed body: task = "toss", model = "cube.xml"; poses beside it
   adaptsim diagnose robot --out out7            a session of `adaptsim robot` of either, as it is
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
@@ -105,8 +106,8 @@ def of_a_mechanism(data: Path) -> bool:
     return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
 
 
-TRIALS = ("pushing", "scooping")
-"""Tasks of short trials that a camera saw."""
+TRIALS = {"pushing": "pushing.diagnosis", "scooping": "scooping.diagnosis", "toss": "toss"}
+"""Tasks of short trials that a camera saw, and where they are read and diagnosed."""
 
 
 def of_trials(data: Path) -> str | None:
@@ -116,7 +117,7 @@ def of_trials(data: Path) -> str | None:
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import session_task
 
-        return session_task(data, TRIALS)
+        return session_task(data, ("pushing", "scooping"))
     task = declared_task(data)
     return task if task in TRIALS else None
 
@@ -129,7 +130,7 @@ def run_trials(args: argparse.Namespace, task: str) -> int:
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
 
-    data, room = Path(args.data), f"adaptsim_jax.tasks.{task}.diagnosis"
+    data, room = Path(args.data), f"adaptsim_jax.tasks.{TRIALS[task]}"
     if "jax" not in sys.modules:
         compile_flags.small_steps()
     if (data / "robot.toml").exists():

@@ -47,7 +47,7 @@ def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
             if actuator.name in table:
                 _put_actuator(actuator, key, float(table[actuator.name]), step)
     compiled(mechanism.path, spec)
-    return _commented(spec.to_xml(), changes.comments)
+    return commented(spec.to_xml(), changes.comments)
 
 
 def write_mjcf(mechanism: Mechanism, path: str | Path, changes: Changes) -> None:
@@ -112,6 +112,7 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
 
 
-def _commented(xml: str, comments: Sequence[str]) -> str:
+def commented(xml: str, comments: Sequence[str]) -> str:
+    """MJCF text below XML comments, a line each."""
     lines = [f"<!-- {line.replace('--', '- -')} -->" for line in comments]
     return "\n".join([*lines, xml]) if lines else xml

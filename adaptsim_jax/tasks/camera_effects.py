@@ -36,7 +36,7 @@ def effects(trial: str, origin: str) -> tuple[TrialEffect, ...]:
         make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
         make("camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"),
         make("camera_turn", ("turn",), f"the camera is turned about {origin}"),
-        make("latency", ("latency",), "tracks are told later than they happen", same=("late_start",)),
+        make("latency", ("latency",), "tracks are told later than they happen", same=("late_start@command",)),
         make("clock_scale", ("clock",), "the camera's clock runs fast or slow"),
     )
 

@@ -109,11 +109,11 @@ def completed(problem: TrialProblem, names: Sequence[str], values: np.ndarray) -
     return TrialFit(values, tuple(names), residual, columns, loss, held, vectors)
 
 
-def declared_fit(problem: TrialProblem, rounds: int, begin: int = 4) -> TrialFit:
+def declared_fit(problem: TrialProblem, rounds: int) -> TrialFit:
     """The declared quantities fitted from the best few of `problem.starts`."""
     score = problem.scan or (
         lambda rows: np.array([np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows])
     )
-    order = np.argsort(score(problem.starts))[:begin]
+    order = np.argsort(score(problem.starts))[: problem.begun]
     fits = [fitted(problem, problem.declared, problem.starts[i], rounds) for i in order]
     return completed(problem, problem.declared, min(fits, key=lambda f: f[1])[0])

@@ -1,6 +1,6 @@
 """What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.report.schema import check
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
+LOGS = {"log_e": ("e", "Pa")}
+DRAWS = 400  # of trials, for the interval of an error
 OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
 
 
@@ -78,23 +80,33 @@ def verdict(named: tuple[TrialNamed, ...], over: float, criteria: Criteria) -> s
     return "explained_class" if any(n.alternatives or n.effect.same for n in named) else "explained"
 
 
+def words(name: str) -> str:
+    """An effect's name, with its place or without, as people write it."""
+    return name.partition("@")[0].replace("_", " ")
+
+
+def told(named: Sequence[TrialNamed], what: str) -> str:
+    """What is named and how it was tested, one sentence; what: the trials in words."""
+    lines = [
+        f"{words(n.effect.name)} holds out in {n.test.better} of {n.test.folds} {what} "
+        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
+        for n in named
+    ]
+    text = "; ".join(lines)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def message(seen: Seen, found: TrialSelection, over: float, worst: float) -> str:
     """What was found, in a few sentences."""
     size = lambda m: f"{1e3 * seen.noise * over_floor(m):.3g}"
     if not found.named:
         left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
-        told = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
-        return f"{told} No effect of the catalogue holds out." if worst > 1.5 else f"{told} Nothing need be added."
-    lines = [
-        f"{n.effect.name.replace('_', ' ')} holds out in {n.test.better} of {n.test.folds} {seen.trials} "
-        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
-        for n in found.named
-    ]
-    told = "; ".join(lines)
+        said = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
+        return f"{said} No effect of the catalogue holds out." if worst > 1.5 else f"{said} Nothing need be added."
     left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
     if worst > 1.5 >= over:
         left += f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times the noise floor."
-    return f"{told[:1].upper()}{told[1:]}. {left}"
+    return f"{told(found.named, seen.trials)} {left}"
 
 
 def interval(problem: TrialProblem, model: TrialModel, name: str) -> tuple[float, float, float]:
@@ -104,10 +116,9 @@ def interval(problem: TrialProblem, model: TrialModel, name: str) -> tuple[float
     return value, value - width, value + width
 
 
-def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed) -> dict[str, Any]:
-    """A named effect as `report.json` holds it."""
-    e = n.effect
-    numbers = {}
+def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed, **more: Any) -> dict[str, Any]:
+    """A row of `effects`; more: keys beside."""
+    e, numbers = n.effect, {}
     for name in e.quantities:
         value, low, high = interval(problem, found.final, name)
         numbers[name] = {"value": value, "low": low, "high": high, "unit": problem.quantities[problem.index[name]].unit}
@@ -117,60 +128,73 @@ def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed) -> d
         "parameters": numbers,
         "physics": e.physics,
         "shown_by": e.seen,
-        "alternatives": [*[f"{a.name}@{a.where}" for a, _ in n.alternatives], *[f"{s}@command" for s in e.same]],
+        "alternatives": [*[f"{a.name}@{a.where}" for a, _ in n.alternatives], *e.same],
         "held_out_gain": n.test.gain,
         "p_value": n.test.p,
         "better": n.test.better,
         "folds": n.test.folds,
         "size_over_scatter": min(n.steady, 1e3),
+        **more,
     }
 
 
 def same_rows(found: TrialSelection, trial: str) -> list[str]:
     """A sentence for each pair of names that no trial tells apart."""
     return [
-        f"{n.effect.name.replace('_', ' ')} or {s.replace('_', ' ')}: no {trial} tells them apart, only a log of the arm by the "
+        f"{words(n.effect.name)} or {words(s)}: no {trial} tells them apart, only a log of the arm by the "
         "camera's clock."
         for n in found.named
         for s in n.effect.same
     ]
 
 
-def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T, R, C]` m, of left-out trials."""
-    held = {"before": found.null.fit.held, "after": found.final.fit.held}
-    size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, len(seen.names), (400, len(seen.names)))
+def error_rows(
+    metric: str,
+    floor: float,
+    source: str,
+    names: Sequence[str],
+    size: Mapping[str, np.ndarray],
+    channels: Mapping[str, tuple[str, float, Mapping[str, np.ndarray]]],
+) -> dict[str, Any]:
+    """The table `error`, in m. size: `before`, `after` `[T]` of each left-out trial; channels: unit, floor and the same of each."""
+    count = len(names)
+    draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
     whole = lambda e, at=slice(None): float(np.median(e[at]))
-    one = lambda k, c: np.sqrt(
-        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows).sum(1) / np.maximum(seen.rows.sum(1), 1)
-    )
-    channels = {
-        name: {"unit": "m", **{k: whole(one(k, c)) for k in held}, "noise_floor": seen.noise}
-        for c, name in enumerate(seen.channels)
-    }
-    trials = [
-        {
-            "trial": name,
-            **{k: float(size[k][i]) for k in held},
-            "per_channel": {n: {k: float(one(k, c)[i]) for k in held} for c, n in enumerate(seen.channels)},
-        }
-        for i, name in enumerate(seen.names)
-    ]
     return {
-        "metric": f"median over left-out {seen.trials} of the RMS error of a coordinate of the track",
+        "metric": metric,
         "unit": "m",
         **{k: whole(v) for k, v in size.items()},
-        "noise_floor": seen.noise,
+        "noise_floor": floor,
         "ceiling": None,
-        "per_channel": channels,
-        "per_trial": trials,
-        "noise_floor_source": seen.noise_source,
+        "per_channel": {
+            c: {"unit": unit, **{k: whole(v) for k, v in each.items()}, "noise_floor": least}
+            for c, (unit, least, each) in channels.items()
+        },
+        "per_trial": [
+            {
+                "trial": name,
+                **{k: float(v[i]) for k, v in size.items()},
+                "per_channel": {c: {k: float(v[i]) for k, v in each.items()} for c, (_, _, each) in channels.items()},
+            }
+            for i, name in enumerate(names)
+        ],
+        "noise_floor_source": source,
         "intervals": {
             k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])] for k, v in size.items()
         },
     }
+
+
+def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T, R, C]` m, of left-out trials."""
+    held = {"before": found.null.fit.held, "after": found.final.fit.held}
+    size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
+    one = lambda k, c: np.sqrt(
+        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows).sum(1) / np.maximum(seen.rows.sum(1), 1)
+    )
+    channels = {n: ("m", seen.noise, {k: one(k, c) for k in held}) for c, n in enumerate(seen.channels)}
+    metric = f"median over left-out {seen.trials} of the RMS error of a coordinate of the track"
+    return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
 
 
 def candidate_rows(found: TrialSelection) -> list[dict[str, Any]]:
@@ -198,22 +222,19 @@ def candidate_rows(found: TrialSelection) -> list[dict[str, Any]]:
     return rows
 
 
-def declared_rows(problem: TrialProblem, model: TrialModel) -> dict[str, Any]:
-    """The declared quantities as fitted; a modulus `log_e` is told as `e` in Pa."""
+def declared_rows(
+    problem: TrialProblem, model: TrialModel, logs: Mapping[str, tuple[str, str]] = LOGS
+) -> dict[str, Any]:
+    """Declared quantities as fitted. logs: name and unit of what is fitted as a logarithm to the base of ten."""
     out = {}
     for name in problem.declared:
         q, (value, low, high) = problem.quantities[problem.index[name]], interval(problem, model, name)
         known = high - low < 0.3 * (q.high - q.low)
-        if name == "log_e":
+        unit, key = q.unit, name
+        if name in logs:
             value, low, high = (10.0 ** float(np.clip(z, q.low, q.high)) for z in (value, low, high))
-        unit = "Pa" if name == "log_e" else q.unit
-        out["e" if name == "log_e" else name] = {
-            "value": value,
-            "low": low,
-            "high": high,
-            "unit": unit,
-            "identifiable": bool(known),
-        }
+            key, unit = logs[name]
+        out[key] = {"value": value, "low": low, "high": high, "unit": unit, "identifiable": bool(known)}
     return out
 
 

@@ -1,0 +1,1 @@
+"""A body tossed onto a plane, seen by motion capture: what the declared MJCF lacks. Simulated by MuJoCo in C; there is no policy."""

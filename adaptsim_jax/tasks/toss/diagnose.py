@@ -1,0 +1,273 @@
+"""Diagnose measured tosses: which effects the declared toss lacks, what is left, and the mended model."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import adaptsim_jax
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.trials import report as parts
+from adaptsim_jax.attribution.trials.problem import TrialProblem
+from adaptsim_jax.attribution.trials.select import TrialModel, TrialSelection, select
+from adaptsim_jax.core import config
+from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.sysid.report.schema import check, new_report
+from adaptsim_jax.tasks.toss.body import mended_xml
+from adaptsim_jax.tasks.toss.catalogue import effects
+from adaptsim_jax.tasks.toss.flight import Flight, free_flight
+from adaptsim_jax.tasks.toss.flight import words as flight_words
+from adaptsim_jax.tasks.toss.problem import Follow, prepare
+from adaptsim_jax.tasks.toss.read import Tossed, read
+
+Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
+TOML, XML = "model.toml", "model.xml"
+OTHERS = ("next_experiment.csv", "leading.toml")  # of an earlier run of another kind into the same folder
+CRITERIA = Criteria(rounds=3, glance=1)  # a simulation of strikes is rough: fits gain little after a few rounds
+LOGS = {"log_time": ("contact_time", "s")}
+HELD = ("body_size", "inertia", "centre_of_mass", "tilt")
+"""Effects that MJCF has a place for; the declared contact, too."""
+FOLLOWED = 1.5  # of the noise floor, up to which a window counts as followed
+MEASURE = {
+    "clock_scale": "time the recording against another clock",
+    "length_scale": "record two marks whose distance is known",
+    "body_size": "measure the body",
+    "plane_height": "record a point on the plane",
+    "plane_turn": "record three points on the plane, and level it",
+    "tilt": "level the table",
+    "drag": "drop the body from higher, or push it along a longer slide",
+    "speed_friction": "record slides at twice the speed",
+    "grain": "record slides in eight directions",
+}
+
+
+def diagnose(
+    data: str | Path | Tossed,
+    *,
+    out: str | Path | None = None,
+    criteria: Criteria | None = None,
+    exclude: tuple[str, ...] = (),
+    progress: Callable[[float, float, str], None] | None = None,
+    page: Page | None = None,
+    named: str = "DATA",
+) -> dict[str, Any]:
+    """The report on a folder of tosses (or on `Tossed`); with `out` it is written there, with `model.toml` and `model.xml`.
+
+    exclude: effects that are not considered; named: what `Tossed` came of. Raises BadInput.
+    """
+    began = time.monotonic()
+    criteria = criteria or CRITERIA
+    say = progress or (lambda done, total, note: None)
+    tossed = data if isinstance(data, Tossed) else read(data)
+    kept = parts.check_exclude(exclude, effects(tossed.body), "toss")
+    folder = None if out is None else output_folder(out)
+    say(0.01, 1.0, "starts of the windows")
+    problem, follow = prepare(tossed, kept)
+    done = [0.05]
+
+    def step(note: str) -> None:
+        done[0] += 0.05 * (1.0 - done[0])
+        say(done[0], 1.0, note)
+
+    found = select(problem, criteria, step)
+    report, evidence = reported(tossed, problem, follow, found, criteria)
+    report["run"] = evidence["run"] = {
+        "version": adaptsim_jax.__version__,
+        "seed": 0,
+        "command": f"adaptsim diagnose {named if isinstance(data, Tossed) else data} --out again",
+        "seconds": round(time.monotonic() - began, 1),
+    }
+    report = check(report)
+    if folder is not None:
+        for name in (*OTHERS, TOML, XML):
+            (folder / name).unlink(missing_ok=True)
+        values = fitted(problem, found.final)
+        write_bytes(folder / TOML, config.dumps(model_table(found, values)).encode())
+        write_bytes(folder / XML, mended_xml(tossed.body, values, beside(found, values)).encode())
+        if page is not None:
+            page(folder, report, evidence)
+    return report
+
+
+def fitted(problem: TrialProblem, model: TrialModel) -> dict[str, float]:
+    """Values of all quantities by name."""
+    return {q.name: float(v) for q, v in zip(problem.quantities, model.fit.values, strict=True)}
+
+
+def model_table(found: TrialSelection, values: dict[str, float]) -> dict[str, Any]:
+    """`model.toml`: declared parameters as fitted, and what each named effect adds."""
+    return {
+        "schema": 1,
+        "task": "toss",
+        "model": XML,
+        "parameters": {
+            "friction": values["friction"],
+            "contact_time": 10.0 ** values["log_time"],
+            "damping": values["damping"],
+        },
+        "effects": {n.effect.name: {q: values[q] for q in n.effect.quantities} for n in found.named},
+    }
+
+
+def beside(found: TrialSelection, values: dict[str, float]) -> list[str]:
+    """What was named and MJCF cannot hold, a line each."""
+    return [
+        f"not in this file: {n.effect.name} ({', '.join(f'{q} = {values[q]:.4g}' for q in n.effect.quantities)})"
+        for n in found.named
+        if n.effect.name not in HELD
+    ]
+
+
+def left(follow: Follow, model: TrialModel) -> np.ndarray:
+    """What each window leaves over the noise `[W]`, its toss predicted with what the others say."""
+    return np.sqrt(np.square(follow.of(model.fit.vectors)[1]).sum((1, 2)) / follow.windows.free)
+
+
+def reported(
+    tossed: Tossed, problem: TrialProblem, follow: Follow, found: TrialSelection, criteria: Criteria
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report, and the arrays behind its page."""
+    over = {"before": left(follow, found.null), "after": left(follow, found.final)}
+    tracks = {k: follow.simulated(m.fit.vectors) for k, m in (("before", found.null), ("after", found.final))}
+    error = _error(tossed, follow, tracks)
+    flown = free_flight(tossed)
+    classes = [f"{parts.words(n.effect.name)} or {parts.words(s)}" for n in found.named for s in n.effect.same]
+    report = new_report(
+        "toss",
+        f"a free body over a plane, by MuJoCo ({Path(tossed.body.path).name})",
+        parts.verdict(found.named, float(np.median(over["after"])), criteria),
+        message(tossed, found, over, error, flown),
+        {
+            "trials": len(tossed.names),
+            "samples": int(follow.windows.mask.sum()),
+            "held_out_trials": len(tossed.names),
+        },
+        effects=[parts.effect_row(problem, found, n) for n in found.named],
+        error=error,
+        candidates=parts.candidate_rows(found),
+        declared={
+            k: parts.declared_rows(problem, m, LOGS) for k, m in (("before", found.null), ("after", found.final))
+        },
+        not_established=[f"{words}: no toss tells them apart." for words in classes],
+        notes=list(tossed.notes),
+        noise={"m": tossed.noise, "rad": tossed.noise_turn, "source": tossed.noise_source},
+        windows={
+            "count": len(follow.windows.toss),
+            "over_noise": {k: float(np.median(v)) for k, v in over.items()},
+            "followed": {k: float(np.mean(v <= FOLLOWED)) for k, v in over.items()},
+        },
+        free_flight=None if flown is None else _flight(flown),
+        next_experiment=_next(found),
+    )
+    evidence = {
+        "audit": [{"severity": "info", "where": "", "message": note} for note in tossed.notes],
+        "held_out": _held_out(tossed, follow, tracks, bool(found.named)),
+        "tracks": _from_above(follow, tracks, bool(found.named)),
+    }
+    return report, evidence
+
+
+def message(tossed: Tossed, found: TrialSelection, over, error: dict[str, Any], flown: Flight | None) -> str:
+    """What was found, in a few sentences."""
+    size = lambda k: f"{1e3 * error[k]:.3g}"
+    floors = {k: float(np.median(v)) for k, v in over.items()}
+    if not found.named:
+        text = (
+            f"The declared body, fitted, predicts windows of left-out tosses to {size('before')} mm, {floors['before']:.1f} times "
+            "the noise floor (median over windows)."
+        )
+        text += " No effect of the catalogue holds out." if floors["before"] > FOLLOWED else " Nothing need be added."
+    else:
+        text = (
+            f"{parts.told(found.named, 'tosses')} Left-out error {size('before')} to {size('after')} mm; windows are left at "
+            f"{floors['after']:.1f} times the noise floor (median)."
+        )
+    if flown is not None:
+        said = flight_words(flown)
+        text += f" {said[:1].upper()}{said[1:]}"
+    return text
+
+
+def _next(found: TrialSelection) -> dict[str, Any] | None:
+    """What to measure by itself where names cannot be told apart."""
+    for n in found.named:
+        rivals = [a.name for a, _ in n.alternatives] + [s.partition("@")[0] for s in n.effect.same]
+        advice = [MEASURE[name] for name in (n.effect.name, *rivals) if name in MEASURE]
+        if rivals and advice:
+            names = " and ".join(map(parts.words, (n.effect.name, rivals[0])))
+            return {
+                "message": f"{names} are told apart by themselves: {'; or '.join(advice)}.",
+                "separates": [n.effect.name, rivals[0]],
+            }
+    return None
+
+
+def _flight(flown: Flight) -> dict[str, Any]:
+    return {
+        "gravity": {"value": flown.gravity, "low": flown.low, "high": flown.high, "unit": "m/s^2"},
+        "declared": flown.declared,
+        "tosses": len(flown.each),
+        "class": ["length_scale", "clock_scale", "gravity"] if flown.off else [],
+        "if_length_scale": flown.scale,
+        "if_clock_fast": flown.clock,
+    }
+
+
+def _error(tossed: Tossed, follow: Follow, tracks: dict[str, np.ndarray]) -> dict[str, Any]:
+    w, trials = follow.windows, len(tossed.names)
+    rows = np.bincount(w.toss, w.mask.sum(1), trials)
+
+    def rms(which: str, channel: int | None) -> np.ndarray:
+        off = np.square(tracks[which] - w.place) * w.mask[..., None]
+        each = off.sum(1).mean(1) if channel is None else off.sum(1)[:, channel]
+        return np.sqrt(np.bincount(w.toss, each, trials) / rows)
+
+    both = ("before", "after")
+    return parts.error_rows(
+        "median over left-out tosses of the RMS error of a coordinate, over windows with fitted starts",
+        tossed.noise,
+        tossed.noise_source,
+        tossed.names,
+        {k: rms(k, None) for k in both},
+        {name: ("m", tossed.noise, {k: rms(k, c) for k in both}) for c, name in enumerate("xyz")},
+    )
+
+
+def _joined(follow: Follow, toss: int, rows: np.ndarray) -> np.ndarray:
+    """Rows `[n, ...]` of a toss's windows, NaN after each, of `rows [W, R, ...]`."""
+    gap = np.full((1, *rows.shape[2:]), np.nan)
+    cut = [rows[w][follow.windows.mask[w] > 0] for w in np.flatnonzero(follow.windows.toss == toss)]
+    return np.concatenate([z for part in cut for z in (part, gap)][:-1])
+
+
+def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[dict[str, Any]]:
+    out, w = [], follow.windows
+    clock = np.stack([tossed.time[t][a] for t, a in zip(w.toss, w.first, strict=True)])[:, None] + w.time
+    for i, name in enumerate(tossed.names):
+        channels = lambda z, i=i: dict(zip("xyz", _joined(follow, i, z).T, strict=True))
+        time_of = _joined(follow, i, clock)
+        gaps = np.flatnonzero(np.isnan(time_of))
+        time_of[gaps] = time_of[gaps - 1]
+        out.append(
+            {
+                "trial": name,
+                "unit": "m",
+                "time": time_of,
+                "measured": channels(w.place),
+                "before": channels(tracks["before"]),
+                "after": channels(tracks["after"]) if mended else None,
+            }
+        )
+    return out
+
+
+def _from_above(follow: Follow, tracks, mended: bool) -> dict[str, Any]:
+    trials = range(len(follow.tossed.names))
+    cut = lambda z: [_joined(follow, i, z[..., :2]) for i in trials]
+    return {
+        "measured": cut(follow.windows.place),
+        "before": cut(tracks["before"]),
+        "after": cut(tracks["after"]) if mended else None,
+    }

@@ -1,0 +1,188 @@
+"""Recordings of tosses: a folder of `meta.toml`, the declared MJCF, and poses. What cannot be judged is refused with its row."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.sysid.io.table import read_table
+from adaptsim_jax.tasks.camera_record import check_increasing, check_unit
+from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.tasks.toss.body import Body, read_body
+
+PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
+COLUMNS = ("time", *PLACE, *TURN)
+KEYS = ("schema", "task", "model", "noise", "noise_turn", "note", "name", "description", "source", "license")
+LEAST_TRIALS, LEAST_ROWS, SLOWEST = 5, 20, 0.02  # tosses; rows of one; s between its rows
+FAR = 20.0  # m
+FASTEST, SPIN = 20.0, 100.0  # m/s, rad/s between two rows
+LEAST_NOISE, LEAST_TURN = 1e-5, 1e-4  # m, rad
+NORM = 0.02  # by which a quaternion may miss unit length
+SUNK = 0.25  # of the body's size, below the plane
+
+
+@dataclass(frozen=True)
+class Tossed:
+    """T tosses. names `[T]`; time: of each `[R]` s from its first row; place: `[R, 3]` m; turn: `[R, 4]` unit quaternions w first,
+    of continuous sign; noise m and noise_turn rad of one coordinate; notes: what the files say beside."""
+
+    names: tuple[str, ...]
+    time: tuple[np.ndarray, ...]
+    place: tuple[np.ndarray, ...]
+    turn: tuple[np.ndarray, ...]
+    noise: float
+    noise_turn: float
+    noise_source: str
+    body: Body
+    notes: tuple[str, ...] = ()
+
+    def without(self, names: Sequence[str]) -> "Tossed":
+        """Without these tosses. Raises BadInput where one is not there, or too few are left."""
+        if unknown := sorted(set(names) - set(self.names)):
+            raise BadInput(f"no toss is named {unknown[0]!r}; --without takes of {', '.join(self.names)}")
+        keep = [k for k, name in enumerate(self.names) if name not in set(names)]
+        if len(keep) < LEAST_TRIALS:
+            raise BadInput(f"--without leaves {len(keep)} tosses; a diagnosis needs {LEAST_TRIALS}")
+        return self.only(keep)
+
+    def only(self, keep: Sequence[int]) -> "Tossed":
+        """These tosses by number."""
+        rows = {k: tuple(getattr(self, k)[i] for i in keep) for k in ("names", "time", "place", "turn")}
+        return replace(self, **rows)
+
+
+def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Tossed:
+    """The tosses of a folder. as_declared: whatever the poses say of the frame; without: tosses that are left out. Raises BadInput."""
+    folder = Path(folder)
+    where = folder / "meta.toml"
+    meta = config.read(where)
+    for key in meta:
+        if key not in KEYS:
+            raise BadInput(f"{where}: key '{key}' is unknown{config.suggest(key, KEYS)}")
+    if not isinstance(meta.get("model"), str):
+        raise BadInput(f'{where}: names no model; add model = "cube.xml", the MJCF of the body over a plane')
+    body = read_body(folder / meta["model"])
+    files = sorted(folder.glob("*.csv"))
+    if not files:
+        raise BadInput(f"{folder}: holds no tosses; add a CSV for each with columns {', '.join(COLUMNS)}")
+    found: dict[str, tuple[np.ndarray, ...]] = {}
+    notes: list[str] = []
+    for path in files:
+        _read_file(path, found, notes)
+    if len(found) < LEAST_TRIALS:
+        raise BadInput(
+            f"{folder}: holds {len(found)} tosses; to judge effects {LEAST_TRIALS} are needed, 20 to 30 serve"
+        )
+    names = tuple(found)
+    time, place, turn = (tuple(found[n][k] for n in names) for k in range(3))
+    if not as_declared:
+        _check_frame(body, names, place, turn, where)
+    noise, noise_turn, source = _noise(meta, where, place, turn)
+    return Tossed(names, time, place, turn, noise, noise_turn, source, body, tuple(dict.fromkeys(notes))).without(
+        without
+    )
+
+
+def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str]) -> None:
+    """The tosses of a file into `found`: one by the file's name, or as many as its column `trial` numbers."""
+    table = read_table(path, ("trial", *COLUMNS), least=1)
+    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+    c = table.columns
+    for name in COLUMNS:
+        if name not in c:
+            raise BadInput(
+                f"{path}: column '{name}' is missing; needed are time (s), x, y, z (m) and qw, qx, qy, qz (body to world)"
+            )
+    if table.ignored:
+        notes.append(f"columns {', '.join(table.ignored)} are not used: what moves is taken from the poses")
+    check_unit(c, at, FAR, "toss")
+    norm = np.sqrt(sum(np.square(c[q]) for q in TURN))
+    for i in np.flatnonzero(np.abs(norm - 1.0) > NORM)[:1]:
+        raise BadInput(f"{at(i)}: the quaternion's length is {norm[i]:.4g}, not 1; mend or remove that row")
+    numbers = c.get("trial")
+    for number in [None] if numbers is None else np.unique(numbers):
+        i = np.arange(len(c["time"])) if number is None else np.flatnonzero(numbers == number)
+        name = path.stem if number is None else f"{number:g}"
+        told = lambda k, i=i: at(int(i[k]))
+        if name in found:
+            raise BadInput(f"{told(0)}: there is a toss named {name} already; number the tosses one by one")
+        found[name] = _one(
+            c["time"][i],
+            np.stack([c[n][i] for n in PLACE], 1),
+            np.stack([c[n][i] for n in TURN], 1) / norm[i, None],
+            told,
+        )
+
+
+def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told) -> tuple[np.ndarray, ...]:
+    check_increasing(time, told)
+    if len(time) < LEAST_ROWS or np.median(np.diff(time)) > SLOWEST:
+        gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
+        raise BadInput(
+            f"{told(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {LEAST_ROWS} at 50 Hz or more, time in seconds"
+        )
+    gaps = np.diff(time)
+    leap = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    for k in np.flatnonzero(leap > FASTEST * gaps)[:1] + 1:
+        raise BadInput(f"{told(k)}: the body jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it")
+    turn = turns.continuous(turn)
+    spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
+    for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
+        raise BadInput(f"{told(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what is not it")
+    return time - time[0], place, turn
+
+
+def _check_frame(body: Body, names, place, turn, where: Path) -> None:
+    """Another frame, another body, another order of the quaternion: told before anything is fitted."""
+    corners = body.corners()
+    low = [lowest(p, q, corners) for p, q in zip(place, turn, strict=True)]
+    sunk, floats = float(np.median([z.min() for z in low])), float(np.median([z[-1] for z in low]))
+    swapped = [lowest(p, np.roll(q, 1, axis=1), corners) for p, q in zip(place, turn, strict=True)]
+    spread = lambda all_rows: float(np.median([np.abs(z[-3:]).max() for z in all_rows]))
+    if spread(swapped) < 0.3 * spread(low) and spread(low) > 0.05 * body.size:
+        raise BadInput(
+            f"{where}: bodies lie on the plane only where quaternions have w last; name the columns so that qw is the scalar"
+        )
+    if sunk < -SUNK * body.size:
+        raise BadInput(
+            f"{where}: bodies go {-1e3 * sunk:.3g} mm below the plane z = 0 (median of the tosses); give poses in a frame whose "
+            "z is upwards from the plane, in m, and the body's size in the model"
+        )
+    if min(floats, float(np.median([z.min() for z in low]))) > body.size:
+        raise BadInput(
+            f"{where}: bodies never come nearer to the plane z = 0 than {1e3 * min(floats, sunk):.3g} mm; give poses in a frame "
+            "whose z is upwards from the plane"
+        )
+
+
+def lowest(place: np.ndarray, turn: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Height `[R]` m of the lowest of the body's points."""
+    return (place[:, None] + turns.turned(turn[:, None], corners[None]))[..., 2].min(1)
+
+
+def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float, str]:
+    """Of one coordinate, as declared or by third differences, which motion hardly has at these rates outside of impacts."""
+    seen = []
+    spins = [turns.log(turns.times(turns.inverse(q[:-1]), q[1:])) for q in turn]
+    for rows, order, least in ((place, 3, LEAST_NOISE), (spins, 2, LEAST_TURN)):
+        d = np.concatenate([np.abs(np.diff(z, order, axis=0)).ravel() for z in rows])
+        seen.append(max(float(1.4826 * np.median(d) / np.sqrt(20.0)), least))
+    source = "third differences"
+    for i, (key, most) in enumerate((("noise", 0.02), ("noise_turn", 0.2))):
+        if key in meta:
+            value = finite(meta[key])
+            if value is None or not 0.0 < value < most:
+                unit = "m" if i == 0 else "rad"
+                raise BadInput(f"{where}: {key} = {brief(meta[key])} is no size in {unit}; write e.g. {least_of(i)}")
+            seen[i], source = value, "declared"
+    return seen[0], seen[1], source
+
+
+def least_of(i: int) -> str:
+    """A usual noise, for a message."""
+    return ("0.0002", "0.002")[i]
