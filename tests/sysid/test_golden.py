@@ -26,7 +26,6 @@ CASES = {
     "delay": Spec(406, effects=(("delay", 1, 4.0),), **LINEAR),
     "closed_loop": Spec(407, "closed_loop", (("bias", 2, 4.0),), **SHORT),
     "small": Spec(408, effects=(("quadratic_drag", 2, 0.02),), **LINEAR),
-    "pair": Spec(906, effects=(("coulomb", 2, 5.0), ("backlash", 1, 4.0)), n_trials=4, seconds=4.0, world="linearized"),
     "outside": Spec(409, effects=(("coulomb", 1, 5.0),), **LINEAR),
     "wrong_mass": Spec(301, n_trials=4, seconds=4.0, world="linearized"),
     "wrong_length": Spec(410, "low_noise", **SHORT),
