@@ -20,7 +20,7 @@ XML = """<mujoco>
   <worldbody>
     <geom type="plane" size="5 5 0.1"/>
     <body name="cube"><freejoint/>
-      <inertial pos="0 0 0" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>
+      <inertial pos="{centre}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>
       <geom type="box" size="{half} {half} {half}" friction="{friction} 0 0" solref="{time} {damping}"/>
     </body>
   </worldbody>
@@ -44,8 +44,10 @@ SIZES = {
 }
 
 
-def xml(step, friction, time, damping, inertia=MASS * (2 * HALF) ** 2 / 6, half=HALF):
-    return XML.format(step=step, mass=MASS, inertia=inertia, half=half, friction=friction, time=time, damping=damping)
+def xml(step, friction, time, damping, inertia=MASS * (2 * HALF) ** 2 / 6, half=HALF, centre="0 0 0"):
+    return XML.format(
+        step=step, mass=MASS, inertia=inertia, half=half, friction=friction, time=time, damping=damping, centre=centre
+    )
 
 
 def rotation(v):
@@ -125,12 +127,10 @@ def world(seed, name=None, tosses=20, seconds=0.75, effect=None):
     effect = {} if name is None else {name: drawn(rng, name) if effect is None else effect}
     get = lambda key, least=0.0: effect.get(key, least)
     inertia = MASS * (2 * HALF) ** 2 / 6 * (1 + get("inertia"))
-    model = mujoco.MjModel.from_xml_string(
-        xml(STEP, truth["friction"], truth["time"], truth["damping"], inertia, HALF * (1 + get("body_size")))
-    )
+    centre = " ".join(f"{z:.9f}" for z in get("centre_of_mass", np.zeros(3)))
+    contact = truth["friction"], truth["time"], truth["damping"]
+    model = mujoco.MjModel.from_xml_string(xml(STEP, *contact, inertia, HALF * (1 + get("body_size")), centre))
     model.geom_priority[1] = 1
-    model.body_sameframe[1], model.body_simple[1], model.geom_sameframe[1] = 0, 0, 0
-    model.body_ipos[1] = get("centre_of_mass", np.zeros(3))
     x, y = np.sin(get("tilt", (0.0, 0.0)))
     model.opt.gravity[:] = 9.81 * np.array([x, y, -np.sqrt(1 - x * x - y * y)])
     frame, axes = rotation([*get("plane_turn", (0.0, 0.0)), 0.0]), rotation(get("body_turn", np.zeros(3)))

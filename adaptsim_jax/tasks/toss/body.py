@@ -88,6 +88,7 @@ def read_body(path: str | Path) -> Body:
     model = compiled(str(path), spec)
     _check(path, model)
     at = int(model.jnt_bodyid[0])
+    model = _general(str(path), spec, model, at)
     geoms = np.flatnonzero(model.geom_bodyid == at)
     touching = geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) > 0]
     if not len(touching):
@@ -101,11 +102,23 @@ def read_body(path: str | Path) -> Body:
     # what a contact takes from either geom is taken from the body's, so that one set of numbers is what acts
     model.geom_priority[geoms] = int(model.geom_priority.max()) + 1
     model.body_sameframe[:] = 0  # shortcuts that hold only for the numbers of the file
-    model.body_simple[:] = 0
     model.geom_sameframe[:] = 0
     kinds = {mujoco.mjtGeom(int(t)).name.removeprefix("mjGEOM_") for t in model.geom_type[geoms]}
     friction = float(model.geom_friction[touching[0], 0])
     return Body(model, str(path), at, geoms, friction, float(solref[0]), float(solref[1]), kinds <= set(SIZED))
+
+
+def _general(path: str, spec: mujoco.MjSpec, model: mujoco.MjModel, at: int) -> mujoco.MjModel:
+    """The model compiled for a centre of mass beside the body's origin: where they coincide MuJoCo leaves out what couples motion
+    and turning, and a centre that is moved later would be pulled about the origin."""
+    part = next(p for p in spec.bodies if p.name == mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, at))
+    centre = np.array(model.body_ipos[at])
+    part.explicitinertial = True
+    part.mass, part.ipos, part.iquat = float(model.body_mass[at]), centre + 1e-3, model.body_iquat[at]
+    part.inertia, part.fullinertia = model.body_inertia[at], [np.nan, 0, 0, 0, 0, 0]
+    general = compiled(path, spec)
+    general.body_ipos[at] = centre
+    return general
 
 
 def _check(path: str | Path, model: mujoco.MjModel) -> None:

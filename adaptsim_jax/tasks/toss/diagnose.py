@@ -19,6 +19,7 @@ from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
 from adaptsim_jax.tasks.toss.flight import Flight, free_flight
 from adaptsim_jax.tasks.toss.flight import words as flight_words
+from adaptsim_jax.tasks.toss.predict import whole_tosses
 from adaptsim_jax.tasks.toss.problem import Follow, prepare
 from adaptsim_jax.tasks.toss.read import Tossed, read
 
@@ -130,15 +131,18 @@ def reported(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     over = {"before": left(follow, found.null), "after": left(follow, found.final)}
-    tracks = {k: follow.simulated(m.fit.vectors) for k, m in (("before", found.null), ("after", found.final))}
+    both = (("before", found.null), ("after", found.final))
+    tracks = {k: follow.simulated(m.fit.vectors) for k, m in both}
     error = _error(tossed, follow, tracks)
     flown = free_flight(tossed)
+    whole = {k: whole_tosses(tossed, m.fit.vectors) for k, m in both}
+    whole = {k: float(np.median(z)) if len(z) else None for k, z in whole.items()}
     classes = [f"{parts.words(n.effect.name)} or {parts.words(s)}" for n in found.named for s in n.effect.same]
     report = new_report(
         "toss",
         f"a free body over a plane, by MuJoCo ({Path(tossed.body.path).name})",
         parts.verdict(found.named, float(np.median(over["after"])), criteria),
-        message(tossed, found, over, error, flown),
+        message(found, over, error, whole, flown),
         {
             "trials": len(tossed.names),
             "samples": int(follow.windows.mask.sum()),
@@ -147,9 +151,7 @@ def reported(
         effects=[parts.effect_row(problem, found, n) for n in found.named],
         error=error,
         candidates=parts.candidate_rows(found),
-        declared={
-            k: parts.declared_rows(problem, m, LOGS) for k, m in (("before", found.null), ("after", found.final))
-        },
+        declared={k: parts.declared_rows(problem, m, LOGS) for k, m in both},
         not_established=[f"{words}: no toss tells them apart." for words in classes],
         notes=list(tossed.notes),
         noise={"m": tossed.noise, "rad": tossed.noise_turn, "source": tossed.noise_source},
@@ -158,6 +160,7 @@ def reported(
             "over_noise": {k: float(np.median(v)) for k, v in over.items()},
             "followed": {k: float(np.mean(v <= FOLLOWED)) for k, v in over.items()},
         },
+        whole_tosses={"unit": "m", **whole},
         free_flight=None if flown is None else _flight(flown),
         next_experiment=_next(found),
     )
@@ -169,7 +172,7 @@ def reported(
     return report, evidence
 
 
-def message(tossed: Tossed, found: TrialSelection, over, error: dict[str, Any], flown: Flight | None) -> str:
+def message(found: TrialSelection, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
     """What was found, in a few sentences."""
     size = lambda k: f"{1e3 * error[k]:.3g}"
     floors = {k: float(np.median(v)) for k, v in over.items()}
@@ -184,6 +187,9 @@ def message(tossed: Tossed, found: TrialSelection, over, error: dict[str, Any], 
             f"{parts.told(found.named, 'tosses')} Left-out error {size('before')} to {size('after')} mm; windows are left at "
             f"{floors['after']:.1f} times the noise floor (median)."
         )
+    if whole["before"] is not None:
+        after = f" to {1e3 * whole['after']:.3g}" if found.named else ""
+        text += f" Whole tosses from their flight alone: {1e3 * whole['before']:.3g}{after} mm (median)."
     if flown is not None:
         said = flight_words(flown)
         text += f" {said[:1].upper()}{said[1:]}"
