@@ -10,13 +10,16 @@ from adaptsim_jax.attribution.load import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.dynamics import regressor
 from adaptsim_jax.mechanisms.tree import Tree
-from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, Words, contradiction, late_finding, lateness
-from adaptsim_jax.sysid.quality.hypotheses import MOST, Design, Hypothesis, Motion, Track
+from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, POOR, Words, contradiction, late_finding, lateness
+from adaptsim_jax.sysid.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
 from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.quality.trial_words import Channels
 from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
 
-FACTORS = {1e-3: "millimetres", 1e-2: "centimetres"}
+FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
+UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}
+OFF, WILD = 4.0, 30.0
+"""Times that all torques may be those of the declared masses without a word; from which on that is refused."""
 ALIKE = 0.99
 
 
@@ -40,13 +43,35 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     program = _program(tree.n)
     more = []
     for factor, unit in FACTORS.items():
-        says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion (was it written in {unit}?)"
+        asked = f" (was it written in {unit}?)" if unit else ""
+        says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion{asked}"
         more.append(Hypothesis("length", says, "write it in metres", design=_design(_resized(tree, factor), program)))
     if told := contradiction(tracks, declared, _words(tree, log.input_kind), more, _chain(tree)):
         raise BadInput(f"{log.path}: {told.message}; {AS_DECLARED}")
+    warned = () if machine.gain_unknown else _weighed(machine, tracks, declared)
     late = lateness(tracks, declared)
     step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))
-    return () if late is None else late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
+    if late is None:
+        return warned
+    return warned + late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
+
+
+def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[Finding, ...]:
+    """A warning where the torques are several times those of the declared masses; BadInput where they are far from them."""
+    motion = motion_of(tracks)
+    if len(motion.q) < LEAST:
+        return ()
+    found = linear_fit(motion, declared, first=machine.tree.n)
+    if found.left > POOR or 1.0 / OFF < found.scale < OFF:
+        return ()
+    near = min(UNITS, key=lambda u: abs(np.log(found.scale / u)))
+    unit = f" ({UNITS[near]}?)" if 1.0 / OFF < found.scale / near < OFF else ""
+    times = f"{float(f'{found.scale:.2g}'):g} times those that the masses of {machine.mechanism.path} need"
+    says = f"the torques that make this motion are {times}{unit}"
+    mend = "write masses in kg and torques in N m, or the torques' unit under [units]"
+    if 1.0 / WILD < found.scale < WILD:
+        return (Finding("masses", "warn", "", "masses", f"{says}; {mend}", found.scale),)
+    raise BadInput(f"{machine.log.path}: {says}; {mend}; {AS_DECLARED}")
 
 
 def mechanism_trials(machine: Machine) -> Differ | None:

@@ -28,6 +28,8 @@ POOR = 0.15
 """Share of the torque's square left unexplained from which on the declared convention is doubted."""
 GOOD, TIMES = 0.1, 5.0
 """Another convention is told where it leaves less than GOOD, and TIMES less than the declared one."""
+HARDLY, FAR = 0.03, 10.0
+"""So it is from this share on, where another leaves FAR times less: many parameters explain much of anything."""
 MOST_SWAPPED = 8
 """Joints up to which every pair is tried."""
 SURE = 0.7
@@ -81,7 +83,7 @@ def contradiction(
     if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or not _moves(motion):
         return None
     left = unexplained(motion, design)
-    if left < POOR:
+    if left < HARDLY:
         return None
     best: tuple[float, Hypothesis] | None = None
     for h in (*hypotheses_of(words, chain), *more):
@@ -89,7 +91,7 @@ def contradiction(
         # of two that do alike the first, which is the simpler, stands
         if best is None or other < 0.8 * best[0]:
             best = other, h
-    if best is None or best[0] > GOOD or best[0] * TIMES > left:
+    if best is None or best[0] > GOOD or best[0] * (TIMES if left >= POOR else FAR) > left:
         return None
     return Told(best[1].name, best[1].says, best[1].mend, left, best[0])
 

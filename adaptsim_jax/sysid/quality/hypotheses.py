@@ -133,11 +133,28 @@ def rubbing(motion: Motion) -> np.ndarray:
     return joints
 
 
+@dataclass(frozen=True)
+class LinearFit:
+    """`left`: share of the torque's square that the best parameters leave; `scale`: how many times larger the torque of the first
+    columns is than with a parameter of 1 for each."""
+
+    left: float
+    scale: float
+
+
 def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
     """Share of the torque's square that the best parameters leave, the joints weighed alike."""
+    return linear_fit(motion, design, gravity).left
+
+
+def linear_fit(motion: Motion, design: Design, gravity: bool = True, first: int = 0) -> LinearFit:
+    """The best parameters that are at least 0, the joints weighed alike; one without a drive as the others in the middle. first:
+    columns of the design whose scale is asked for (0: all)."""
     k, n = motion.q.shape
     columns, joints = design(motion, gravity), rubbing(motion)
-    weight = 1.0 / np.maximum(np.std(motion.tau, axis=0), 1e-12)
+    spread = np.std(motion.tau, axis=0)
+    driven = spread > 1e-9 * max(float(spread.max()), 1e-12)
+    weight = 1.0 / np.where(driven, spread, np.median(spread[driven]) if driven.any() else 1.0)
     a = (np.concatenate([columns, joints], 2) * weight[None, :, None]).reshape(k * n, -1)
     b = (motion.tau * weight).reshape(-1)
     size = np.maximum(np.sqrt(np.mean(a**2, axis=0)), 1e-12)
@@ -146,4 +163,7 @@ def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
     root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) / len(gram) * np.eye(len(gram)))
     x, _ = nnls(root.T, np.linalg.solve(root, right))
     total = float(np.sum((b - np.mean(b)) ** 2))
-    return float(np.sum((b - (a / size) @ x) ** 2) / max(total, 1e-12))
+    own = slice(0, first or columns.shape[2])
+    as_is, found = a[:, own].sum(1), (a / size)[:, own] @ x[own]
+    scale = float(as_is @ found / max(float(as_is @ as_is), 1e-300))
+    return LinearFit(float(np.sum((b - (a / size) @ x) ** 2) / max(total, 1e-12)), scale)
