@@ -59,7 +59,7 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
 def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[Finding, ...]:
     """A warning where the torques are several times those of the declared masses; BadInput where they are far from them."""
     motion = motion_of(tracks)
-    if len(motion.q) < LEAST:
+    if len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any():  # a free swing says nothing of the torques' unit
         return ()
     found = linear_fit(motion, declared, first=machine.tree.n)
     if found.left > POOR or 1.0 / OFF < found.scale < OFF:

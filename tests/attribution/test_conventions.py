@@ -67,6 +67,12 @@ def test_a_healthy_log_is_not_doubted(healthy):
     assert check_conventions(healthy) == ()
 
 
+def test_a_free_swing_says_nothing_of_the_torques_unit(tmp_path):
+    write_world(tmp_path, "null", 5, machine="pendulum", mode="torque")
+    machine = spoiled(load(tmp_path / "recording"), u=np.zeros_like)
+    assert all(f.kind != "masses" for f in check_conventions(machine))
+
+
 def test_masses_that_are_somewhat_off_and_late_logs_are_warned_of(healthy):
     (found,) = check_conventions(model(healthy, mass=0.1))
     assert found.severity == "warn" and "times those that the masses of" in found.message
