@@ -31,6 +31,8 @@ CRITERIA = Criteria(size=0.05, gap=0.05)
 FIRST = {"mu": 0.05, "log_e": 0.4, "h": 1e-3}
 """Widths of the first draws about the best of the grid; of a height that nobody saw three times as much."""
 RIVAL = 1.5  # times the best shape's loss on the grid, up to which a shape is fitted
+OMEGA, UNLIKELY = SHAPES[:2], 1.25
+"""Shapes of the paper's Omega; by how much better another that nobody declared has to fit (from the side a box is much like a cylinder)."""
 Say = Callable[[str], None]
 
 
@@ -102,7 +104,7 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
         if loss <= RIVAL * best:
             say(shape)
             found.append(_fitted(scooped, shape, quantities, declared, start))
-    return sorted(found, key=lambda b: b.loss)
+    return sorted(found, key=lambda b: b.loss * (1.0 if b.shape == scooped.shape or b.shape in OMEGA else UNLIKELY))
 
 
 def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarray | None = None) -> _Base:
