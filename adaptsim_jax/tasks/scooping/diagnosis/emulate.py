@@ -25,8 +25,15 @@ REACH = 3.0  # widths from the centre within which the regression is believed; b
 RIDGE = 1.0  # draws' worth of belief that a row depends on nothing
 LOW, HIGH = (np.array([getattr(q, end) for q in QUANTITIES])[OWN] for end in ("low", "high"))
 PLACE = {int(o): i for i, o in enumerate(OWN)}
-WIDTHS = 2.0 * np.array([q.scale for q in QUANTITIES])[OWN]
-"""Of the draws where nothing is known better."""
+SCALES = np.array([q.scale for q in QUANTITIES])[OWN]
+WIDE = {"ellipsoid": 1.0, "cylinder": 2.0, "box": 2.0}
+"""Widths of the draws in scales of each quantity, where nothing is known better. A piece that rolls strays less the narrower they are;
+one with a flat bottom strays by centimetres however narrow they are, and wide draws tell its slopes."""
+
+
+def widths(shape: str) -> np.ndarray:
+    """Standard deviations `[O]` of the draws where nothing is known better."""
+    return WIDE[shape] * SCALES
 
 
 @dataclass(frozen=True)
