@@ -31,8 +31,9 @@ CRITERIA = Criteria(size=0.05, gap=0.05)
 FIRST = {"mu": 0.05, "log_e": 0.4, "h": 1e-3}
 """Widths of the first draws about the best of the grid; of a height that nobody saw three times as much."""
 RIVAL = 1.5  # times the best shape's loss on the grid, up to which a shape is fitted
-OMEGA, UNLIKELY = SHAPES[:2], 1.25
-"""Shapes of the paper's Omega; by how much better one beyond it has to fit: seen from the side a box is much like a cylinder."""
+OMEGA = SHAPES[:2]
+"""The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in one plane a box moves so much like
+a cylinder that it would take up a pitch or a clearance: it has to be declared."""
 Say = Callable[[str], None]
 
 
@@ -68,7 +69,7 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
     """What the selection finds: with the declared shape, or with the likeliest where none was declared or another holds out."""
     quantities = quantities_of(scooped)
     declared = ("mu", "log_e", "h") if scooped.height is None else ("mu", "log_e")
-    free = scooped.shape is None or SHAPE in effects
+    free = SHAPE in effects
     effects = tuple(e for e in effects if e is not SHAPE)
     bases = _bases(scooped, quantities, declared, free, say)
     run = lambda base: _passes(scooped, base, effects, declared, quantities, criteria, say)
@@ -96,7 +97,7 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
 def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list[_Base]:
     """Shapes with which the declared scoop fits about as well as with any, likeliest first."""
     say("shape")
-    shapes = SHAPES if free else (scooped.shape,)
+    shapes = OMEGA if scooped.shape is None else SHAPES if free else (scooped.shape,)
     starts = {shape: begun(scooped, shape, quantities) for shape in shapes}
     best = min(loss for _, loss in starts.values())
     found = []
@@ -104,7 +105,7 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
         if loss <= RIVAL * best:
             say(shape)
             found.append(_fitted(scooped, shape, quantities, declared, start))
-    return sorted(found, key=lambda b: b.loss * (1.0 if b.shape == scooped.shape or b.shape in OMEGA else UNLIKELY))
+    return sorted(found, key=lambda b: b.loss)
 
 
 def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarray | None = None) -> _Base:
