@@ -83,6 +83,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "error_figures": _error_figures(error),
         "above": _from_above(evidence.get("tracks")),
         "differ": rows_of.trial_rows(report),
+        "above_from": figures.seen_from(evidence.get("tracks") or {}),
         "trials": _held_out_figures(evidence.get("held_out") or []),
         "trials_left_out": max(0, len(evidence.get("held_out") or []) - MOST_TRIALS),
         "residual": _residual_figures(evidence),

@@ -91,6 +91,11 @@ def held_out(trial: Mapping, channel: str) -> Paint:
     return paint
 
 
+def seen_from(tracks: Mapping) -> str:
+    """Where tracks are looked at from, by their `axes`."""
+    return "the side" if "z" in (tracks.get("axes") or ()) else "above"
+
+
 def from_above(tracks: Mapping) -> Paint:
     """Tracks of all trials from above, or in the plane of other `axes`, measured and simulated: places `[T, 2]` m of each under
     `measured`, `before`, `after`."""
@@ -104,7 +109,7 @@ def from_above(tracks: Mapping) -> Paint:
                     track[:, 0], track[:, 1], color=colour, linewidth=width, alpha=0.55 if key == "measured" else 0.9
                 )
                 ax.plot(track[-1:, 0], track[-1:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
-        ax.set(xlabel=f"{x}, m", ylabel=f"{y}, m", title=f"from {'above' if y == 'y' else 'the side'}, each to its end")
+        ax.set(xlabel=f"{x}, m", ylabel=f"{y}, m", title=f"from {seen_from(tracks)}, each to its end")
         ax.set_aspect("equal", adjustable="datalim")
         quiet(ax)
 

@@ -22,11 +22,19 @@ Array = Any
 DRAWS = 128
 PAIRS = (("mu", "log_e"), ("mu", "h"), ("log_e", "h"))
 REACH = 3.0  # widths from the centre within which the regression is believed; beyond, its end is
+ROUNDS = 3  # of reweighing
 RIDGE = 1.0  # draws' worth of belief that a row depends on nothing
 LOW, HIGH = (np.array([getattr(q, end) for q in QUANTITIES])[OWN] for end in ("low", "high"))
 PLACE = {int(o): i for i, o in enumerate(OWN)}
-WIDTHS = 2.0 * np.array([q.scale for q in QUANTITIES])[OWN]
-"""Of the draws where nothing is known better."""
+SCALES = np.array([q.scale for q in QUANTITIES])[OWN]
+WIDE = {"ellipsoid": 1.0, "cylinder": 2.0, "box": 2.0}
+"""Widths of the draws in scales of each quantity, where nothing is known better. A piece that rolls strays less the narrower they are;
+one with a flat bottom strays by centimetres however narrow they are, and wide draws tell its slopes."""
+
+
+def widths(shape: str) -> np.ndarray:
+    """Standard deviations `[O]` of the draws where nothing is known better."""
+    return WIDE[shape] * SCALES
 
 
 @dataclass(frozen=True)
@@ -67,11 +75,29 @@ def emulate(scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray,
     out = poses(scooped, shape, np.tile(values, (count, 1)), trials, actions)
     out = out.reshape(count, DRAWS, -1, 2).astype(float)
     x = np.asarray(features((own - centre[OWN]) / width), float)
+    fits = [_regressed(x, rows) for rows in out]
+    return Emulator(centre[OWN], width, np.stack([f[0] for f in fits]), np.stack([f[1] for f in fits]), shape)
+
+
+def _regressed(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights `[F, N, 2]` of one scoop's draws `rows [S, N, 2]` on features `x [S, F]`, and what these stray by `[N, 2]`.
+
+    Draws that went another way at the lip are outliers, in the fit and in the scale: what two draws of three stay within.
+    """
+    y = rows.reshape(len(rows), -1).T  # [M, S]
     penalty = RIDGE * np.eye(x.shape[1])
-    penalty[0, 0] = 0.0
-    inverse = np.linalg.inv(x.T @ x + penalty)
-    weights = np.einsum("fs,tsnc->tfnc", inverse @ x.T, out)
+    penalty[0, 0] = 1e-6
+    trust = np.ones_like(y)
+    for last in range(ROUNDS + 1):
+        weighed = trust[:, None, :] * x.T  # [M, F, S]
+        gram = weighed @ x + penalty
+        weights = np.linalg.solve(gram, weighed @ y[..., None])[..., 0]
+        left = y - weights @ x.T
+        scale = np.maximum(np.quantile(np.abs(left), 0.68, axis=1, keepdims=True), 1e-6)
+        if last == ROUNDS:
+            break
+        trust = 1.0 / (1.0 + np.square(left / (2.0 * scale)))
     # each draw predicted by the others
-    leverage = np.einsum("sf,fg,sg->s", x, inverse, x)
-    left = (out - np.einsum("sf,tfnc->tsnc", x, weights)) / (1.0 - leverage)[:, None, None]
-    return Emulator(centre[OWN], width, weights, np.sqrt(np.square(left).mean(1)), shape)
+    leverage = trust * np.einsum("sf,mfs->ms", x, np.linalg.solve(gram, np.broadcast_to(x.T, weighed.shape)))
+    stray = np.quantile(np.abs(left) / np.maximum(1.0 - leverage, 0.1), 0.68, axis=1)
+    return weights.T.reshape(-1, *rows.shape[1:]), stray.reshape(rows.shape[1:])

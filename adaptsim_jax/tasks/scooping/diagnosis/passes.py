@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.trials.select import (
     without,
 )
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
-from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, WIDTHS, emulate
+from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, emulate, widths
 from adaptsim_jax.tasks.scooping.diagnosis.problem import begun, prepare, quantities_of, scales, softened
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, expected
@@ -31,6 +31,9 @@ CRITERIA = Criteria(size=0.05, gap=0.05)
 FIRST = {"mu": 0.05, "log_e": 0.4, "h": 1e-3}
 """Widths of the first draws about the best of the grid; of a height that nobody saw three times as much."""
 RIVAL = 1.5  # times the best shape's loss on the grid, up to which a shape is fitted
+OMEGA = SHAPES[:2]
+"""The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in one plane a box moves so much like
+a cylinder that it would take up a pitch or a clearance: it has to be declared."""
 Say = Callable[[str], None]
 
 
@@ -66,7 +69,7 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
     """What the selection finds: with the declared shape, or with the likeliest where none was declared or another holds out."""
     quantities = quantities_of(scooped)
     declared = ("mu", "log_e", "h") if scooped.height is None else ("mu", "log_e")
-    free = scooped.shape is None or SHAPE in effects
+    free = SHAPE in effects
     effects = tuple(e for e in effects if e is not SHAPE)
     bases = _bases(scooped, quantities, declared, free, say)
     run = lambda base: _passes(scooped, base, effects, declared, quantities, criteria, say)
@@ -94,7 +97,7 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
 def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list[_Base]:
     """Shapes with which the declared scoop fits about as well as with any, likeliest first."""
     say("shape")
-    shapes = SHAPES if free else (scooped.shape,)
+    shapes = OMEGA if scooped.shape is None else SHAPES if free else (scooped.shape,)
     starts = {shape: begun(scooped, shape, quantities) for shape in shapes}
     best = min(loss for _, loss in starts.values())
     found = []
@@ -107,7 +110,7 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
 
 def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarray | None = None) -> _Base:
     start = begun(scooped, shape, quantities)[0] if start is None else start
-    width = WIDTHS.copy()
+    width = widths(shape)
     for n in declared:
         wide = 3.0 if n == "h" and scooped.places.shape[-1] < 3 else 1.0
         width[PLACE[INDEX[n]]] = wide * FIRST[n]
@@ -118,7 +121,8 @@ def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarra
 
 def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criteria: Criteria, say: Say) -> Found:
     """Effects selected about the declared fit, then about what was found, until nothing changes."""
-    centre, width, names = base.values, WIDTHS.copy(), ()
+    least, names = widths(base.shape), ()
+    centre, width = base.values, least
     for turn in range(PASSES):
         say(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
@@ -131,10 +135,10 @@ def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criter
         if now == names and moved < 2.5:
             break
         names = now
-        width = np.maximum(WIDTHS, 0.6 * np.abs(centre - problem.neutral)[OWN])
+        width = np.maximum(least, 0.6 * np.abs(centre - problem.neutral)[OWN])
         for n in declared:
             i = INDEX[n]
-            width[PLACE[i]] = np.clip(2.0 * spread(found.final)[i], WIDTHS[PLACE[i]], FIRST[n])
+            width[PLACE[i]] = np.clip(2.0 * spread(found.final)[i], least[PLACE[i]], FIRST[n])
     return _judged(scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, say)
 
 
