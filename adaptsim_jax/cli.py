@@ -41,7 +41,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         args = parse(argv)
         surroundings.check_process()
-        if word := surroundings.single_precision():
+        for word in surroundings.computing():
             print(f"adaptsim: {word}", file=sys.stderr)
         _limit_blas_threads()
         _set_up_cache(args)

@@ -15,16 +15,32 @@ def folder() -> Path:
     """Where compiled programs are: $ADAPTSIM_CACHE, $JAX_COMPILATION_CACHE_DIR, or the platform's folder."""
     for name in (VARIABLE, "JAX_COMPILATION_CACHE_DIR"):
         if os.environ.get(name):
-            return Path(os.environ[name]).expanduser()
+            return _expanded(Path(os.environ[name]))
     return _platform_folder() / "adaptsim_jax" / "xla"
 
 
 def _platform_folder() -> Path:
     if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
+        return _home() / "Library" / "Caches"
     if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        return Path(os.environ.get("LOCALAPPDATA", _home() / "AppData" / "Local"))
+    return Path(os.environ.get("XDG_CACHE_HOME") or _home() / ".cache")
+
+
+def _home() -> Path:
+    """The home folder; where there is none, as in a container whose user has no name, one of the user's own for temporary files."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return Path(tempfile.gettempdir()) / f"home-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+
+
+def _expanded(path: Path) -> Path:
+    """Without `~`, which stays as it is where there is no home."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        return path
 
 
 def enable() -> str | None:

@@ -8,6 +8,11 @@ import sys
 from adaptsim_jax.core.errors import BadInput
 
 _forked_after_use = [False]
+_BRANCHES = "branches that are not taken may hold numbers that do not exist, and what ran away is told by its code"
+PUT_OFF = {
+    "JAX_ENABLE_X64": "adaptsim computes in single precision", "JAX_DEBUG_NANS": _BRANCHES, "JAX_DEBUG_INFS": _BRANCHES,
+}  # fmt: skip
+"""Switches of JAX that are not heeded, with why."""
 _OFF = ("", "0", "false", "off", "no")
 
 
@@ -30,8 +35,8 @@ def check_process() -> None:
         )
 
 
-def single_precision() -> str | None:
-    """Compute in single precision whatever the environment says; a word on it where it says otherwise.
+def computing() -> list[str]:
+    """Put off what the environment says of how JAX computes and we cannot heed; a line on each.
 
     BadInput where a program that called us turned double precision on: its arrays would not fit ours.
     """
@@ -40,11 +45,13 @@ def single_precision() -> str | None:
 
         if jax.config.jax_enable_x64:
             raise BadInput("JAX computes in double precision here (jax_enable_x64), adaptsim in single: turn it off")
-        return None
-    if os.environ.get("JAX_ENABLE_X64", "").strip().lower() in _OFF:
-        return None
-    os.environ["JAX_ENABLE_X64"] = "0"
-    return "JAX_ENABLE_X64 is set and is not heeded: adaptsim computes in single precision"
+        return []
+    told = []
+    for name, why in PUT_OFF.items():
+        if os.environ.get(name, "").strip().lower() not in _OFF:
+            os.environ[name] = "0"
+            told.append(f"{name} is set and is not heeded: {why}")
+    return told
 
 
 def legible_streams() -> None:

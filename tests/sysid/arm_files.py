@@ -20,12 +20,13 @@ def _acceleration(q, v, tau):
     return np.stack([(p3 * push1 - m12 * push2) / det, (m11 * push2 - m12 * push1) / det], 1)
 
 
-def arm(count: int = 4, seconds: float = 2.5, seed: int = 0) -> list[dict[str, np.ndarray]]:
-    """`count` healthy trials: columns time, q1, q2, v1, v2, tau1, tau2, the torque held from row to row, with the sensors' noise."""
+def arm(count: int = 4, seconds: float = 2.5, seed: int = 0, scale: float = 1.0) -> list[dict[str, np.ndarray]]:
+    """`count` healthy trials: columns time, q1, q2, v1, v2, tau1, tau2, the torque held from row to row, with the sensors' noise;
+    scale: of the torques, from 3 on joints go round."""
     rng = np.random.default_rng(seed)
     time = np.arange(int(seconds * RATE)) / RATE
     wave = rng.uniform(0.3, 2.5, (3, 1, count, 2)), rng.uniform(0, 6.3, (3, 1, count, 2))
-    tau = np.sin(2 * np.pi * wave[0] * time[:, None, None] + wave[1]).sum(0) * np.array([0.7, 0.25])
+    tau = np.sin(2 * np.pi * wave[0] * time[:, None, None] + wave[1]).sum(0) * np.array([0.7, 0.25]) * scale
     q, v, rows, h = rng.uniform(-0.6, 0.6, (count, 2)), np.zeros((count, 2)), [], 1e-3
     for u in tau:
         rows.append(np.concatenate([q, v, u], 1))

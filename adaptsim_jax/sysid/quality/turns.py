@@ -33,9 +33,9 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     """
     if len(q) < 4:
         return Turns(q, 0, TURN)
-    period = _other_period(q) or TURN
     jump, dt = np.diff(q), np.diff(time)
     gap = dt > GAP * np.median(dt)
+    period = _other_period(q, ~gap) or TURN
     near = jump - period * np.round(jump / period)
     speed = np.where(gap, np.nan, near / dt)
     expected = _mean_of_sides(speed) * dt
@@ -76,9 +76,10 @@ def _within_one_period(q: np.ndarray, period: float) -> bool:
     )
 
 
-def _other_period(q: np.ndarray) -> float | None:
-    """A period that is no turn: several jumps alike, far beyond all other steps, and nearly as wide as the angle's range."""
-    step = np.abs(np.diff(q))
+def _other_period(q: np.ndarray, near: np.ndarray) -> float | None:
+    """A period that is no turn: several jumps alike between neighbouring rows (`near [T-1]`), far beyond all other steps, and nearly
+    as wide as the angle's range."""
+    step = np.abs(np.diff(q))[near]
     span = float(np.ptp(q))
     high = step > 0.8 * span
     if span < 0.5 or np.sum(high) < 2 or np.mean(high) > 0.1:

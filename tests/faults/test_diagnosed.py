@@ -1,0 +1,49 @@
+"""What real data do to a diagnosis, from the command line to report.json: slow, for each is a whole diagnosis."""
+
+import json
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.cli import main
+from tests.sysid.arm_files import arm, write
+
+pytestmark = pytest.mark.slow
+
+
+def diagnosed(tmp_path, trials, *more):
+    """report.json of trials."""
+    out = tmp_path / "out"
+    assert main(["diagnose", str(write(tmp_path / "data", trials)), "--out", str(out), *more]) == 0
+    return json.loads((out / "report.json").read_text()), (out / "report.html").read_text()
+
+
+def test_blank_velocities_are_left_out_with_a_note(tmp_path):
+    nothing = lambda c: {k: [""] * len(c["time"]) for k in ("v1", "v2")}
+    report, _ = diagnosed(tmp_path, [c | nothing(c) for c in arm()])
+    assert any("v1, v2 held no number in 00.csv" in note for note in report["notes"]) and report["warnings"] == []
+
+
+def test_zeros_that_differ_are_told_in_report_page_and_headline(tmp_path, capsys):
+    off = np.random.default_rng(4).uniform(-0.02, 0.02, (6, 2))
+    moved = [c | {"q1": c["q1"] + a, "q2": c["q2"] + b} for c, (a, b) in zip(arm(count=6), off, strict=True)]
+    report, page = diagnosed(tmp_path, moved)
+    assert report["trials"]["differ"] == "zero" and report["verdict"] != "explained"
+    assert [row["trial"] for row in report["trials"]["each"]] == [f"{k:02d}" for k in range(6)]
+    assert all(row["error"] > 0 and set(row["size"]) == {"q1", "q2"} for row in report["trials"]["each"])
+    assert any("zeros of the angles differ from trial to trial" in w for w in report["warnings"])
+    assert "Trials one by one" in page
+    assert "zeros of the angles differ" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_an_odd_trial_is_named_and_without_it_nothing_is_odd(tmp_path):
+    trials, other = arm(count=7), arm(count=1, seed=77)[0]
+    trips = lambda k, x: x if k.startswith(("time", "tau")) else np.where(trials[4]["time"] < 1.0, x, other[k])
+    trials[4] = {k: trips(k, x) for k, x in trials[4].items()}
+    report, page = diagnosed(tmp_path, trials)
+    assert report["trials"]["leave_out"] == ["04"] and "--without 04" in " ".join(report["warnings"])
+    assert "04 is apart from the other trials" in page
+    report, page = diagnosed(tmp_path, trials, "--without", "04")
+    assert (
+        report["trials"]["leave_out"] == [] and report["verdict"] == "within_noise" and "Trials one by one" not in page
+    )

@@ -1,0 +1,132 @@
+"""What real data and real days do, from the command line: told with what to write, before a model is judged."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.cli import main
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.recording import read_recording
+from adaptsim_jax.sysid.quality.audit import unwrapped
+from tests.sysid.arm_files import arm, write
+
+
+def refused(capsys, *words):
+    """What `adaptsim` says of a command that it refuses, in its one line."""
+    assert main([str(w) for w in words]) == 2
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("adaptsim:")]
+    assert len(told) == 1
+    return told[0]
+
+
+def comma(x):
+    return '"' + f"{x:.6f}".replace(".", ",") + '"'
+
+
+def joined(c):
+    """Two topics on one time axis by an outer join."""
+    rows = [{k: f"{c[k][i]:.7g}" for k in names} | {"time": f"{c['time'][i] + late:.4f}"}
+            for i in range(len(c["time"])) for late, names in ((0.0, ("q1", "q2")), (0.0013, ("tau1", "tau2")))]  # fmt: skip
+    return {k: [row.get(k, "") for row in rows] for k in ("time", "q1", "q2", "tau1", "tau2")}
+
+
+def swapped(c):
+    return {k if k == "time" else k[:-1] + {"1": "2", "2": "1"}[k[-1]]: x for k, x in c.items()}
+
+
+def late(c, rows=2):
+    return c | {k: np.r_[[c[k][0]] * rows, c[k][:-rows]] for k in ("tau1", "tau2")}
+
+
+EPOCH = 1.7e9
+SPOILED = {
+    "joints": (swapped, "joint 1 and joint 2 look swapped"),
+    "one degrees": (lambda c: c | {"q1": np.degrees(c["q1"]), "v1": np.degrees(c["v1"])}, 'q1 = "deg" under [units]'),
+    "absolute": (lambda c: c | {"q2": c["q1"] + c["q2"], "v2": c["v1"] + c["v2"]}, "q2 looks absolute"),
+    "late": (late, "are logged about 20 ms (2 rows) late"),
+    "joined": (joined, "as topics joined by time do"),
+    "commas": (lambda c: {k: [comma(v) for v in x] for k, x in c.items()}, "decimal comma"),
+    "float32": (lambda c: c | {"time": (c["time"] + EPOCH).astype(np.float32)}, "save it as float64"),
+    "ms": (lambda c: c | {"time": 1e3 * c["time"]}, 'time = "ms"'),
+    "us": (lambda c: c | {"time": 1e6 * c["time"]}, 'time = "us"'),
+    "ns": (lambda c: c | {"time": 1e9 * (c["time"] + EPOCH)}, 'time = "ns"'),
+    "back": (lambda c: c | {"time": np.where(c["time"] > 1.0, c["time"] - 0.5, c["time"])}, "time runs backwards"),
+    "needed": (lambda c: c | {"q2": ["nan"] * len(c["time"])}, "column q2 holds no number"),
+    "hole": (lambda c: c | {"tau1": np.where(c["time"] == 0.5, np.nan, c["tau1"])}, "column tau1 is nan"),
+    "swapped": (lambda c: c | {"tau1": c["tau2"], "tau2": c["tau1"]}, "exchange columns tau1 and tau2"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILED)
+def test_a_spoiled_log_is_refused_with_a_mend(tmp_path, capsys, name):
+    spoil, says = SPOILED[name]
+    data = write(tmp_path / "data", [spoil(c) for c in arm()])
+    assert says in refused(capsys, "diagnose", data, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_lengths_in_mm_are_no_pendulum_of_this_motion(tmp_path, capsys):
+    data = write(tmp_path / "data", arm(), l1=350.0)
+    assert "write l1 = 0.35 under [geometry]" in refused(capsys, "diagnose", data, "--out", tmp_path / "out")
+
+
+ENCODED = {
+    "semicolons and decimal commas": (lambda text: text.replace(",", ";").replace(".", ","), "utf-8", "decimal comma"),
+    "utf-16": (lambda text: text, "utf-16", "UTF-8"),
+    "spaces": (lambda text: text.replace(",", " "), "utf-8", "separate"),
+    "tabs": (lambda text: text.replace(",", "\t"), "utf-8-sig", None),
+    "semicolons": (lambda text: text.replace(",", ";"), "utf-8-sig", None),
+}
+
+
+@pytest.mark.parametrize("name", ENCODED)
+def test_text_of_other_programs_is_read_or_told(tmp_path, name):
+    change, encoding, says = ENCODED[name]
+    plain = read_recording(write(tmp_path / "plain", arm(count=2)))
+    data = write(tmp_path / "data", arm(count=2))
+    for path in data.glob("*.csv"):
+        path.write_text(change(path.read_text()), encoding=encoding)
+    if says is not None:
+        with pytest.raises(BadInput, match=says):
+            read_recording(data)
+        return
+    for a, b in zip(plain.trials, read_recording(data).trials, strict=True):
+        np.testing.assert_array_equal(a.q, b.q)
+
+
+def test_an_epoch_in_float64_is_a_clock_as_any_other(tmp_path):
+    data = write(tmp_path, [c | {"time": [f"{t + EPOCH:.4f}" for t in c["time"]]} for c in arm(count=2)])
+    assert abs(read_recording(data).trials[0].dt - 0.01) < 1e-6
+
+
+@pytest.mark.parametrize("lost", [0, 2, 4])
+def test_wraps_are_taken_out_even_where_rows_are_lost_just_there(tmp_path, lost):
+    """Angles in (-pi, pi] of fast rounds; `lost` rows on either side of each wrap are gone."""
+    whole = arm(count=4, scale=3.0)
+    trials, wraps = [], 0
+    for c in whole:
+        wrapped = {k: (c[k] + np.pi) % (2 * np.pi) - np.pi for k in ("q1", "q2")}
+        keep = np.ones(len(c["time"]), bool)
+        for q in wrapped.values():
+            at = np.flatnonzero(np.abs(np.diff(q)) > np.pi)
+            wraps += len(at)
+            for k in at if lost else ():
+                keep[max(0, k - lost) : k + lost] = False
+        trials.append({k: x[keep] for k, x in (c | wrapped).items()})
+    assert wraps >= 3
+    read = unwrapped(read_recording(write(tmp_path, trials)))
+    for trial, c in zip(read.trials, whole, strict=True):
+        for j, name in enumerate(("q1", "q2")):
+            off = trial.q[:, j] - np.interp(trial.time, c["time"], c[name])
+            assert np.ptp(off) < 0.01
+
+
+def test_the_data_folder_is_no_place_for_the_report(tmp_path, capsys):
+    data = write(tmp_path / "data", arm(count=2))
+    assert "is the folder of the recordings" in refused(capsys, "diagnose", data, "--out", data)
+    assert sorted(p.name for p in data.iterdir()) == ["00.csv", "01.csv", "meta.toml"]
+
+
+def test_trials_to_leave_out_are_checked(tmp_path, capsys):
+    data = write(tmp_path / "data", arm(count=2))
+    assert "no trial is named '07'" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "07")
+    assert "leave some" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "00,01")
