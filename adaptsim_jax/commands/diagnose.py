@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.sysid.io.recording import read_recording, without_trials
+    from adaptsim_jax.sysid.io.recording import read_recording
 
     check_apart(Path(args.data), Path(args.out))
     if args.model is None and (task := of_trials(Path(args.data))):
@@ -69,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
     # refused within a second, and before JAX is loaded
-    recording, without = read_recording(args.data), split_names(args.without)
-    without_trials(recording, without)
+    without = split_names(args.without)
+    recording = read_recording(args.data, without=without)
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:

@@ -58,7 +58,8 @@ def diagnose(
     """
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
-    recording = without_trials(data if isinstance(data, Recording) else read_recording(data), without)
+    read = data if isinstance(data, Recording) else read_recording(data, without=without)
+    recording = without_trials(read, without)
     known = tuple(effects or catalogue(recording.task))
     left_out = [effect_named(name, known).name for name in exclude]
     run = {

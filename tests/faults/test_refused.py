@@ -129,4 +129,7 @@ def test_the_data_folder_is_no_place_for_the_report(tmp_path, capsys):
 def test_trials_to_leave_out_are_checked(tmp_path, capsys):
     data = write(tmp_path / "data", arm(count=2))
     assert "no trial is named '07'" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "07")
+    (data / "01.csv").write_text("torn")  # what is left out is not looked at
+    assert "01.csv" in refused(capsys, "diagnose", data, "--out", tmp_path / "o")
+    assert read_recording(data, without=["01"]).trials[0].name == "00"
     assert "leave some" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "00,01")

@@ -27,8 +27,11 @@ LIMITS = {"time": 1e11, "q": 1e5, "v": 1e5, "tau": 1e5}
 """Magnitudes in SI units beyond which a value is damage, not data."""
 
 
-def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -> Recording:
-    """Read a folder of measured data. `trials` picks some by name (file name with or without its ending).
+def read_recording(
+    folder: str | Path, *, trials: Sequence[str] | None = None, without: Sequence[str] = ()
+) -> Recording:
+    """Read a folder of measured data. `trials` picks some by name (file name with or without its ending); the files of those
+    `without` are not looked at.
 
     Raises `BadInput`, one line that names the file, the line or key, and the mend.
     """
@@ -37,7 +40,9 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise BadInput(f"{folder}: {what}; give a folder with meta.toml and one CSV a trial")
     meta = read_meta(folder / "meta.toml")
-    read = [_read_trial(path, name, meta) for name, path in _pick(folder, _files(folder), trials)]
+    picked = _pick(folder, _files(folder), trials)
+    kept = _kept(str(folder), [name for name, _ in picked], without)
+    read = [_read_trial(path, name, meta) for name, path in picked if name in kept]
     sources = {source for _, source, _ in read}
     recording = Recording(
         path=str(folder),
@@ -51,6 +56,7 @@ def read_recording(folder: str | Path, *, trials: Sequence[str] | None = None) -
         torque_source=sources.pop() if len(sources) == 1 else "mixed",
         notes=meta.notes + _notes(read),
         model_file=meta.model_file,
+        left_out=tuple(without),
     )
     check_units(recording, angle_stated=meta.angle_stated)
     return recording
@@ -162,9 +168,14 @@ def _notes(read: list[tuple[Trial, str, tuple[str, ...]]]) -> tuple[str, ...]:
 
 def without_trials(recording: Recording, names: Sequence[str]) -> Recording:
     """The recording without these trials. BadInput where one of them is not there, or none would be left."""
-    known = [t.name for t in recording.trials]
+    rest = [name for name in names if name not in recording.left_out]
+    kept = _kept(recording.path, [t.name for t in recording.trials], rest)
+    return recording.replace(trials=tuple(t for t in recording.trials if t.name in kept))
+
+
+def _kept(path: str, known: list[str], names: Sequence[str]) -> set[str]:
     if unknown := [name for name in names if name not in known]:
-        raise BadInput(f"{recording.path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
-    if not set(known) - set(names):
+        raise BadInput(f"{path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
+    if not (kept := set(known) - set(names)):
         raise BadInput("--without: names every trial; leave some")
-    return recording.replace(trials=tuple(t for t in recording.trials if t.name not in names))
+    return kept

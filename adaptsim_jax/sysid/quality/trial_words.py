@@ -115,11 +115,11 @@ def _mend(differ: Differ) -> str:
 def _spread(kind: str, size: np.ndarray, channels: Channels) -> str:
     wide = np.nanmax(size, axis=0) - np.nanmin(size, axis=0)
     if kind == "load":
-        return f"by up to {100 * wide[0]:.2g} % of the torque"
+        return f"by about {100 * wide[0]:.2g} % of the torque"
     names = channels.q if kind == "zero" else channels.tau
     parts = [(n, w, _amount(kind, w, h)) for n, w, h in zip(names, wide, channels.hinges, strict=True)]
     most = max(w for _, w, _ in parts)
-    return "by up to " + ", ".join(f"{a} in {n}" for n, w, a in parts if w > 0.1 * most)
+    return "by about " + ", ".join(f"{a} in {n}" for n, w, a in parts if w > 0.1 * most)
 
 
 def _amount(kind: str, size: float, hinge: bool) -> str:
