@@ -120,7 +120,7 @@ def drawn(rng, name):
     return size if name == "drag" else size * rng.choice([-1.0, 1.0])
 
 
-def world(seed, name=None, tosses=20, seconds=0.75, effect=None):
+def world(seed, name=None, tosses=20, seconds=0.75, effect=None, height=(0.14, 0.24)):
     """truth, and poses as recorded: a list of `[R, 8]` (time, place, quaternion w first)."""
     rng = np.random.default_rng(seed)
     truth = {"friction": rng.uniform(0.12, 0.4), "time": rng.uniform(0.003, 0.006), "damping": rng.uniform(0.3, 0.9)}
@@ -141,7 +141,7 @@ def world(seed, name=None, tosses=20, seconds=0.75, effect=None):
         speed = rng.uniform(0.5, 1.5)
         start = np.concatenate(
             [
-                [rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2), rng.uniform(0.14, 0.24)],
+                [rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2), rng.uniform(*height)],
                 q / np.linalg.norm(q),
                 [speed * np.cos(way), speed * np.sin(way), rng.uniform(-0.5, 0.5)],
                 rng.normal(scale=3.0, size=3),

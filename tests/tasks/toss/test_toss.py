@@ -24,9 +24,9 @@ FEW = {"clock_scale", "tilt", "plane_height"}
 REST = tuple(e.name for e in EFFECTS if e.name not in FEW)
 
 
-def folder(tmp_path, name=None, seed=31, effect=None, count=6, seconds=0.45):
+def folder(tmp_path, name=None, seed=31, effect=None, count=6, seconds=0.45, **more):
     """A world whose declared contact is its own."""
-    truth, recorded = tosses.world(seed, name, count, seconds, effect)
+    truth, recorded = tosses.world(seed, name, count, seconds, effect, **more)
     declared = {k: truth[k] for k in ("friction", "time", "damping")}
     return tosses.written(tmp_path / (name or "null"), truth, recorded, declared)
 
@@ -175,7 +175,7 @@ def test_nothing_is_named_where_nothing_lacks(null):
 @pytest.mark.slow
 def test_a_clock_is_named_from_the_command_line(tmp_path):
     out = tmp_path / "out"
-    data = folder(tmp_path, "clock_scale", effect=0.03, count=8)
+    data = folder(tmp_path, "clock_scale", effect=0.03, count=8, height=(0.4, 0.5))  # a long flight shows it
     assert cli.main(["diagnose", str(data), "--out", str(out), "--exclude", *REST]) == 0
     report = json.loads((out / "report.json").read_text())
     (effect,) = report["effects"]
