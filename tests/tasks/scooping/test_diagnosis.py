@@ -198,7 +198,7 @@ def test_an_emulator_gives_back_a_quadratic(tmp_path, tracks, simple, monkeypatc
         return np.stack([1e-3 * (1.0 + z + 0.5 * z * z)] * 2, -1)[:, None]
 
     monkeypatch.setattr(emulate, "poses", quadratic)
-    found = emulate.emulate(scooped, "cylinder", centre, emulate.widths("cylinder"))
+    found = emulate.emulate(scooped, "cylinder", centre, emulate.widths())
     values = centre.copy()
     values[0] = 0.33
     z = (0.33 - 0.3) / 0.02

@@ -21,20 +21,20 @@ from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, executed,
 Array = Any
 DRAWS = 128
 PAIRS = (("mu", "log_e"), ("mu", "h"), ("log_e", "h"))
-REACH = 3.0  # widths from the centre within which the regression is believed; beyond, its end is
+REACH = 3.0  # widths from the centre, beyond which a row goes on along its slope alone
 ROUNDS = 3  # of reweighing
 RIDGE = 1.0  # draws' worth of belief that a row depends on nothing
 LOW, HIGH = (np.array([getattr(q, end) for q in QUANTITIES])[OWN] for end in ("low", "high"))
 PLACE = {int(o): i for i, o in enumerate(OWN)}
 SCALES = np.array([q.scale for q in QUANTITIES])[OWN]
-WIDE = {"ellipsoid": 1.0, "cylinder": 2.0, "box": 2.0}
-"""Widths of the draws in scales of each quantity, where nothing is known better. A piece that rolls strays less the narrower they are;
-one with a flat bottom strays by centimetres however narrow they are, and wide draws tell its slopes."""
+WIDE, NARROW = 2.0, {"ellipsoid": 1.0, "cylinder": 2.0, "box": 2.0}
+"""Widths of the draws in scales of each quantity, at first and later. A piece that rolls strays less the narrower they are; one
+with a flat bottom strays by centimetres however narrow they are, and wide draws tell its slopes."""
 
 
-def widths(shape: str) -> np.ndarray:
-    """Standard deviations `[O]` of the draws where nothing is known better."""
-    return WIDE[shape] * SCALES
+def widths(shape: str | None = None) -> np.ndarray:
+    """Standard deviations `[O]` of the draws where nothing is known better: at first, or later for a shape."""
+    return (WIDE if shape is None else NARROW[shape]) * SCALES
 
 
 @dataclass(frozen=True)
@@ -50,16 +50,16 @@ class Emulator:
 
 def features(z: Array) -> Array:
     """`[..., F]` of values in widths from the centre `[..., O]`."""
+    held = jnp.clip(z, -REACH, REACH)
     at = [tuple(PLACE[INDEX[n]] for n in pair) for pair in PAIRS]
     one = jnp.ones_like(z[..., :1])
-    pairs = jnp.stack([z[..., a] * z[..., b] for a, b in at], -1)
-    return jnp.concatenate([one, z, z * z - 1.0, pairs], -1)
+    pairs = jnp.stack([held[..., a] * held[..., b] for a, b in at], -1)
+    return jnp.concatenate([one, z, held * held - 1.0, pairs], -1)
 
 
 def predicted(weights: Array, centre: Array, width: Array, values: Array) -> Array:
     """Poses `[N, 2]` of one scoop with `weights [F, N, 2]` at `values [P]`."""
-    z = jnp.clip((values[OWN] - centre) / width, -REACH, REACH)
-    return jnp.tensordot(features(z), weights, 1)
+    return jnp.tensordot(features((values[OWN] - centre) / width), weights, 1)
 
 
 def emulate(scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray, seed: int = 0) -> Emulator:

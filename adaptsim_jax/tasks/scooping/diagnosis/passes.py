@@ -25,7 +25,7 @@ from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, expected
 from adaptsim_jax.tasks.scooping.model import SHAPES
 
-PASSES = 3
+PASSES = 4
 CRITERIA = Criteria(size=0.05, gap=0.05)
 """An emulator errs by some per cent of its own: less than a twentieth of the error is no effect, and no difference between two."""
 FIRST = {"mu": 0.05, "log_e": 0.4, "h": 1e-3}
@@ -110,7 +110,7 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
 
 def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarray | None = None) -> _Base:
     start = begun(scooped, shape, quantities)[0] if start is None else start
-    width = widths(shape)
+    width = widths()
     for n in declared:
         wide = 3.0 if n == "h" and scooped.places.shape[-1] < 3 else 1.0
         width[PLACE[INDEX[n]]] = wide * FIRST[n]
@@ -122,7 +122,7 @@ def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarra
 def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criteria: Criteria, say: Say) -> Found:
     """Effects selected about the declared fit, then about what was found, until nothing changes."""
     least, names = widths(base.shape), ()
-    centre, width = base.values, least
+    centre, width = base.values, widths()
     for turn in range(PASSES):
         say(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
@@ -132,7 +132,8 @@ def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criter
         now = tuple(e.name for e in found.final.added)
         moved = np.max(np.abs(fit.values - centre)[OWN] / width)
         centre = fit.values
-        if now == names and moved < 2.5:
+        settled = turn > 0 or np.allclose(least, width)
+        if now == names and moved < 2.5 and settled:
             break
         names = now
         width = np.maximum(least, 0.6 * np.abs(centre - problem.neutral)[OWN])
