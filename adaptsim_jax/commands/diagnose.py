@@ -52,7 +52,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
-        help="effects that are not to be considered; `adaptsim effects pendulum` lists them all",
+        help="effects that are not to be considered; `adaptsim effects TASK` lists them all",
     )  # fmt: skip
 
 

@@ -11,14 +11,20 @@ Formulas: q, v angle and velocity of the joint, t time; a force adds to the join
 Amplitude: zero switches the effect off. Shape: how it acts. Torque scale: what the joint's torque exceeds 0.2 % of the time."""
 EXAMPLES = """
   adaptsim effects                           physics, parameters, bounds, look-alikes, what shows each
-  adaptsim effects pendulum --brief          a line for each
+  adaptsim effects mechanism --brief         of any MJCF or URDF, a line for each; likewise pushing, scooping, toss
   adaptsim effects pendulum --name stribeck  one of them
   adaptsim effects --json                    for a program
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("task", nargs="?", default="pendulum", metavar="TASK", help="default: pendulum")
+    parser.add_argument(
+        "task",
+        nargs="?",
+        default="pendulum",
+        metavar="TASK",
+        help="pendulum (default), mechanism, pushing, scooping, toss",
+    )
     parser.add_argument("--name", metavar="EFFECT", help="all about one effect")
     parser.add_argument("--brief", action="store_true", help="a line for each")
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -26,15 +32,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
-    from adaptsim_jax.commands.common import check_task, next_step
+    from adaptsim_jax.commands.common import next_step
     from adaptsim_jax.core.config import pick
-    from adaptsim_jax.core.errors import BadInput
 
-    if check_task(args.task) != "pendulum":
-        raise BadInput(f"effects of task '{args.task}' are not in this version yet; there are those of: pendulum")
-    from adaptsim_jax.effects.registry import catalogue
-
-    effects = [describe(effect) for effect in catalogue(args.task)]
+    effects = CATALOGUES[pick("task", args.task, CATALOGUES)]()
     if args.name:
         pick("effect", args.name, [effect["name"] for effect in effects])
         effects = [effect for effect in effects if effect["name"] == args.name]
@@ -44,11 +45,62 @@ def run(args: argparse.Namespace) -> int:
         _brief(effects)
     else:
         for effect in effects:
-            _show(effect)
-        print(LEGEND)
+            (_show_trials if "quantities" in effect else _show)(effect)
+        if "formula" in effects[0]:
+            print(LEGEND)
     if not args.json:
         next_step("new effect NAME    an effect of your own")
     return 0
+
+
+def _pendulum() -> list[dict[str, Any]]:
+    from adaptsim_jax.effects.registry import catalogue
+
+    return [describe(effect) for effect in catalogue("pendulum")]
+
+
+def _mechanism() -> list[dict[str, Any]]:
+    from adaptsim_jax.attribution.catalogue import MACHINE
+
+    return [describe(effect) for effect in MACHINE]
+
+
+def _pushing() -> list[dict[str, Any]]:
+    from adaptsim_jax.tasks.pushing.diagnosis.catalogue import EFFECTS, QUANTITIES
+
+    return of_trials(EFFECTS, QUANTITIES)
+
+
+def _scooping() -> list[dict[str, Any]]:
+    from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, QUANTITIES
+
+    return of_trials(EFFECTS, QUANTITIES)
+
+
+def _toss() -> list[dict[str, Any]]:
+    from adaptsim_jax.tasks.toss.catalogue import EFFECTS
+
+    return of_trials(EFFECTS, ())
+
+
+CATALOGUES = {"pendulum": _pendulum, "mechanism": _mechanism, "pushing": _pushing, "scooping": _scooping, "toss": _toss}
+
+
+def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:
+    """Effects of short trials as plain data, with the bounds of their quantities where these are known beforehand."""
+    known = {q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in quantities}
+    return [
+        {
+            "name": e.name,
+            "place": e.where,
+            "physics": e.physics,
+            "quantities": [{"name": name} | known.get(name, {}) for name in e.quantities],
+            "absorbed_by": list(e.absorbed),
+            "same_as": list(e.same),
+            "excitation": e.seen,
+        }
+        for e in effects
+    ]
 
 
 def describe(effect: Any) -> dict[str, Any]:
@@ -101,4 +153,16 @@ def _show(effect: dict[str, Any]) -> None:
         meaning = f"; {p['meaning']}" if p["meaning"] else ""
         print(f"  {p['name']:12} [{p['unit']}] {bounds}; {p['sign']} sign; {p['role']}{meaning}")
     print(f"  look-alikes  {', '.join(effect['look_alikes']) or 'none known'}")
+    print(f"  shown by     {effect['excitation']}")
+
+
+def _show_trials(effect: dict[str, Any]) -> None:
+    print(f"{effect['name']}: acts on the {effect['place']}")
+    print(f"  physics      {effect['physics']}")
+    for q in effect["quantities"]:
+        print(
+            f"  {q['name']:12} [{q['unit'] or '1'}] {q['low']:g} to {q['high']:g}" if "unit" in q else f"  {q['name']}"
+        )
+    if effect["absorbed_by"] or effect["same_as"]:
+        print(f"  look-alikes  {', '.join([*effect['absorbed_by'], *effect['same_as']])}")
     print(f"  shown by     {effect['excitation']}")

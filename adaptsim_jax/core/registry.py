@@ -21,11 +21,12 @@ Thing = TypeVar("Thing")
 class Registry(Mapping[str, Thing], Generic[Thing]):
     """Things of one kind by name, in an order that does not change: ours as listed, then those of other packages by name.
 
-    kind: also names the group of entry points; within: a part of it, whose entry points are called `within.name`.
+    kind: also names the group of entry points; within: a part of it, whose entry points are called `within.name`; type: what each
+    thing is, by the name of its class, where they are all of one.
     """
 
-    def __init__(self, kind: str, own: Mapping[str, str], within: str = ""):
-        self.group, self.within = f"adaptsim.{kind}", within
+    def __init__(self, kind: str, own: Mapping[str, str], within: str = "", type: str = ""):
+        self.group, self.within, self.type = f"adaptsim.{kind}", within, type
         self.own = {name: EntryPoint(name, value, self.group) for name, value in own.items()}
 
     @cached_property
@@ -58,10 +59,16 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
         if name in self.own:
             return point.load()
         try:
-            return point.load()
+            thing = point.load()
         except Exception as error:
-            why = " ".join(f"{type(error).__name__}: {error}".split())
+            why = " ".join(f"{error.__class__.__name__}: {error}".split())
             raise BadInput(f"entry point {point.name} = {point.value} of {self.group} does not load: {why}") from error
+        if self.type and self.type not in {c.__name__ for c in thing.__class__.__mro__}:
+            raise BadInput(
+                f"entry point {point.name} = {point.value} of {self.group} is a {thing.__class__.__name__}, not a {self.type}; "
+                f"name the {self.type}"
+            )
+        return thing
 
     def named(self, name: str, what: str) -> Thing:
         """The thing called `name`; BadInput with the nearest name where there is none. what: it in words, `task`."""

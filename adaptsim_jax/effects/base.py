@@ -4,7 +4,7 @@ An effect acts at one of three places (design, section 2): on the *command*, as 
 one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -151,7 +151,7 @@ class Effect:
     jump: bool = False
     clocked: bool = False
     contains: tuple[str, ...] = ()
-    grid: Callable[[Reach, int], list[dict[str, float]]] | None = None
+    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = None
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
     amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
     formula: str = ""
@@ -178,5 +178,5 @@ class Effect:
     def grid_points(self, reach: Reach, joint: int) -> list[dict[str, float]]:
         """Fixed shapes to score at; one point of defaults where the effect has no shape."""
         if self.grid is not None:
-            return self.grid(reach, joint)
+            return self.grid(reach, joint) if callable(self.grid) else list(self.grid)
         return [{p.name: p.default for p in self.shapes}]

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 HERE = "adaptsim_jax.effects"
 EFFECTS: Registry[Effect] = Registry(
     "effects",
-    {
+    type="Effect",
+    own={
         "coulomb": f"{HERE}.friction:COULOMB",
         "stribeck": f"{HERE}.friction:STRIBECK",
         "quadratic_drag": f"{HERE}.friction:QUADRATIC_DRAG",

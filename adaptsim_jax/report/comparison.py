@@ -20,7 +20,7 @@ def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
     late = {m for m in visiting if m.endswith("_state")}
     for name, methods in (("reward_over_iterations", visiting - late), ("reward_over_iterations_state", late)):
         if methods:
-            figure = draw.reward_over_iterations(results, sorted(methods, key=list(look.COLOURS).index))
+            figure = draw.reward_over_iterations(results, look.in_order(methods))
             paths.append(look.save(figure, out / f"{name}.png"))
     if visiting:
         paths.append(look.save(draw.rewards(results), out / "rewards.png"))

@@ -44,6 +44,15 @@ MOST_LINES = 6
 MOST_TRIALS = 6
 """Held-out trials that the page draws; each costs some 150 kB."""
 
+GOES_TO = {
+    "pendulum": "adaptsim train --model, adapt and diagnose",
+    "mechanism": "adaptsim replay",
+    "pushing": "adaptsim train pushing --model",
+    "scooping": "people: no command takes it yet",
+    "toss": "people: no command takes it yet",
+}
+"""Where a mended model of a task may go, in words."""
+
 
 def write_diagnosis(out: Path, report: dict, evidence: dict, png: bool = False) -> None:
     """Write `report.json` and `report.html` into `out`, whole or not at all; `figures/*.png` too with `png`.
@@ -101,6 +110,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "audit_first": report["verdict"] == "data_fault",
         "run": evidence.get("run") or {},
         "files": _links(out),
+        "model_goes_to": GOES_TO.get(report["task"], GOES_TO["pendulum"]),
         "levels": {"parameter": schema.PARAMETER_LEVEL, "error": schema.ERROR_LEVEL},
         "reward": report.get("task_reward"),
     }

@@ -2,6 +2,7 @@
 
 import io
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -70,6 +71,12 @@ def setting(name: str) -> str:
 
 def colour(method: str) -> str:
     return COLOURS.get(method, MUTED)
+
+
+def in_order(methods: Iterable[str]) -> list[str]:
+    """Ours as they are listed, then those of other packages by name."""
+    known = list(COLOURS)
+    return sorted(methods, key=lambda m: (known.index(m) if m in known else len(known), m))
 
 
 def label(method: str) -> str:

@@ -169,7 +169,7 @@ def parameters_found(results: Mapping[str, Any], axes: Sequence[Axis]) -> Figure
     """
     rows = [r for r in results["rows"] if r.get("best_params")]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
-    methods = sorted({r["method"] for r in rows}, key=[*look.COLOURS, *(r["method"] for r in rows)].index)
+    methods = look.in_order({r["method"] for r in rows})
     size = (1.75 * len(axes) + 1.3, (0.19 * len(methods) + 0.55) * len(settings) + 0.5)
     figure, plots = look.new_figure(*size, len(settings), len(axes), sharex="col", sharey=True)
     grid = np.array(plots).reshape(len(settings), len(axes))

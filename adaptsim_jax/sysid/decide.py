@@ -1,4 +1,4 @@
-"""From the evidence to what may be said: one of seven verdicts, with its reason in a sentence.
+"""From the evidence to what may be said: a verdict, with its reason in a sentence.
 
 `decide` is pure. What was found, or that nothing was, gives a verdict; objections may take a name back, or hold a declared value
 responsible in its place. Each has a name, and those that spoke stand in the report.

@@ -21,6 +21,7 @@ TASKS: Registry[TaskKind] = Registry(
         "pushing": "adaptsim_jax.tasks.pushing.kind:TASK",
         "scooping": "adaptsim_jax.tasks.scooping.kind:TASK",
     },
+    type="TaskKind",
 )
 
 

@@ -32,11 +32,7 @@ def refused(capsys, *arguments):
         (["--seed", "3", "train"], "'--seed' stands before the command; write 'adaptsim COMMAND --seed'"),
         (["effects", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
         (["parity", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
-        (["effects", "pushing"], "effects of task 'pushing' are not in this version yet; there are those of: pendulum"),
-        (
-            ["effects", "scooping"],
-            "effects of task 'scooping' are not in this version yet; there are those of: pendulum",
-        ),
+        (["effects", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
         (["effects", "--name", "colomb"], "unknown effect 'colomb'; did you mean 'coulomb'?"),
         (["effects", "--jsn"], "unknown argument '--jsn'; did you mean '--json'?"),
         (["effects", "--seed", "-1"], "not a whole number from 0"),

@@ -1,5 +1,6 @@
 """How fast the command answers, and that it answers before JAX is loaded."""
 
+import json
 import os
 import resource
 import subprocess
@@ -7,7 +8,7 @@ import sys
 
 import pytest
 
-from adaptsim_jax.cli import parse
+from adaptsim_jax.cli import main, parse
 from adaptsim_jax.commands import SUMMARIES
 
 CODE = "import sys; from adaptsim_jax.cli import main; code = main(sys.argv[1:]); "
@@ -62,3 +63,12 @@ def test_every_command_takes_a_seed():
     for name in SUMMARIES:
         args = parse([name, *least.get(name, []), "--seed", "7"])
         assert args.seed == 7 and callable(args.run)
+
+
+@pytest.mark.parametrize("task", ["pendulum", "mechanism", "pushing", "scooping", "toss"])
+def test_every_catalogue_is_listed(task, capsys):
+    assert main(["effects", task]) == 0
+    told = capsys.readouterr().out
+    assert main(["effects", task, "--json"]) == 0
+    for effect in json.loads(capsys.readouterr().out):
+        assert f"{effect['name']}: " in told and effect["excitation"] in told

@@ -76,7 +76,10 @@ def declared_task(folder: str | Path) -> str | None:
 def read_meta(path: str | Path) -> Meta:
     """Read and check a `meta.toml`. Raises `BadInput` naming the file and the key."""
     path = Path(path)
-    raw = read(path, "missing; write one with task, model and angle_zero")
+    raw = read(
+        path,
+        "missing; `adaptsim init DATA --model FILE` writes one of a mechanism, that of a double pendulum has task, model, angle_zero",
+    )
     for key in raw:
         if key not in KEYS:
             raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")

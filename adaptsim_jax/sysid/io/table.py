@@ -122,7 +122,8 @@ def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
 
 def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str]) -> None:
     if all(_is_number(cell) for cell in cells):
-        raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(wanted)}")
+        names = [name for name in wanted if not _is_number(name)] or ["time", "q1", "tau1"]
+        raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(names)}")
     for name in header:
         if name in wanted and header.count(name) > 1:
             raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
