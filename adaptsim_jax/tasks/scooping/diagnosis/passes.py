@@ -8,6 +8,7 @@ import numpy as np
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials.fit import TrialFit, declared_fit, mean_square
 from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.attribution.trials.report import left_by_fit
 from adaptsim_jax.attribution.trials.select import (
     TrialModel,
     TrialNamed,
@@ -73,14 +74,21 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
     effects = tuple(e for e in effects if e is not SHAPE)
     bases = _bases(scooped, quantities, declared, free, say)
     run = lambda base: _passes(scooped, base, effects, declared, quantities, criteria, say)
-    if scooped.shape is None or bases[0].shape == scooped.shape:
+    fit = lambda shape: (
+        next((b for b in bases if b.shape == shape), None) or _fitted(scooped, shape, quantities, declared)
+    )
+    if scooped.shape is None:
+        found = run(bases[0])
+        if left_by_fit(found.problem, found.selection.final) <= criteria.explained:
+            return found
+        # an effect may make another shape look likelier before it is named
+        others = [run(fit(shape)) for shape in OMEGA if shape != found.shape]
+        return min([found, *others], key=lambda other: sum(_alike(scooped, found, other)[1]))
+    if bases[0].shape == scooped.shape:
         return run(bases[0])
-    own = next((b for b in bases if b.shape == scooped.shape), None)
-    rival = run(bases[0])
-    if own is None:  # so far off that it was not fitted
-        own = _fitted(scooped, scooped.shape, quantities, declared)
+    own, rival = fit(scooped.shape), run(bases[0])
     found = run(own)
-    test = paired(found.selection.final.fit.held, rival.selection.final.fit.held)
+    test = paired(*_alike(scooped, found, rival))
     if test.gain < criteria.size or test.p > criteria.confidence:
         return found
     named = TrialNamed(SHAPE, paired(own.held, bases[0].held), np.inf, ())
@@ -92,6 +100,16 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
         scores=(score, *rival.selection.scores),
     )
     return replace(rival, selection=selection, tracks={**rival.tracks, "before": found.tracks["before"]})
+
+
+def _alike(scooped: Scooped, one: Found, other: Found) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares `[T]` of what both leave after, on one scale: the finer of theirs where both tell a row."""
+    known = (one.scale > 0) & (other.scale > 0)
+    scale = known * np.maximum(one.scale, other.scale)
+    count = np.maximum(known.reshape(len(known), -1).sum(1), 1)
+    left = lambda f: np.square(np.asarray(softened(scale * (scooped.places - f.tracks["after"]))))
+    mean = lambda f: left(f).reshape(len(known), -1).sum(1) / count
+    return mean(one), mean(other)
 
 
 def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list[_Base]:
