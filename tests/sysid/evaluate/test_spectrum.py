@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.variance import (
     CORRELATION_TIMES,
     Linearised,
@@ -73,7 +74,7 @@ def _rung(shaking: np.ndarray) -> np.ndarray:
     return out / out.std()
 
 
-PROBLEM = SimpleNamespace(plant=SimpleNamespace(joints=("joint1", "joint2")))
+PROBLEM = SimpleNamespace(criteria=Criteria(), plant=SimpleNamespace(joints=("joint1", "joint2")))
 
 
 @pytest.mark.parametrize(("trials", "seconds"), [(6, 6.0), (1, 30.0)])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import at_point, prepare
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -53,7 +54,7 @@ def test_friction_that_sticks_gets_shorter_steps_and_is_nearer_to_what_many_step
     assert finer.windows.substeps in (2, 4) and problem.windows.substeps == 1
     many = left(replace(problem, windows=replace(problem.windows, substeps=np.asarray(32))), sticking)
     far, near = (np.sqrt(np.mean((left(p, sticking) - many) ** 2)) for p in (problem, finer))
-    assert near < 0.4 * far and far > stepsize.SHARE
+    assert near < 0.4 * far and far > Criteria().step_share
 
 
 def test_a_model_that_runs_away_keeps_its_steps(problem, monkeypatch):
