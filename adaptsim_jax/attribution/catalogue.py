@@ -4,6 +4,7 @@ Each is an `Effect` as of the double pendulum's catalogue; what acts on the torq
 be made by an actuator's own law from a command.
 """
 
+import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core.registry import Registry
@@ -63,12 +64,23 @@ def dead_zone(p, m):
 
 
 def sensor_delay(p, t, q, v, first):
-    """Late by a few rows at most: to second order in the delay."""
-    span = jnp.diff(t, axis=0)
-    rise = jnp.where(span > 0.0, jnp.diff(v, axis=0) / jnp.where(span > 0.0, span, 1.0), 0.0)
-    a = 0.5 * (jnp.concatenate([rise[:1], rise]) + jnp.concatenate([rise, rise[-1:]]))
-    d = p["delay"]
-    return q - d * (v - 0.5 * d * a), v - d * a
+    """Cubics between rows; before the first row the motion had gone on at its first acceleration."""
+    shape = jnp.broadcast_shapes(jnp.shape(p["delay"]), q.shape, t.shape)
+    lanes = lambda z: jnp.broadcast_to(z, shape).reshape(shape[0], -1)
+    q_late, v_late = jax.vmap(_at_times, 1, 1)(lanes(t), lanes(t - p["delay"]), lanes(q), lanes(v))
+    return q_late.reshape(shape), v_late.reshape(shape)
+
+
+def _at_times(t, at, q, v):
+    """Angle and speed `[T]` at times `at [T]` between rows at `t [T]`."""
+    k = jnp.clip(jnp.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    span = jnp.where(t[k + 1] > t[k], t[k + 1] - t[k], 1.0)
+    u, since = (at - t[k]) / span, at - t[k]
+    rise = (v[k + 1] - v[k]) / span
+    bend = q[k + 1] - q[k] - 0.5 * span * (v[k] + v[k + 1])  # what the mean of both speeds leaves of the way
+    inside = q[k] + since * (v[k] + 0.5 * rise * since) + bend * u * u * (3.0 - 2.0 * u)
+    before = q[0] + since * (v[0] + 0.5 * rise * since)
+    return jnp.where(at < t[0], before, inside), v[k] + rise * since
 
 
 def encoder_scale(p, t, q, v, first):

@@ -1,9 +1,11 @@
 """Stretches, parameters and tests by themselves."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.catalogue import sensor_delay
 from adaptsim_jax.attribution.parameters import ETA, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.select import sign_flip
 from adaptsim_jax.attribution.stretches import Track, cut
@@ -70,3 +72,22 @@ def test_the_sign_flip_test_is_exact_for_few_units():
     rng = np.random.default_rng(0)
     low = [sign_flip(rng.normal(size=8)) < 0.05 for _ in range(400)]
     assert 0.01 < np.mean(low) < 0.1
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.003, 0.008, 0.03])
+def test_a_late_sensor_says_what_was_before_between_uneven_rows(delay):
+    with jax.enable_x64(True):
+        steps = 0.004 + 0.001 * np.random.default_rng(0).random(99)
+        t = np.cumsum(np.concatenate([[0.0], steps]))[:, None, None]
+        angle = lambda t: np.concatenate([np.sin(7 * t + 0.3), np.cos(5 * t)], 1)
+        speed = lambda t: np.concatenate([7 * np.cos(7 * t + 0.3), -5 * np.sin(5 * t)], 1)
+        read = lambda d: sensor_delay({"delay": d}, jnp.asarray(t), jnp.asarray(angle(t)), jnp.asarray(speed(t)), None)
+        at, known = jnp.full((1, 2, 1), delay), int(np.ceil(delay / 0.004))
+        (q, v), (slope, _) = jax.jvp(read, (at,), (jnp.ones_like(at),))
+        q, v, slope = np.asarray(q), np.asarray(v), np.asarray(slope)
+    np.testing.assert_allclose(q[known:], angle(t - delay)[known:], atol=1e-8)
+    np.testing.assert_allclose(v[known:], speed(t - delay)[known:], atol=2e-3)
+    np.testing.assert_allclose(slope[known + 1 :], -speed(t - delay)[known + 1 :], atol=1e-4)
+    np.testing.assert_allclose(
+        q[:known], angle(t - delay)[:known], atol=2e-3
+    )  # the motion went on at its first acceleration
