@@ -211,7 +211,9 @@ def diagnose(
 
     recording = read_recording(data) if isinstance(data, (str, Path)) else data
     report = pipeline.diagnose(recording, reward=task_reward, page=write_diagnosis, **options)
-    if strict or report["verdict"] != "structured_unattributed" or recording.model != "rigid_body":
+    # the second part knows a bare machine and its own catalogue: no mended model, no effects of the caller's
+    bare = recording.model == "rigid_body" and recording.model_file is None and options.get("effects") is None
+    if strict or not bare or report["verdict"] != "structured_unattributed":
         return report
     kept = {k: options[k] for k in ("out", "exclude") if k in options}
     rest = without_trials(recording, options.get("without", ()))
