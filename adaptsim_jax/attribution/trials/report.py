@@ -1,6 +1,6 @@
 """What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,18 @@ class Seen:
     def rows(self) -> np.ndarray:
         """The rows that errors are taken over `[T, R]`."""
         return self.mask if self.judged is None else self.judged
+
+
+def stepping(progress: Callable[[float, float, str], None] | None, done: float) -> Callable[[str], None]:
+    """`step(note)` of a search whose length is not known: each takes a twentieth of what is left, from `done` on."""
+
+    def step(note: str) -> None:
+        nonlocal done
+        done += 0.05 * (1.0 - done)
+        if progress is not None:
+            progress(done, 1.0, note)
+
+    return step
 
 
 def check_exclude(exclude: tuple[str, ...], effects: tuple[TrialEffect, ...], trial: str) -> tuple[TrialEffect, ...]:

@@ -66,12 +66,7 @@ def diagnose(
     folder = None if out is None else output_folder(out)
     say(0.01, 1.0, "starts of the windows")
     problem, follow = prepare(tossed, kept)
-    done = [0.05]
-
-    def step(note: str) -> None:
-        done[0] += 0.05 * (1.0 - done[0])
-        say(done[0], 1.0, note)
-
+    step = parts.stepping(progress, 0.05)
     found = select(problem, criteria, step)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     report["run"] = evidence["run"] = {

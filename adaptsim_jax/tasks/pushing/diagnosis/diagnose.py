@@ -36,17 +36,11 @@ def diagnose(
     """
     began = time.monotonic()
     criteria = criteria or Criteria()
-    say = progress or (lambda done, total, note: None)
     pushed = data if isinstance(data, Pushed) else read(data)
     effects = trials.check_exclude(exclude, EFFECTS, KIND.trial)
     folder = None if out is None else output_folder(out)
     problem = prepare(pushed, pushed.options, pushed.coefficients, effects)
-    done = [0.05]
-
-    def step(note: str) -> None:
-        done[0] += 0.05 * (1.0 - done[0])
-        say(done[0], 1.0, note)
-
+    step = trials.stepping(progress, 0.05)
     found = select(problem, criteria, step)
     report, evidence = reported(pushed, problem, found, criteria)
     command = f"adaptsim diagnose {named if isinstance(data, Pushed) else data} --out again"

@@ -36,16 +36,10 @@ def diagnose(
     """
     began = time.monotonic()
     criteria = criteria or CRITERIA
-    say = progress or (lambda done, total, note: None)
     scooped = data if isinstance(data, Scooped) else read(data)
     effects = trials.check_exclude(exclude, effects_of(scooped), KIND.trial)
     folder = None if out is None else output_folder(out)
-    done = [0.02]
-
-    def step(note: str) -> None:
-        done[0] += 0.05 * (1.0 - done[0])
-        say(done[0], 1.0, note)
-
+    step = trials.stepping(progress, 0.02)
     found = diagnosed(scooped, effects, criteria, step)
     report, evidence = reported(scooped, found, criteria)
     command = f"adaptsim diagnose {named if isinstance(data, Scooped) else data} --out again"
