@@ -47,3 +47,30 @@ def test_an_odd_trial_is_named_and_without_it_nothing_is_odd(tmp_path):
     assert (
         report["trials"]["leave_out"] == [] and report["verdict"] == "within_noise" and "Trials one by one" not in page
     )
+
+
+def late(c, share):
+    """Readings that reach the log a share of a row late; the torque does not."""
+    x, h = 1.0 - share, c["time"][1]
+    out = {"time": c["time"][:-1], "tau1": c["tau1"][1:], "tau2": c["tau2"][1:]}
+    for j in "12":
+        q, v = c["q" + j], c["v" + j]
+        a, b, va, vb = q[:-1], q[1:], v[:-1] * h, v[1:] * h
+        c2, c3 = 3 * (b - a) - 2 * va - vb, 2 * (a - b) + va + vb
+        out |= {"q" + j: a + va * x + c2 * x**2 + c3 * x**3, "v" + j: (va + 2 * c2 * x + 3 * c3 * x**2) / h}
+    return out
+
+
+def torque_late(c):
+    return {k: x[:-1] if k.startswith("tau") else x[1:] for k, x in c.items()} | {"time": c["time"][:-1]}
+
+
+@pytest.mark.parametrize("spoil, ms", [(lambda c: late(c, 0.8), 8.0), (torque_late, -10.0)], ids=["readings", "torques"])
+def test_columns_that_are_late_are_told_by_how_much(tmp_path, spoil, ms):
+    """As a delay of the sensors or of the command, or the class of both; where it is the conventions that say so, in a warning."""
+    report, _ = diagnosed(tmp_path, [spoil(c) for c in arm()])
+    timed = ("delay", "sensor_delay", "torque_log_late")
+    found = [p["value"] for e in report["effects"] for p in e["parameters"].values() if e["name"] in timed]
+    told = [w for w in report["warnings"] if "late" in w]
+    assert {e["name"] for e in report["effects"]} <= set(timed) and (found or told), report["message"]
+    assert all(abs(1e3 * abs(value) - abs(ms)) < 0.1 * abs(ms) for value in found if abs(value) > 1e-4)

@@ -63,6 +63,13 @@ def test_a_robot_that_trips_a_record_taken_back_and_a_second_writer(session, tmp
     assert robot("next", "--dir", session) == 0 and "best return" in capsys.readouterr().out
 
 
+def test_two_that_resume_one_run(run, capsys):
+    before = contents(run)
+    with one_writer(run):
+        assert main(["train", "pendulum", "--run", str(run), "--resume"]) == 2
+    assert "another process is writing there" in capsys.readouterr().err and contents(run) == before
+
+
 def test_nothing_was_finished(session, capsys):
     for _ in range(2):
         assert robot("record", "--failed", "--dir", session) == 0
