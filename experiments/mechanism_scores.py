@@ -81,7 +81,7 @@ def judge(truth: dict, report: dict) -> dict[str, object]:
         **{k: truth[k] for k in ("kind", "seed", "machine", "mode")},
         "hidden": " ".join(place(e["name"], e["joints"]) for e in hidden) or "nothing",
         "outside": " ".join(place(e["name"], e["joints"]) for e in truth["effects"] if e["outside"]),
-        "share": " ".join(f"{max(e['share'].values()):.3f}" for e in truth["effects"]),
+        "share": " ".join(f"{max(e['share'].values(), default=0.0):.3f}" for e in truth["effects"]),
         "absorbed": len(hidden) - len(needed),
         "verdict": report.get("verdict", ""),
         "named": " ".join("|".join(place(*o) for o in f) for f in found),

@@ -29,6 +29,7 @@ from adaptsim_jax.sysid.report.schema import check
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
+LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
 OTHERS = ("leading.toml", "next_experiment.csv")  # of an earlier run of another kind into the same folder
 
@@ -116,8 +117,9 @@ def examined(
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
     effects = tuple(e for e in MACHINE if e.name not in exclude or e.name == "viscous")
     problem = prepare(
-        machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared
-    )
+        machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared,
+        look_back=LOOK_BACK,
+    )  # fmt: skip
     share = [0.05]
 
     def step(note: str) -> None:

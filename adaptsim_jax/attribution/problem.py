@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Inertias, Vector, inertia_entries, inertias
 from adaptsim_jax.attribution.simulate import Model, Values
-from adaptsim_jax.attribution.stretches import Stretches, Track, cut
+from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
 from adaptsim_jax.effects.base import Effect, Reach
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
@@ -78,10 +78,12 @@ def prepare(
     horizon: float = 0.5,
     most: int = 192,
     declared: Mapping[tuple[str, str], np.ndarray] | None = None,
+    look_back: float = 0.0,
 ) -> Problem:
-    """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n]."""
+    """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n];
+    look_back: s from each stretch's start whose readings do not count."""
     n = len(tree.joint_names)
-    stretches = cut(tracks, horizon, most)
+    stretches = without_first_rows(cut(tracks, horizon, most), look_back)
     fold, names = folds_of(stretches)
     stretches = _padded(stretches)
     if actuator is None:

@@ -154,7 +154,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
             why[s.candidate.effect, s.candidate.joints] = (
                 f"{s.action}: {s.why}, held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
             )
-    total = max(float(found.null.held.loss.sum()), 1e-12)
+    total = max(found.null.fit.total, 1e-12)
     rows = []
     for s in found.first:
         key = s.candidate.effect, s.candidate.joints

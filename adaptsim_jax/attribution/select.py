@@ -244,7 +244,7 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     """The best candidate that gains held out, fitted; None where none does."""
     family = max(len(scores), 1)
     hopeful = [
-        s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.held.loss.sum()
+        s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total
     ]
     best = None
     for score in hopeful[: criteria.tried]:
@@ -305,9 +305,8 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             less = without(problem, model, c, criteria.rounds)
             tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(problem, model, c)))
         failing = []
-        order = sorted(tests, key=lambda t: t[2].p)
-        for rank, (c, less, test, steady) in enumerate(order):
-            level = max(criteria.confidence / (len(order) - rank), 1.01 * 2.0**-test.folds)
+        for c, less, test, steady in tests:
+            level = max(criteria.confidence, 1.01 * 2.0**-test.folds)
             if (
                 test.p > level
                 or test.gain < criteria.size

@@ -5,7 +5,7 @@ duration. A row is one sample of the log, or the mean over several where the log
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -120,6 +120,15 @@ def _whole(track: Track, stride: int, rows: int, dt: float) -> list[int]:
             begins.append(at)
         at += span
     return begins
+
+
+def without_first_rows(stretches: Stretches, span: float) -> Stretches:
+    """The same with the readings of the first `span` s unseen, where rows are short enough: a late sensor tells there of what came
+    before the start, which is not simulated."""
+    since = stretches.time - stretches.time[:1]
+    dt = np.median(np.diff(stretches.time, axis=0), axis=0)
+    seen = ((since > span - 0.5 * dt) | (dt > 0.5 * span))[:, None]
+    return replace(stretches, seen=stretches.seen * seen, seen_v=stretches.seen_v * seen)
 
 
 def _integral(time: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -63,7 +63,16 @@ def calls(base: Path) -> dict[str, tuple[Call, Path]]:
     """What is killed, and the folder that a call which nobody killed has left."""
     base.mkdir(parents=True, exist_ok=True)
     made, adapted = base / "run", base / "adapted"
-    train = lambda f: ["train", "pendulum", "--run", f, "--seed", 3, *SET, *(["--resume"] if (f / "config.toml").exists() else [])]
+    train = lambda f: [
+        "train",
+        "pendulum",
+        "--run",
+        f,
+        "--seed",
+        3,
+        *SET,
+        *(["--resume"] if (f / "config.toml").exists() else []),
+    ]
     adapt = lambda f: ["adapt", made, "--target", "ood-1", "--out", f]
     began = time.monotonic()
     run(*train(made))

@@ -1,0 +1,121 @@
+"""`mujoco.sysid` and our fit on one real rig, side by side: the same stretches, start, parameters and held-out trials.
+
+    PYTHON benchmarks/mujoco_sysid_rig.py [RIG]     rig_c of ../shared/data/measured_double_pendulum, or ADAPTSIM_DATA's
+
+PYTHON has this package and `mujoco[sysid]`. Fitted on all trials but the last three: mass, centre and moment of each link, and viscous
+and dry friction at each joint (`damping`, `frictionloss`). Scored on the last three by the error of `adaptsim replay` (0.5 s). Prints
+JSON: seconds (ours once compiled; `compile`: of the first call), median errors (rad) declared and fitted.
+"""
+
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import sysid
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
+from adaptsim_jax.attribution.problem import nuisances, prepare
+from adaptsim_jax.attribution.replay import replay
+from adaptsim_jax.sysid import catalogue, read_recording
+from adaptsim_jax.sysid.noise.floor import noise_floor
+from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
+from adaptsim_jax.sysid.quality.audit import audit, usable
+
+DATA = Path(os.environ.get("ADAPTSIM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+LEFT_OUT, HORIZON, STEP = 3, 0.5, 0.002
+
+
+def ours(machine) -> tuple[dict, object]:
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON)
+    rubbing = [Entry("coulomb", "level", (j,), 0.05, 0.0, 0.0, 2.0, "N m") for j in range(2)]
+    vector = in_the_plane(nuisances(problem)).with_entries(rubbing)
+    took = []
+    for _ in range(2):
+        began = time.perf_counter()
+        found = fit(problem, vector, rounds=15)
+        took.append(time.perf_counter() - began)
+    return {"seconds": took[1], "compile": took[0] - took[1], "rounds": found.rounds, "code": found.code}, found.vector
+
+
+def peers(machine, xml: str) -> tuple[dict, str]:
+    """What `mujoco.sysid` finds, and the MJCF with it."""
+    spec = mujoco.MjSpec.from_string(xml)
+    spec.option.timestep = STEP
+    for name in ("joint1", "joint2"):
+        spec.add_sensor(name=f"{name}_angle", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                        objname=name)  # fmt: skip
+    model = spec.compile()
+    s = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON).groups[0].stretches
+    starts, controls, seen, names = [], [], [], []
+    for k in range(s.count):
+        if not s.seen[..., k].any():
+            continue
+        t = s.time[:, k] - s.time[0, k]
+        keep = np.r_[True, np.diff(t) > 0]
+        command = s.command[s.past : s.past + len(t), :, k]
+        starts.append(sysid.create_initial_state(model, s.start[:2, k], s.start[2:, k], None))
+        controls.append(sysid.TimeSeries(t[keep], command[keep]))
+        seen.append(sysid.TimeSeries.from_names(t[keep], s.q[keep, :, k], model))
+        names.append(f"stretch{k}")
+    params = sysid.ParameterDict()
+
+    def add(name, nominal, low, high, change):
+        params.add(sysid.Parameter(name, nominal, low, high, modifier=lambda spec, p: change(spec, float(p.value[0]))))
+
+    for k in (1, 2):
+        body = spec.body(f"link{k}")
+        centre, moment = float(body.ipos[2]), float(body.inertia[1])
+        add(f"mass{k}", float(body.mass), 0.02, 5.0, lambda s, v, k=k: setattr(s.body(f"link{k}"), "mass", v))
+        add(f"centre{k}", centre, -0.6, 0.6, lambda s, v, k=k: s.body(f"link{k}").ipos.__setitem__(2, v))
+        add(f"moment{k}", moment, 1e-5, 0.1, lambda s, v, k=k: setattr(s.body(f"link{k}"), "inertia", [v, v, v]))
+        damping = float(np.ravel(spec.joint(f"joint{k}").damping)[0])
+        add(f"damping{k}", damping, 0.0, 1.0, lambda s, v, k=k: s.joint(f"joint{k}").damping.__setitem__(0, v))
+        add(f"dry{k}", 0.05, 0.0, 2.0, lambda s, v, k=k: setattr(s.joint(f"joint{k}"), "frictionloss", v))
+    began = time.perf_counter()
+    sequences = sysid.ModelSequences("rig", spec, names, starts, controls, seen)
+    found, result = sysid.optimize(
+        initial_params=params, residual_fn=sysid.build_residual_fn(models_sequences=[sequences]), optimizer="mujoco",
+        verbose=False,
+    )  # fmt: skip
+    seconds = time.perf_counter() - began
+    for p in found.parameters.values() if hasattr(found, "parameters") else ():
+        p.modifier(spec, p)
+    values = {name: float(found[name].value[0]) for name in params.keys()}
+    return {"seconds": seconds, "stretches": len(names), "values": values, "says": str(getattr(result, "message", ""))}, spec.to_xml()
+
+
+def main(rig: str) -> None:
+    whole = read_recording(DATA / "measured_double_pendulum" / rig)
+    train = usable(*(lambda r: (r, audit(r)))(whole.replace(trials=whole.trials[:-LEFT_OUT])))
+    base = fit_unfiltered(train, audit(train), noise_floor(train, audit(train)), catalogue("pendulum"), None)[1]
+    theta = np.asarray(base.candidate.theta)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "declared.xml"
+        machine = declared_machine(train, theta, path)
+        rest = whole.replace(trials=whole.trials[-LEFT_OUT:])
+        test = declared_machine(usable(rest, audit(rest)), theta, Path(folder) / "test.xml")
+        error = lambda machine, vector=None: float(np.median(replay(machine, HORIZON, vector).error))
+        mine, vector = ours(machine)
+        theirs, xml = peers(machine, path.read_text())
+        from adaptsim_jax.attribution.machine import machine as joined
+        from adaptsim_jax.mechanisms.mjcf import read_mechanism
+
+        (Path(folder) / "theirs.xml").write_text(xml)
+        mended = joined(read_mechanism(Path(folder) / "theirs.xml"), test.log)
+        declared = {("coulomb", "level"): np.array([theirs["values"][f"dry{k}"] for k in (1, 2)])}
+        print(json.dumps({
+            "rig": rig, "declared": error(test), "ours": mine | {"error": error(test, vector)},
+            "mujoco_sysid": theirs | {"error": error(mended), "dry": declared["coulomb", "level"].tolist()},
+        }, indent=1))  # fmt: skip
+
+
+if __name__ == "__main__":
+    main(*(sys.argv[1:] or ["rig_c"]))
