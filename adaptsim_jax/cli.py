@@ -44,6 +44,7 @@ def main(argv: list[str] | None = None) -> int:
         for word in surroundings.computing():
             print(f"adaptsim: {word}", file=sys.stderr)
         _limit_blas_threads()
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's alarm at slow compiles, where a machine is busy
         _set_up_cache(args)
         _set_up_memory()
         return args.run(args) or 0
