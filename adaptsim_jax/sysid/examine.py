@@ -59,18 +59,18 @@ def examine(
     checked: Audit,
     noise: NoiseFloor,
     effects: Sequence[Effect],
-    settings: Criteria,
+    criteria: Criteria,
     seed: int,
     say: Progress,
 ) -> Diagnosis:
     """Everything between reading and writing. A filter of the angles that shows only once an effect is named has them examined anew
     without it, and one that an effect had passed for those as they were written."""
-    sought = searched(recording, checked, noise, effects, settings, say)
+    sought = searched(recording, checked, noise, effects, criteria, say)
     if sought.found.added:
         smoothed = revised(sought.problem, sought.found.final, sought.found.view or sought.first)
         if smoothed is not None:
-            sought = searched(recording, checked, noise, effects, settings, say, smoothed)
-    return concluded(sought, checked, effects, settings, seed, say)
+            sought = searched(recording, checked, noise, effects, criteria, say, smoothed)
+    return concluded(sought, checked, effects, seed, say)
 
 
 class Searched(NamedTuple):
@@ -90,14 +90,14 @@ def searched(
     checked: Audit,
     noise: NoiseFloor,
     effects: Sequence[Effect],
-    settings: Criteria,
+    criteria: Criteria,
     say: Progress,
     smoothed: float | None = None,
 ) -> Searched:
     """The declared model and the search beside it. smoothed: by a filter of which `s` [s^2], 0 for none; looked for where None."""
     say(2, STAGES, "declared model")
     try:
-        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed, settings)
+        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed, criteria)
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
     problem, first = phases_refined_early(*timed(problem, base, first), base)
@@ -105,26 +105,25 @@ def searched(
     before = residual_diagnosis(problem, first, base.parts, force)
     say(3, STAGES, "candidates")
     fair = seen_anew(problem, base, first.response)
-    problem, found = forward.search(problem, fair, first, settings, say=lambda note: say(4, STAGES, note))
+    problem, found = forward.search(problem, fair, first, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
     problem, found = phases_refined(problem, found, first)
     return Searched(problem, base, first, before, force, refined(problem, found, first))
 
 
-def concluded(
-    sought: Searched, checked: Audit, effects: Sequence[Effect], settings: Criteria, seed: int, say: Progress
-) -> Diagnosis:
+def concluded(sought: Searched, checked: Audit, effects: Sequence[Effect], seed: int, say: Progress) -> Diagnosis:
     """What left-out trials say of the search, the verdict, and the report."""
     problem, base, first, before, force, found = sought
-    found, tested = backward_eliminated(problem, found, first, settings)
-    found = rescaled(problem, found, first, settings)
+    found, tested = backward_eliminated(problem, found, first)
+    found = rescaled(problem, found, first)
     seen = found.view or first
     after = before
     if found.added:
-        many = force_ratio(found.final, found.base) > settings.explained  # then what is left says nothing of where
+        left = force_ratio(found.final, found.base)
+        many = left > problem.criteria.explained  # then what is left says nothing of where
         rest = force if many else found.final.parts.force_std() / problem.torque_scale
         after = residual_diagnosis(problem, seen, found.final.parts, rest)
-    powers = power(problem, seen, settings)
+    powers = power(problem, seen)
     say(6, STAGES, "held-out trials, declared model")
     error_before = cross_validate(problem, base, first)
     flexible = flexible_bound(problem, base, first, error_before.fold)
@@ -134,10 +133,10 @@ def concluded(
         known=problem.recording.known, length=problem.recording.geometry.get("l1"),
     )  # fmt: skip
     say(7, STAGES, "held-out trials, mended model")
-    verdict, evidence = judged(problem, base, first, tested, effects, evidence, settings)
+    verdict, evidence = judged(problem, base, first, tested, effects, evidence)
     error_after = error_before if evidence.error_after is None else evidence.error_after
     errors, rng = (error_before, error_after), np.random.default_rng(seed)
-    report, shown = report_of(problem, found, after, *errors, powers, verdict, settings, rng)
+    report, shown = report_of(problem, found, after, *errors, powers, verdict, rng)
     add_ceiling(report["error"], flexible)
     leading = None if verdict.named else found.leading or (found.final if found.added else None)
     if leading is not None:
@@ -157,19 +156,18 @@ def judged(
     tested: CrossValidation | None,
     effects: Sequence[Effect],
     evidence: Evidence,
-    settings: Criteria,
 ) -> tuple[Verdict, Evidence]:
     """The verdict, and the evidence on which it rests: what costs fits is looked for only where it could change what is said.
     tested: held-out errors of the mended model, if the search has them."""
     found = evidence.found
-    if decide(evidence, settings).named:
+    if decide(evidence, problem.criteria).named:
         error = tested or cross_validate(problem, found.final, found.view or first)
         evidence = replace(evidence, error_after=error)
-    if open_to_rivals(decide(evidence, settings)):
+    if open_to_rivals(decide(evidence, problem.criteria)):
         evidence = replace(evidence, freed=freed(problem, effects))
-    if open_to_rivals(decide(evidence, settings)):
+    if open_to_rivals(decide(evidence, problem.criteria)):
         evidence = replace(evidence, remeasured=remeasured(problem, base, effects, first))
-    return decide(evidence, settings), evidence
+    return decide(evidence, problem.criteria), evidence
 
 
 def findings(checked: Audit) -> list[dict[str, str]]:

@@ -21,7 +21,7 @@ from adaptsim_jax.sysid.select.result import SearchResult
 
 def report_of(
     problem: Problem, found: SearchResult, after: ResidualDiagnosis, error_before: CrossValidation, error_after: CrossValidation,
-    powers: list[Power], verdict: Verdict, settings: Criteria, rng: np.random.Generator,
+    powers: list[Power], verdict: Verdict, rng: np.random.Generator,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """The report and the arrays behind its figures."""
     recording = problem.recording
@@ -32,7 +32,7 @@ def report_of(
         recording.task, recording.model, verdict.name, verdict.message, data,
         effects=[_effect(problem, found, e) for e in found.added] if verdict.named else [],
         error=_error(problem, error_before, error_after if verdict.named else error_before, rng),
-        candidates=_candidates(found, verdict, settings),
+        candidates=_candidates(problem, found, verdict),
         declared={"before": _declared(problem, found.base), "after": _declared(problem, last)},
         not_established=_not_established(problem, found, verdict, powers),
         leftover=[dict(zip(("joint", "variable", "share", "p_value"), p, strict=True)) for p in after.told()],
@@ -189,7 +189,7 @@ def _trial_error(name: str, i: int, before: CrossValidation, after: CrossValidat
     return {"trial": name, **pair(None), "per_channel": {c: pair(k) for k, c in enumerate(channels)}}
 
 
-def _candidates(found: SearchResult, verdict: Verdict, settings: Criteria) -> list[dict[str, Any]]:
+def _candidates(problem: Problem, found: SearchResult, verdict: Verdict) -> list[dict[str, Any]]:
     """Every candidate once, best first, with why it was or was not taken."""
     count = len(found.ranked)
     refits = {}
@@ -198,10 +198,10 @@ def _candidates(found: SearchResult, verdict: Verdict, settings: Criteria) -> li
     order = sorted(
         found.ranked, key=lambda r: -(refits[r.instance].total if r.instance in refits else -1e18 + r.score.gain)
     )
-    return [_candidate(r, refits.get(r.instance), found, verdict, settings, count) for r in order]
+    return [_candidate(r, refits.get(r.instance), found, verdict, problem.criteria, count) for r in order]
 
 
-def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdict, settings: Criteria, count: int):
+def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdict, criteria: Criteria, count: int):
     accepted = verdict.named and r.instance in found.added
     alike = any(r.instance in rivals for rivals in found.classes.values())
     status, why = "rejected", ""
@@ -217,11 +217,11 @@ def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdi
         why = f"refitted, {refit.at_bound()[0].split('/')[2]} runs to the edge of what it may be"
     elif refit is not None and (odd := dict(refit.amiss).get(r.instance)):
         why = f"refitted, {odd}"
-    elif refit is not None and force_ratio(refit, found.base) > 1.0 - settings.least_fall:
+    elif refit is not None and force_ratio(refit, found.base) > 1.0 - criteria.least_fall:
         why = "refitted, it leaves the unexplained torque as it was"
     elif refit is not None:
         why = f"refitted, it leaves {100 * force_ratio(refit, found.base):.0f} % of the unexplained torque"
-    elif r.corrected(count) >= settings.alpha:
+    elif r.corrected(count) >= criteria.alpha:
         why = "no more than chance, corrected for all that was tried"
     else:
         why = "explains less than the candidates that were refitted"

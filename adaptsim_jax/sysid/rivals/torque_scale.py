@@ -12,7 +12,6 @@ import numpy as np
 
 from adaptsim_jax.effects.base import UNITS
 from adaptsim_jax.effects.layout import Layout
-from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance, unmoved
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
@@ -22,7 +21,7 @@ from adaptsim_jax.sysid.select.result import SearchResult
 GAIN = "torque_gain"
 
 
-def rescaled(problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria) -> SearchResult:
+def rescaled(problem: Problem, found: SearchResult, first: ScoreTable) -> SearchResult:
     """`found` with the torque gain of the other joint among its classes, where it explains the data as well in its own scale."""
     gains = [a for a in found.added if a[0] == GAIN]
     joints = problem.plant.joints
@@ -35,7 +34,7 @@ def rescaled(problem: Problem, found: SearchResult, first: ScoreTable, settings:
     with suppress(Diverged):
         own, other = _both(problem, found.final, here, there, found.view or first)
         alone = replace(found, final=own, tried=[other])
-        if there in class_of(here, alone, settings, problem.model.layout):
+        if there in class_of(problem, here, alone):
             classes = found.classes | {here: [*found.classes.get(here, []), there]}
             return replace(found, tried=[*found.tried, other], classes=classes)
     return found

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, initial_states
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, confirms, cross_validate
@@ -20,7 +19,7 @@ from adaptsim_jax.sysid.select.result import SearchResult
 
 
 def backward_eliminated(
-    problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria
+    problem: Problem, found: SearchResult, first: ScoreTable
 ) -> tuple[SearchResult, CrossValidation | None]:
     """`found` without the effects, if there are several, that left-out trials do not confirm, the least likely first; and
     the held-out simulation of what stays (None where there was nothing to compare)."""
@@ -28,23 +27,21 @@ def backward_eliminated(
     while len(found.added) > 1:
         whole = cross_validate(problem, found.final, found.view or first) if whole is None else whole
         doubted = parallel_map(
-            lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect, settings), found.added
+            lambda effect, found=found, whole=whole: _nearly(problem, found, whole, effect), found.added
         )
         without = [(e, w) for e, w in zip(found.added, doubted, strict=True) if w is not None]
         for effect, less in sorted(without, key=lambda ew: -ew[1].total):
             seen = view(problem, less)
             other = cross_validate(problem, less, seen)
-            if not confirms(whole, other, settings):
-                found, whole = _dropped(problem, found, effect, less, seen, settings), other
+            if not confirms(whole, other, problem.criteria):
+                found, whole = _dropped(problem, found, effect, less, seen), other
                 break
         else:
             break
     return found, whole
 
 
-def _nearly(
-    problem: Problem, found: SearchResult, whole: CrossValidation, effect: Instance, settings: Criteria
-) -> Fit | None:
+def _nearly(problem: Problem, found: SearchResult, whole: CrossValidation, effect: Instance) -> Fit | None:
     """The final model refitted without one of its effects; None where that runs away, or is far off. One that is near is polished
     as the final model was: else what its refit left undone would speak for the effect."""
     c, seen = found.final.candidate, found.view
@@ -52,11 +49,11 @@ def _nearly(
         return None
     rest = tuple(a for a in found.final.active if a != effect)
     known = [t for t in found.tried if set(t.active) == set(rest)]
-    if known and _far(problem, whole, max(known, key=lambda t: t.total), settings.very_far):
+    if known and _far(problem, whole, max(known, key=lambda t: t.total), problem.criteria.very_far):
         return None
     try:
         less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
-        return None if _far(problem, whole, less, settings.far) else lowest(problem, less, found.base, seen)
+        return None if _far(problem, whole, less, problem.criteria.far) else lowest(problem, less, found.base, seen)
     except Diverged:
         return None
 
@@ -73,14 +70,11 @@ def _far(problem: Problem, whole: CrossValidation, less: Fit, times: float) -> b
     return bool(own[used].sum() > times * other[used].sum() and 2 * sum(worse) > len(worse))
 
 
-def _dropped(
-    problem: Problem, found: SearchResult, effect: Instance, less: Fit, seen: ScoreTable, settings: Criteria
-) -> SearchResult:
+def _dropped(problem: Problem, found: SearchResult, effect: Instance, less: Fit, seen: ScoreTable) -> SearchResult:
     rivals = {e: r for e, r in found.rivals.items() if e != effect}
     last, tried = seen.ranked(exclude=less.active), [*found.tried, less]
     out = replace(found, final=less, view=seen, last=last, rivals=rivals, tried=tried, classes={})
-    layout = problem.model.layout
     for e in out.added:  # rivals beside both effects, and in the place of the one that stays
-        here = class_of(e, out, settings, layout)
+        here = class_of(problem, e, out)
         out.classes[e] = here + [r for r in found.classes.get(e, []) if r not in here and r != effect]
     return out

@@ -55,25 +55,23 @@ def without(problem: Problem, trial: Fit, idle: set[Instance], seen: ScoreTable)
     return None
 
 
-def finished(
-    problem: Problem, found: SearchResult, trials: list[Fit], seen: ScoreTable, settings: Criteria
-) -> list[Fit]:
+def finished(problem: Problem, found: SearchResult, trials: list[Fit], seen: ScoreTable) -> list[Fit]:
     """The better half of the trials refitted until they settle; the others are far enough behind as they are."""
-    order = sorted(trials, key=lambda t: -t.merit(settings.price))
-    front = settings.shortlist // 2
-    return settled_few(problem, found, order, order[:front], seen, settings) + order[front:]
+    order = sorted(trials, key=lambda t: -t.merit(problem.criteria.price))
+    front = problem.criteria.shortlist // 2
+    return settled_few(problem, found, order, order[:front], seen) + order[front:]
 
 
 def settled_few(
-    problem: Problem, found: SearchResult, trials: list[Fit], some: list[Fit], seen: ScoreTable, settings: Criteria
+    problem: Problem, found: SearchResult, trials: list[Fit], some: list[Fit], seen: ScoreTable
 ) -> list[Fit]:
     """Some of the trials refitted until they settle, save those hopelessly behind one that explains nearly everything."""
-    late = hopeless(found, trials, settings)
+    late = hopeless(found, trials, problem.criteria)
     return parallel_map(lambda t: t if late(t) else settled(problem, t, seen.response), some)
 
 
-def hopeless(found: SearchResult, trials: list[Fit], settings: Criteria) -> Callable[[Fit], bool]:
+def hopeless(found: SearchResult, trials: list[Fit], criteria: Criteria) -> Callable[[Fit], bool]:
     """Whether a model is hopelessly behind one of the trials that explains nearly everything."""
-    fair = [t for t in trials if plausible(t, found.base) and force_ratio(t, found.base) < settings.clear]
-    bar = max((t.total for t in fair), default=-np.inf) - settings.hopeless
+    fair = [t for t in trials if plausible(t, found.base) and force_ratio(t, found.base) < criteria.clear]
+    bar = max((t.total for t in fair), default=-np.inf) - criteria.hopeless
     return lambda model: model.total < bar

@@ -26,7 +26,7 @@ from adaptsim_jax.sysid.select.swap import beside, swap_back
 
 
 def search(
-    problem: Problem, base: Fit, first: ScoreTable, settings: Criteria, say: Progress = lambda _: None
+    problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambda _: None
 ) -> tuple[Problem, SearchResult]:
     """Add effects greedily while they earn their price, with one look back after each; the problem comes back with the effects
     whose finer shape was fitted.
@@ -37,43 +37,43 @@ def search(
     ranked = first.ranked(exclude=base.active)
     found = SearchResult(base, base, ranked, last=ranked, view=first)
     seen, current, here, ranked = first, base, base, found.last
-    while len(current.active) - len(base.active) < settings.most_effects:
-        best, trials = _next(problem, found, here, seen, ranked, settings, say)
-        if best is None or not pays(best, here, settings):
+    while len(current.active) - len(base.active) < problem.criteria.most_effects:
+        best, trials = _next(problem, found, here, seen, ranked, say)
+        if best is None or not pays(best, here, problem.criteria):
             break
         new = newest(best, current)
         found.rivals[new] = [t for t in trials if t is not best]
         final = here if found.final is current else found.final
         current = best
-        enough = earns(problem, current, final, base, settings)
-        if enough or completes(problem, current, final, base, settings):
-            current = swap_back(problem, found, current, new, seen, settings, say)
+        enough = earns(problem, current, final, base)
+        if enough or completes(problem, current, final, base):
+            current = swap_back(problem, found, current, new, seen, say)
             if _worse(problem, current, found.final, base):
                 current = found.final
                 break
-            problem, current = _finer(problem, found, current, seen, settings)
+            problem, current = _finer(problem, found, current, seen)
             found.final = current
-        elif force_ratio(found.final, base) < settings.explained or _astray(current, base, settings):
+        elif force_ratio(found.final, base) < problem.criteria.explained or _astray(current, base, problem.criteria):
             break
         seen = view(problem, current)
         here = seen_anew(problem, current, seen.response)
         ranked = seen.ranked(exclude=current.active)
         if found.final is current:
             found.view, found.last = seen, ranked
-    if force_ratio(found.final, base) > settings.explained or _still_far(problem, found.final):
-        problem, current = _paired(problem, found, current, first, settings, say)
+    if force_ratio(found.final, base) > problem.criteria.explained or _still_far(problem, found.final):
+        problem, current = _paired(problem, found, current, first, say)
     found.leading = None if current is found.final else current
     found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
-    found.classes = {e: class_of(e, found, settings, problem.model.layout) for e in found.added}
+    found.classes = {e: class_of(problem, e, found) for e in found.added}
     return problem, found
 
 
-def _astray(model: Fit, base: Fit, settings: Criteria) -> bool:
+def _astray(model: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether what earns no name leaves so much that one more is not worth looking for: one effect all of it, and hardly likelier
     than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
     if len(model.active) - len(base.active) > 1:
-        return force_ratio(model, base) > settings.promising
-    return _idle(model, base, settings)
+        return force_ratio(model, base) > criteria.promising
+    return _idle(model, base, criteria)
 
 
 def _idle(model: Fit, base: Fit, criteria: Criteria) -> bool:
@@ -96,34 +96,32 @@ def _still_far(problem: Problem, model: Fit) -> bool:
     return bool(np.any(model.parts.force_std() > problem.criteria.still_far * problem.torque_scale))
 
 
-def _next(
-    problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, ranked: list[Ranked], settings: Criteria, say
-):
+def _next(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, ranked: list[Ranked], say):
     """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
-    done = force_ratio(current, found.base) < settings.explained  # little is left: a shorter list will do
-    count = settings.shortlist // 2 if done else settings.shortlist
-    worth = anything(problem, current, ranked, seen, settings)
+    done = force_ratio(current, found.base) < problem.criteria.explained  # little is left: a shorter list will do
+    count = problem.criteria.shortlist // 2 if done else problem.criteria.shortlist
+    worth = anything(problem, current, ranked, seen)
     leaders = first_leaders(ranked, seen, current.active, count) if worth else []
-    trials = _refitted(problem, found, current, leaders, seen, settings, say)
+    trials = _refitted(problem, found, current, leaders, seen, say)
     trials = trials + _pruned(problem, found, current, trials, seen)
-    best = _best(problem, found, trials, settings)
-    nothing = best is None or not pays(best, current, settings)
+    best = _best(problem, found, trials)
+    nothing = best is None or not pays(best, current, problem.criteria)
     if done and nothing and _blatant(problem, current, seen):
         more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
-        trials = trials + _refitted(problem, found, current, more, seen, settings, say)
-        best = _best(problem, found, trials, settings)
-    if best is not None and pays(best, current, settings):
+        trials = trials + _refitted(problem, found, current, more, seen, say)
+        best = _best(problem, found, trials)
+    if best is not None and pays(best, current, problem.criteria):
         alike = look_alikes(problem, newest(best, current), ranked, leaders)
         more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t is not None]
-        more = settled_few(problem, found, trials, more, seen, settings)
+        more = settled_few(problem, found, trials, more, seen)
         trials, found.tried = trials + more, found.tried + more
-        best = _best(problem, found, trials, settings)
+        best = _best(problem, found, trials)
     return best, trials
 
 
-def _best(problem: Problem, found: SearchResult, trials: list[Fit], settings: Criteria) -> Fit | None:
-    return choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+def _best(problem: Problem, found: SearchResult, trials: list[Fit]) -> Fit | None:
+    return choose(problem, [t for t in trials if plausible(t, found.base)], found.base)
 
 
 def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
@@ -132,53 +130,53 @@ def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
     return bool(moves) and generic_p_value(seen) < problem.criteria.left_follows
 
 
-def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, settings: Criteria, say):
+def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, say):
     """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
     more than they do; else, where none of them may be named, the likeliest set of all for trying."""
     base = found.base
-    if not anything(problem, base, found.ranked, seen, settings):
+    if not anything(problem, base, found.ranked, seen):
         return problem, current
     say("refitting with two effects at once")
     trials = refit_beside_first(problem, base, seen)
     for _ in range(2):
-        likeliest = max(trials, key=lambda t: t.merit(settings.price), default=base)
+        likeliest = max(trials, key=lambda t: t.merit(problem.criteria.price), default=base)
         left = force_ratio(likeliest, base)
-        if left > settings.promising or (left < settings.clear and plausible(likeliest, base)):
+        if left > problem.criteria.promising or (left < problem.criteria.clear and plausible(likeliest, base)):
             break
         more = with_look_alikes(problem, base, likeliest, trials, seen)
         trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
-    order = sorted(trials, key=lambda t: -t.merit(settings.price))
-    front = [t for t in order if plausible(t, base) and not _idle(t, base, settings)][: settings.pairs]
+    order = sorted(trials, key=lambda t: -t.merit(problem.criteria.price))
+    front = [t for t in order if plausible(t, base) and not _idle(t, base, problem.criteria)][: problem.criteria.pairs]
     trials = parallel_map(lambda t: settled_plainly(problem, t, seen), front)
     trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
     found.tried += trials
-    merit = lambda model: seen_anew(problem, model, seen.response).merit(settings.price)
+    merit = lambda model: seen_anew(problem, model, seen.response).merit(problem.criteria.price)
     fair = [t for t in trials if plausible(t, base)]
-    best = choose(problem, fair, base, settings)
-    if best is None or not earns(problem, best, base, base, settings) or force_ratio(best, base) > settings.explained:
+    best = choose(problem, fair, base)
+    if best is None or not earns(problem, best, base, base) or force_ratio(best, base) > problem.criteria.explained:
         return problem, current if found.added else max([current, *fair], key=merit)
     if found.added and merit(best) < merit(found.final):
         return problem, current
     found.final = base
     for new in [a for a in best.active if a not in base.active]:
-        best = beside(problem, found, best, new, seen, settings, say)
-    problem, best = _finer(problem, found, best, seen, settings)
+        best = beside(problem, found, best, new, seen, say)
+    problem, best = _finer(problem, found, best, seen)
     found.final, found.view = best, view(problem, best)
     found.last = found.view.ranked(exclude=best.active)
     return problem, best
 
 
-def _finer(
-    problem: Problem, found: SearchResult, model: Fit, seen: ScoreTable, settings: Criteria
-) -> tuple[Problem, Fit]:
+def _finer(problem: Problem, found: SearchResult, model: Fit, seen: ScoreTable) -> tuple[Problem, Fit]:
     """The model in steps as short as it needs, its close rivals with it; and with the late parameters of its effects, where they
     pay and leave less unexplained."""
     finer, fine = stepped(problem, model, seen.response)
     if finer is not problem:
-        near = close_rivals(replace(found, final=model), settings, problem.model.layout)
+        near = close_rivals(problem, replace(found, final=model))
         far = [t for t in found.tried if not any(t is n for n in near)]
         found.tried = far + all_again(finer, near, seen.response)
-    better = lambda new, old: pays(new, old, settings) and force_ratio(new, old) < 1.0 - settings.least_fall
+    better = lambda new, old: (
+        pays(new, old, problem.criteria) and force_ratio(new, old) < 1.0 - problem.criteria.least_fall
+    )
     return elaborated(finer, fine, found.base, seen.response, better)
 
 
@@ -204,11 +202,10 @@ def _refitted(
     current: Fit,
     leaders: list[Ranked],
     seen: ScoreTable,
-    settings: Criteria,
     say,
 ):
     """The current model with each of the leaders in turn, refitted whole."""
     trials = parallel_map(lambda r: extend(problem, current, r, seen, say), leaders)
-    trials = finished(problem, found, [t for t in trials if t is not None], seen, settings)
+    trials = finished(problem, found, [t for t in trials if t is not None], seen)
     found.tried += trials
     return trials

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Active, Problem
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value
@@ -10,12 +9,13 @@ from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value
 NEW = 1e-3  # of a candidate's signature that the declared parameters cannot do themselves
 
 
-def anything(problem: Problem, current: Fit, ranked: list[Ranked], view: ScoreTable, settings: Criteria) -> bool:
+def anything(problem: Problem, current: Fit, ranked: list[Ranked], view: ScoreTable) -> bool:
     """Whether there is something to explain: a candidate or some smooth force is no chance, or the force left over is too large for
     one. A stop that is hit in few windows is hardly sure by the scatter of the windows, however much it explains."""
-    if np.any(current.parts.force_std() > settings.large * problem.torque_scale):
+    if np.any(current.parts.force_std() > problem.criteria.large * problem.torque_scale):
         return True
-    return any(r.corrected(len(ranked)) < settings.alpha for r in ranked) or generic_p_value(view) < settings.alpha
+    alpha = problem.criteria.alpha
+    return any(r.corrected(len(ranked)) < alpha for r in ranked) or generic_p_value(view) < alpha
 
 
 def first_leaders(ranked: list[Ranked], view: ScoreTable, active: Active, count: int) -> list[Ranked]:

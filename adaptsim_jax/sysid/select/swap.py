@@ -3,7 +3,6 @@
 from contextlib import suppress
 
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted, plausible, settled
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
@@ -15,9 +14,7 @@ from adaptsim_jax.sysid.select.shortlist import look_alikes
 from adaptsim_jax.sysid.select.start import merged
 
 
-def swap_back(
-    problem, found: SearchResult, current: Fit, new: Instance, seen: ScoreTable, settings: Criteria, say
-) -> Fit:
+def swap_back(problem, found: SearchResult, current: Fit, new: Instance, seen: ScoreTable, say) -> Fit:
     """With another effect in, an earlier one may have been a stand-in: try without it, and its rivals in its place."""
     for old in [a for a in current.active if a != new and a not in found.base.active]:
         c = current.candidate
@@ -28,17 +25,15 @@ def swap_back(
         except Diverged:  # it cannot be left out
             continue
         found.tried.append(without)
-        if plausible(without, found.base) and not needed(problem, current, without, found, settings):
+        if plausible(without, found.base) and not needed(problem, current, without, found):
             found.rivals.pop(old, None)
             current = without
             continue
-        current = _swapped(problem, found, current, old, seen, settings, say)
+        current = _swapped(problem, found, current, old, seen, say)
     return current
 
 
-def _swapped(
-    problem, found: SearchResult, current: Fit, old: Instance, seen: ScoreTable, settings: Criteria, say
-) -> Fit:
+def _swapped(problem, found: SearchResult, current: Fit, old: Instance, seen: ScoreTable, say) -> Fit:
     """The best of the likeliest rivals of `old` in its place, if any beats it."""
     c = current.candidate
 
@@ -51,7 +46,7 @@ def _swapped(
             return fitted(problem, active, c.theta, eff, c.refit.point.x0, current.parts, seen.response)
         return None
 
-    merit = lambda model: model.merit(settings.price)
+    merit = lambda model: model.merit(problem.criteria.price)
     rivals = sorted(found.rivals.get(old, []), key=lambda t: -merit(t))[:3]
     rivals = [r for r in rivals if r.active[-1] not in current.active]
     swaps = [(new, r) for new, r in zip(parallel_map(swap, rivals), rivals, strict=True) if new is not None]
@@ -64,9 +59,7 @@ def _swapped(
     return best
 
 
-def beside(
-    problem: Problem, found: SearchResult, best: Fit, new: Instance, seen: ScoreTable, settings: Criteria, say
-) -> Fit:
+def beside(problem: Problem, found: SearchResult, best: Fit, new: Instance, seen: ScoreTable, say) -> Fit:
     """One member of a pair against none and against its look-alikes in its place; the others stay."""
     c, rest = best.candidate, tuple(a for a in best.active if a != new)
     try:
@@ -75,15 +68,15 @@ def beside(
         return best
     if rest:  # the other member may have gone already, and the declared model is none of the sets tried
         found.tried.append(without)
-    if plausible(without, found.base) and not needed(problem, best, without, found, settings):
+    if plausible(without, found.base) and not needed(problem, best, without, found):
         return without
     alike = [r for r in look_alikes(problem, new, found.ranked, []) if r.instance not in best.active]
     grown = [t for t in parallel_map(lambda r: extend(problem, without, r, seen, say), alike) if t is not None]
     swaps = parallel_map(lambda r: swapped_plainly(problem, found.base, best, new, r, seen), alike)
     swaps = [t for t in swaps if t is not None]
-    late = hopeless(found, [best, *grown, *swaps], settings)
+    late = hopeless(found, [best, *grown, *swaps], problem.criteria)
     trials = [t for t in [*grown, *swaps] if late(t)]
     trials += parallel_map(lambda t: settled(problem, t, seen.response), [t for t in grown if not late(t)])
     trials += parallel_map(lambda t: settled_plainly(problem, t, seen), [t for t in swaps if not late(t)])
     found.tried, found.rivals[new] = found.tried + trials, trials
-    return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base, settings) or best
+    return choose(problem, [best, *(t for t in trials if plausible(t, found.base))], found.base) or best

@@ -12,6 +12,7 @@ from adaptsim_jax.sysid.select.equivalence import class_of
 from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.shortlist import look_alikes
 
+PROBLEM = SimpleNamespace(criteria=Criteria())
 BIAS, SPRING, DRAG = ("bias", "joint1"), ("spring", "joint1"), ("drag", "joint1")
 
 
@@ -47,6 +48,7 @@ def named(bias: float, spring: float):
     """The class of a bias that was named, beside a spring tried in its place; a spring holds a bias as a special case."""
     effects = [SimpleNamespace(name="bias", contains=()), SimpleNamespace(name="spring", contains=("bias",))]
     layout = SimpleNamespace(instances=[SimpleNamespace(effect=e) for e in effects])
+    problem = SimpleNamespace(criteria=Criteria(), model=SimpleNamespace(layout=layout))
 
     def model(active, total, size):
         windows = np.full(10, total / 10)
@@ -54,7 +56,7 @@ def named(bias: float, spring: float):
 
     final, other = model(BIAS, bias, 5), model(SPRING, spring, 6)
     base = SimpleNamespace(active=())
-    return class_of(BIAS, SimpleNamespace(final=final, base=base, tried=[final, other]), Criteria(), layout)
+    return class_of(problem, BIAS, SimpleNamespace(final=final, base=base, tried=[final, other]))
 
 
 def test_a_wider_effect_that_does_not_pay_is_no_rival():
@@ -91,7 +93,7 @@ def test_the_last_of_a_pair_left_out_is_no_set_that_was_tried(monkeypatch):
     for rest in ((), (("bias", "joint2"),)):
         found = SimpleNamespace(base=None, tried=[])
         pair = SimpleNamespace(**{**vars(best), "active": best.active + rest})
-        left = swap.beside(None, found, pair, best.active[0], seen, Criteria(), print)
+        left = swap.beside(None, found, pair, best.active[0], seen, print)
         assert left.active == rest and [t.active for t in found.tried] == ([rest] if rest else [])
 
 
@@ -114,12 +116,10 @@ def test_what_is_hopelessly_behind_is_not_refitted_where_nearly_everything_is_ex
     monkeypatch.setattr(growing, "force_ratio", lambda trial, base: trial.left)
     trials = [SimpleNamespace(total=t, left=left) for t, left in ((-100.0, 0.05), (-900.0, 0.5), (-1200.0, 0.9))]
     found, seen = SimpleNamespace(base=None), SimpleNamespace(response=None)
-    growing.settled_few(None, found, trials, trials, seen, Criteria())
+    growing.settled_few(PROBLEM, found, trials, trials, seen)
     assert sorted(settled) == [-900.0, -100.0]
     settled.clear()
-    growing.settled_few(
-        None, found, trials[1:], trials[1:], seen, Criteria()
-    )  # none of these explains nearly everything
+    growing.settled_few(PROBLEM, found, trials[1:], trials[1:], seen)  # none of these explains nearly everything
     assert sorted(settled) == [-1200.0, -900.0]
 
 
@@ -141,7 +141,7 @@ def test_a_pair_takes_the_place_of_what_was_found_one_by_one_only_if_it_is_likel
     seen = SimpleNamespace(response=None, ranked=lambda **_: [])
     monkeypatch.setattr(forward, "view", lambda *_: seen)
     found = SearchResult(base, final, [])
-    _, best = forward._paired(None, found, final, seen, Criteria(), print)
+    _, best = forward._paired(PROBLEM, found, final, seen, print)
     assert best.active[0][0] == goes and found.final is best
 
 
@@ -173,7 +173,7 @@ def test_where_nothing_may_be_named_the_likeliest_set_leads(monkeypatch, pair, n
     final = model("rotor", -750.0, 0.3) if named else base
     found = SearchResult(base, final, [])
     seen = SimpleNamespace(response=None, ranked=lambda **_: [])
-    _, leading = forward._paired(None, found, final if named else rotor, seen, Criteria(), print)
+    _, leading = forward._paired(PROBLEM, found, final if named else rotor, seen, print)
     assert leading.active[0][0] == leads and found.final is final
 
 
