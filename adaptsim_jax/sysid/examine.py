@@ -29,7 +29,7 @@ from adaptsim_jax.sysid.select import forward
 from adaptsim_jax.sysid.select.backward import backward_eliminated
 from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
 from adaptsim_jax.sysid.select.refine import refined
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 from adaptsim_jax.sysid.types import Recording
 
 STAGES = 9
@@ -41,7 +41,7 @@ class Diagnosis:
     """All that a diagnosis found; `report` is what goes into report.json. leading: the likeliest model where nothing is named."""
 
     problem: Problem
-    found: SearchResult
+    found: Trace
     before: ResidualDiagnosis
     after: ResidualDiagnosis
     error_before: CrossValidation
@@ -67,7 +67,7 @@ def examine(
     without it, and one that an effect had passed for those as they were written."""
     sought = searched(recording, checked, noise, effects, criteria, say)
     if sought.found.added:
-        smoothed = revised(sought.problem, sought.found.final, sought.found.view or sought.first)
+        smoothed = revised(sought.problem, sought.found.final, sought.found.view)
         if smoothed is not None:
             sought = searched(recording, checked, noise, effects, criteria, say, smoothed)
     return concluded(sought, checked, effects, seed, say)
@@ -82,7 +82,7 @@ class Searched(NamedTuple):
     first: ScoreTable
     before: ResidualDiagnosis
     force: np.ndarray
-    found: SearchResult
+    found: Trace
 
 
 def searched(
@@ -107,16 +107,16 @@ def searched(
     fair = seen_anew(problem, base, first.response)
     problem, found = forward.search(problem, fair, first, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
-    problem, found = phases_refined(problem, found, first)
-    return Searched(problem, base, first, before, force, refined(problem, found, first))
+    problem, found = phases_refined(problem, found)
+    return Searched(problem, base, first, before, force, refined(problem, found))
 
 
 def concluded(sought: Searched, checked: Audit, effects: Sequence[Effect], seed: int, say: Progress) -> Diagnosis:
     """What left-out trials say of the search, the verdict, and the report."""
     problem, base, first, before, force, found = sought
-    found, tested = backward_eliminated(problem, found, first)
-    found = rescaled(problem, found, first)
-    seen = found.view or first
+    found, tested = backward_eliminated(problem, found)
+    found = rescaled(problem, found)
+    seen = found.view
     after = before
     if found.added:
         left = force_ratio(found.final, found.base)
@@ -133,7 +133,7 @@ def concluded(sought: Searched, checked: Audit, effects: Sequence[Effect], seed:
         known=problem.recording.known, length=problem.recording.geometry.get("l1"),
     )  # fmt: skip
     say(7, STAGES, "held-out trials, mended model")
-    verdict, evidence = judged(problem, base, first, tested, effects, evidence)
+    verdict, evidence = judged(problem, base, tested, effects, evidence)
     error_after = error_before if evidence.error_after is None else evidence.error_after
     errors, rng = (error_before, error_after), np.random.default_rng(seed)
     report, shown = report_of(problem, found, after, *errors, powers, verdict, rng)
@@ -152,7 +152,6 @@ def concluded(sought: Searched, checked: Audit, effects: Sequence[Effect], seed:
 def judged(
     problem: Problem,
     base: Fit,
-    first: ScoreTable,
     tested: CrossValidation | None,
     effects: Sequence[Effect],
     evidence: Evidence,
@@ -161,12 +160,12 @@ def judged(
     tested: held-out errors of the mended model, if the search has them."""
     found = evidence.found
     if decide(evidence, problem.criteria).named:
-        error = tested or cross_validate(problem, found.final, found.view or first)
+        error = tested or cross_validate(problem, found.final, found.view)
         evidence = replace(evidence, error_after=error)
     if open_to_rivals(decide(evidence, problem.criteria)):
         evidence = replace(evidence, freed=freed(problem, effects))
     if open_to_rivals(decide(evidence, problem.criteria)):
-        evidence = replace(evidence, remeasured=remeasured(problem, base, effects, first))
+        evidence = replace(evidence, remeasured=remeasured(problem, base, effects, found.first))
     return decide(evidence, problem.criteria), evidence
 
 

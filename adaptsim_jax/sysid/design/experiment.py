@@ -23,7 +23,7 @@ from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, any_torque
 from adaptsim_jax.sysid.evaluate.power import COMMON, Power
 from adaptsim_jax.sysid.segments import Windows, cut_windows
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 CSV = "next_experiment.csv"
 SIZES = (1.0, 0.6, 0.35, 0.2)
@@ -90,9 +90,7 @@ def csv_of(time: np.ndarray, torque: np.ndarray) -> bytes:
     return text.getvalue().encode()
 
 
-def next_experiment(
-    problem: Problem, found: SearchResult, named: bool, powers: list[Power], seed: int = 0
-) -> Plan | None:
+def next_experiment(problem: Problem, found: Trace, named: bool, powers: list[Power], seed: int = 0) -> Plan | None:
     """The command that best parts what the diagnosis left open, or None where there is nothing to part or no safe way."""
     if not any_torque(problem.recording):  # nothing says how much torque moves this rig
         return None
@@ -116,14 +114,14 @@ def next_experiment(
     return Plan(time, push, shape, (ours.label, rival.label), float(distance), recorded, _upright(problem))
 
 
-def _pair(problem: Problem, found: SearchResult, named: bool, powers: list[Power]) -> tuple[Rival, Rival | None]:
+def _pair(problem: Problem, found: Trace, named: bool, powers: list[Power]) -> tuple[Rival, Rival | None]:
     """What was accepted (or the declared model) and what is hardest to tell from it."""
     if named and found.added:
         effect = found.added[-1]
         ours = _of(found.final, effect)
         others = [t for t in found.tried if effect not in t.active and len(t.active) == len(found.final.active)]
         others = [t for t in others if not _holds(problem, t.active[-1], effect)]
-        alike = [t for t in others if any(t.active[-1] == r for r in found.classes.get(effect, []))]
+        alike = [t for t in others if any(t.active[-1] == r for r in found.classes.get(effect, ()))]
         best = max(alike or others, key=lambda t: t.total, default=None)
         return ours, _of(best, best.active[-1]) if best is not None else _of(found.base, None)
     ours = _of(found.base, None)

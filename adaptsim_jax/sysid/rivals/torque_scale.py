@@ -6,7 +6,6 @@ other model stands may rest far from that point where effects switch, so that it
 """
 
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,12 +15,12 @@ from adaptsim_jax.sysid.estimate.fit import Fit, Instance, unmoved
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.select.equivalence import class_of
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 GAIN = "torque_gain"
 
 
-def rescaled(problem: Problem, found: SearchResult, first: ScoreTable) -> SearchResult:
+def rescaled(problem: Problem, found: Trace) -> Trace:
     """`found` with the torque gain of the other joint among its classes, where it explains the data as well in its own scale."""
     gains = [a for a in found.added if a[0] == GAIN]
     joints = problem.plant.joints
@@ -29,14 +28,14 @@ def rescaled(problem: Problem, found: SearchResult, first: ScoreTable) -> Search
         return found
     (here,) = gains
     there = (GAIN, next(j for j in joints if j != here[1]))
-    if there in found.classes.get(here, []) or there in found.final.active:
+    if there in found.classes.get(here, ()) or there in found.final.active:
         return found
     with suppress(Diverged):
-        own, other = _both(problem, found.final, here, there, found.view or first)
-        alone = replace(found, final=own, tried=[other])
+        own, other = _both(problem, found.final, here, there, found.view)
+        alone = Trace(found.base, found.first, found.ranked).then("both scales", final=own, tried=(other,))
         if there in class_of(problem, here, alone):
-            classes = found.classes | {here: [*found.classes.get(here, []), there]}
-            return replace(found, tried=[*found.tried, other], classes=classes)
+            classes = found.classes | {here: (*found.classes.get(here, ()), there)}
+            return found.then("told in another scale", tried=(other,), classes=classes)
     return found
 
 

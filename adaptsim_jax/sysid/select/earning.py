@@ -5,7 +5,7 @@ import numpy as np
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 
 def choose(problem: Problem, trials: list[Fit], base: Fit) -> Fit | None:
@@ -70,7 +70,7 @@ def completes(problem: Problem, new: Fit, old: Fit, base: Fit) -> bool:
     return falls and left and matters(problem, new, base, base)
 
 
-def needed(problem: Problem, new: Fit, without: Fit, found: SearchResult) -> bool:
+def needed(problem: Problem, new: Fit, without: Fit, found: Trace) -> bool:
     """Whether an effect of a set earns its place. Where none of the set would by itself, half the usual gain will do."""
     criteria = problem.criteria
     alone = len(new.active) - len(found.final.active) == 1

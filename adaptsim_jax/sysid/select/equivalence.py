@@ -8,20 +8,20 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance, plausible
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.select.earning import pays
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 
-def class_of(problem: Problem, effect: Instance, found: SearchResult) -> list[Instance]:
+def class_of(problem: Problem, effect: Instance, found: Trace) -> tuple[Instance, ...]:
     """Rivals that the data cannot tell from the accepted effect."""
-    return list(dict.fromkeys(instance for instance, _ in _in_place_of(problem, effect, found)))
+    return tuple(dict.fromkeys(instance for instance, _ in _in_place_of(problem, effect, found)))
 
 
-def close_rivals(problem: Problem, found: SearchResult) -> list[Fit]:
+def close_rivals(problem: Problem, found: Trace) -> list[Fit]:
     """The fits of all rivals that the data cannot tell from an effect of the final model."""
     return [t for effect in found.added for _, t in _in_place_of(problem, effect, found)]
 
 
-def _in_place_of(problem: Problem, effect: Instance, found: SearchResult) -> Iterator[tuple[Instance, Fit]]:
+def _in_place_of(problem: Problem, effect: Instance, found: Trace) -> Iterator[tuple[Instance, Fit]]:
     """What was tried in the effect's place, beside the others, and is close. One that holds it as a special case is no rival,
     unless it pays for what it has more: then that was too small to matter, but a spring with its rest far off may have passed for
     a bias."""

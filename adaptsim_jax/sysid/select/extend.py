@@ -10,8 +10,8 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted, fitted_plainly, force_ratio, plausible, settled
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable
-from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.start import started
+from adaptsim_jax.sysid.select.trace import Trace
 
 Progress = Callable[[str], None]
 
@@ -55,22 +55,20 @@ def without(problem: Problem, trial: Fit, idle: set[Instance], seen: ScoreTable)
     return None
 
 
-def finished(problem: Problem, found: SearchResult, trials: list[Fit], seen: ScoreTable) -> list[Fit]:
+def finished(problem: Problem, found: Trace, trials: list[Fit], seen: ScoreTable) -> list[Fit]:
     """The better half of the trials refitted until they settle; the others are far enough behind as they are."""
     order = sorted(trials, key=lambda t: -t.merit(problem.criteria.price))
     front = problem.criteria.shortlist // 2
     return settled_few(problem, found, order, order[:front], seen) + order[front:]
 
 
-def settled_few(
-    problem: Problem, found: SearchResult, trials: list[Fit], some: list[Fit], seen: ScoreTable
-) -> list[Fit]:
+def settled_few(problem: Problem, found: Trace, trials: list[Fit], some: list[Fit], seen: ScoreTable) -> list[Fit]:
     """Some of the trials refitted until they settle, save those hopelessly behind one that explains nearly everything."""
     late = hopeless(found, trials, problem.criteria)
     return parallel_map(lambda t: t if late(t) else settled(problem, t, seen.response), some)
 
 
-def hopeless(found: SearchResult, trials: list[Fit], criteria: Criteria) -> Callable[[Fit], bool]:
+def hopeless(found: Trace, trials: list[Fit], criteria: Criteria) -> Callable[[Fit], bool]:
     """Whether a model is hopelessly behind one of the trials that explains nearly everything."""
     fair = [t for t in trials if plausible(t, found.base) and force_ratio(t, found.base) < criteria.clear]
     bar = max((t.total for t in fair), default=-np.inf) - criteria.hopeless

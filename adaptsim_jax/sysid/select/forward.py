@@ -5,8 +5,6 @@ residual covariance, and compared by restricted likelihood. What linear scores g
 stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
@@ -20,14 +18,12 @@ from adaptsim_jax.sysid.select.equivalence import class_of, close_rivals
 from adaptsim_jax.sysid.select.extend import Progress, extend, finished, newest, settled_few, without
 from adaptsim_jax.sysid.select.nested import elaborated
 from adaptsim_jax.sysid.select.pairs import refit_beside_first, settled_plainly, with_look_alikes
-from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.shortlist import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.sysid.select.swap import beside, swap_back
+from adaptsim_jax.sysid.select.trace import Trace
 
 
-def search(
-    problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambda _: None
-) -> tuple[Problem, SearchResult]:
+def search(problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambda _: None) -> tuple[Problem, Trace]:
     """Add effects greedily while they earn their price, with one look back after each; the problem comes back with the effects
     whose finer shape was fitted.
 
@@ -35,37 +31,35 @@ def search(
     as friction at both joints does, the first leaves most of the residual. The set is judged, not its first member.
     """
     ranked = first.ranked(exclude=base.active)
-    found = SearchResult(base, base, ranked, last=ranked, view=first)
-    seen, current, here, ranked = first, base, base, found.last
+    found = Trace(base, first, tuple(ranked))
+    seen, current, here = first, base, base
     while len(current.active) - len(base.active) < problem.criteria.most_effects:
-        best, trials = _next(problem, found, here, seen, ranked, say)
+        found, best, trials = _next(problem, found, here, seen, ranked, say)
         if best is None or not pays(best, here, problem.criteria):
             break
         new = newest(best, current)
-        found.rivals[new] = [t for t in trials if t is not best]
+        found = found.then("added", rivals={new: tuple(t for t in trials if t is not best)})
         final = here if found.final is current else found.final
         current = best
-        enough = earns(problem, current, final, base)
-        if enough or completes(problem, current, final, base):
-            current = swap_back(problem, found, current, new, seen, say)
+        accepted = earns(problem, current, final, base) or completes(problem, current, final, base)
+        if accepted:
+            found, current = swap_back(problem, found, current, new, seen, say)
             if _worse(problem, current, found.final, base):
                 current = found.final
                 break
-            problem, current = _finer(problem, found, current, seen)
-            found.final = current
+            problem, found, current = _finer(problem, found, current, seen)
         elif force_ratio(found.final, base) < problem.criteria.explained or _astray(current, base, problem.criteria):
             break
         seen = view(problem, current)
         here = seen_anew(problem, current, seen.response)
         ranked = seen.ranked(exclude=current.active)
-        if found.final is current:
-            found.view, found.last = seen, ranked
+        if accepted:
+            found = found.then("accepted", final=current, view=seen)
     if force_ratio(found.final, base) > problem.criteria.explained or _still_far(problem, found.final):
-        problem, current = _paired(problem, found, current, first, say)
-    found.leading = None if current is found.final else current
-    found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
-    found.classes = {e: class_of(problem, e, found) for e in found.added}
-    return problem, found
+        problem, found, current = _paired(problem, found, current, first, say)
+    leading = None if current is found.final else current
+    classes = {e: class_of(problem, e, found) for e in found.added}
+    return problem, found.then("ended", leading=leading, classes=classes)
 
 
 def _astray(model: Fit, base: Fit, criteria: Criteria) -> bool:
@@ -96,31 +90,33 @@ def _still_far(problem: Problem, model: Fit) -> bool:
     return bool(np.any(model.parts.force_std() > problem.criteria.still_far * problem.torque_scale))
 
 
-def _next(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, ranked: list[Ranked], say):
-    """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
+def _next(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, ranked: list[Ranked], say):
+    """The trace with all that was tried for one more effect than `current` has, the best (None where nothing fits), and all."""
     done = force_ratio(current, found.base) < problem.criteria.explained  # little is left: a shorter list will do
     count = problem.criteria.shortlist // 2 if done else problem.criteria.shortlist
     worth = anything(problem, current, ranked, seen)
     leaders = first_leaders(ranked, seen, current.active, count) if worth else []
-    trials = _refitted(problem, found, current, leaders, seen, say)
-    trials = trials + _pruned(problem, found, current, trials, seen)
+    found, trials = _refitted(problem, found, current, leaders, seen, say)
+    found, pruned = _pruned(problem, found, current, trials, seen)
+    trials = trials + pruned
     best = _best(problem, found, trials)
     nothing = best is None or not pays(best, current, problem.criteria)
     if done and nothing and _blatant(problem, current, seen):
         more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
-        trials = trials + _refitted(problem, found, current, more, seen, say)
+        found, further = _refitted(problem, found, current, more, seen, say)
+        trials = trials + further
         best = _best(problem, found, trials)
     if best is not None and pays(best, current, problem.criteria):
         alike = look_alikes(problem, newest(best, current), ranked, leaders)
         more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t is not None]
         more = settled_few(problem, found, trials, more, seen)
-        trials, found.tried = trials + more, found.tried + more
+        trials, found = trials + more, found.then("tried look-alikes", tried=tuple(more))
         best = _best(problem, found, trials)
-    return best, trials
+    return found, best, trials
 
 
-def _best(problem: Problem, found: SearchResult, trials: list[Fit]) -> Fit | None:
+def _best(problem: Problem, found: Trace, trials: list[Fit]) -> Fit | None:
     return choose(problem, [t for t in trials if plausible(t, found.base)], found.base)
 
 
@@ -130,12 +126,12 @@ def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
     return bool(moves) and generic_p_value(seen) < problem.criteria.left_follows
 
 
-def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, say):
+def _paired(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, say):
     """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
     more than they do; else, where none of them may be named, the likeliest set of all for trying."""
     base = found.base
     if not anything(problem, base, found.ranked, seen):
-        return problem, current
+        return problem, found, current
     say("refitting with two effects at once")
     trials = refit_beside_first(problem, base, seen)
     for _ in range(2):
@@ -149,38 +145,39 @@ def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTabl
     front = [t for t in order if plausible(t, base) and not _idle(t, base, problem.criteria)][: problem.criteria.pairs]
     trials = parallel_map(lambda t: settled_plainly(problem, t, seen), front)
     trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
-    found.tried += trials
+    found = found.then("tried pairs", tried=tuple(trials))
     merit = lambda model: seen_anew(problem, model, seen.response).merit(problem.criteria.price)
     fair = [t for t in trials if plausible(t, base)]
     best = choose(problem, fair, base)
     if best is None or not earns(problem, best, base, base) or force_ratio(best, base) > problem.criteria.explained:
-        return problem, current if found.added else max([current, *fair], key=merit)
+        return problem, found, current if found.added else max([current, *fair], key=merit)
     if found.added and merit(best) < merit(found.final):
-        return problem, current
-    found.final = base
+        return problem, found, current
+    found = found.then("began anew with a pair", final=base, view=found.first)
     for new in [a for a in best.active if a not in base.active]:
-        best = beside(problem, found, best, new, seen, say)
-    problem, best = _finer(problem, found, best, seen)
-    found.final, found.view = best, view(problem, best)
-    found.last = found.view.ranked(exclude=best.active)
-    return problem, best
+        found, best = beside(problem, found, best, new, seen, say)
+    problem, found, best = _finer(problem, found, best, seen)
+    return problem, found.then("accepted a pair", final=best, view=view(problem, best)), best
 
 
-def _finer(problem: Problem, found: SearchResult, model: Fit, seen: ScoreTable) -> tuple[Problem, Fit]:
+def _finer(problem: Problem, found: Trace, model: Fit, seen: ScoreTable) -> tuple[Problem, Trace, Fit]:
     """The model in steps as short as it needs, its close rivals with it; and with the late parameters of its effects, where they
     pay and leave less unexplained."""
     finer, fine = stepped(problem, model, seen.response)
     if finer is not problem:
-        near = close_rivals(problem, replace(found, final=model))
-        far = [t for t in found.tried if not any(t is n for n in near)]
-        found.tried = far + all_again(finer, near, seen.response)
+        near = close_rivals(problem, found.then("as it is", final=model))
+        again = all_again(finer, near, seen.response)
+        found = found.then("refitted in shorter steps", tried=tuple(again), instead_of=tuple(near))
     better = lambda new, old: (
         pays(new, old, problem.criteria) and force_ratio(new, old) < 1.0 - problem.criteria.least_fall
     )
-    return elaborated(finer, fine, found.base, seen.response, better)
+    problem, model = elaborated(finer, fine, found.base, seen.response, better)
+    return problem, found, model
 
 
-def _pruned(problem: Problem, found: SearchResult, current: Fit, trials: list[Fit], seen: ScoreTable) -> list[Fit]:
+def _pruned(
+    problem: Problem, found: Trace, current: Fit, trials: list[Fit], seen: ScoreTable
+) -> tuple[Trace, list[Fit]]:
     """Trials in which the new effect makes an earlier one idle or absurd, which had stood in for it: the same without that one,
     where they are likelier than any trial that may be."""
     bar = max((t.total for t in trials if plausible(t, found.base)), default=current.total)
@@ -192,20 +189,13 @@ def _pruned(problem: Problem, found: SearchResult, current: Fit, trials: list[Fi
             continue
         out.append(without(problem, trial, idle, seen))
     out = [t for t in out if t is not None]
-    found.tried += out
-    return out
+    return found.then("tried without what is idle", tried=tuple(out)), out
 
 
 def _refitted(
-    problem: Problem,
-    found: SearchResult,
-    current: Fit,
-    leaders: list[Ranked],
-    seen: ScoreTable,
-    say,
-):
+    problem: Problem, found: Trace, current: Fit, leaders: list[Ranked], seen: ScoreTable, say
+) -> tuple[Trace, list[Fit]]:
     """The current model with each of the leaders in turn, refitted whole."""
     trials = parallel_map(lambda r: extend(problem, current, r, seen, say), leaders)
     trials = finished(problem, found, [t for t in trials if t is not None], seen)
-    found.tried += trials
-    return trials
+    return found.then("tried leaders", tried=tuple(trials)), trials

@@ -16,24 +16,21 @@ from adaptsim_jax.sysid.estimate.fit import Fit, Response, fitted
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, at_point
 from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select.extend import extend
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 TRIED = 2  # periodic forces that clocks are sharpened with
 STEP = 1e-5  # s: the angle of a force of 60 Hz moves by 4e-3 rad
 
 
-def phases_refined(
-    problem: Problem, found: SearchResult, first: ScoreTable, rounds: int = 3
-) -> tuple[Problem, SearchResult]:
+def phases_refined(problem: Problem, found: Trace, rounds: int = 3) -> tuple[Problem, Trace]:
     """The problem with better clocks and the final model refitted with them; both as they were where that is no likelier,
     or where no effect of the final model has a clock."""
     if not problem.phases(found.final.active):
         return problem, found
-    problem, model = _sharper(problem, found.final, (found.view or first).response, rounds)
+    problem, model = _sharper(problem, found.final, found.view.response, rounds)
     if model is found.final:
         return problem, found
-    seen = view(problem, model)
-    return problem, replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+    return problem, found.then("phases refined", final=model, view=view(problem, model))
 
 
 def _sharper(problem: Problem, model: Fit, response: Response, rounds: int = 3) -> tuple[Problem, Fit]:

@@ -6,7 +6,6 @@ that were found, as of those in the data some lie on the wrong side of a switch;
 was far off has bent its own.
 """
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,21 +14,20 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.estimate.fit import Fit, fitted_plainly, plausible, settled
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import ScoreTable, view
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 ROUNDS = 4  # each from where the last ended
 NUDGES = (0.96, 1.04)  # of what switches: a fit may rest where no event of the data changes sides
 
 
-def refined(problem: Problem, found: SearchResult, first: ScoreTable) -> SearchResult:
+def refined(problem: Problem, found: Trace) -> Trace:
     """`found` with its final model at the bottom; unchanged where it was there, or nothing is left to gain."""
     if not found.added or np.all(found.final.parts.force_std() < problem.criteria.nothing_left * problem.torque_scale):
         return found
-    model = lowest(problem, found.final, found.base, found.view or first)
+    model = lowest(problem, found.final, found.base, found.view)
     if model is found.final:
         return found
-    seen = view(problem, model)
-    return replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+    return found.then("refined", final=model, view=view(problem, model))
 
 
 def lowest(problem: Problem, model: Fit, base: Fit, seen: ScoreTable) -> Fit:

@@ -9,8 +9,8 @@ from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.select import extend as growing
 from adaptsim_jax.sysid.select import forward, swap
 from adaptsim_jax.sysid.select.equivalence import class_of
-from adaptsim_jax.sysid.select.result import SearchResult
 from adaptsim_jax.sysid.select.shortlist import look_alikes
+from adaptsim_jax.sysid.select.trace import Trace
 
 PROBLEM = SimpleNamespace(criteria=Criteria())
 BIAS, SPRING, DRAG = ("bias", "joint1"), ("spring", "joint1"), ("drag", "joint1")
@@ -60,11 +60,11 @@ def named(bias: float, spring: float):
 
 
 def test_a_wider_effect_that_does_not_pay_is_no_rival():
-    assert named(-100.0, -97.0) == []
+    assert named(-100.0, -97.0) == ()
 
 
 def test_a_wider_effect_that_pays_is_in_the_class():
-    assert named(-100.0, -60.0) == [SPRING]
+    assert named(-100.0, -60.0) == (SPRING,)
 
 
 def test_a_look_alike_of_itself_is_meant_at_another_joint():
@@ -91,9 +91,9 @@ def test_the_last_of_a_pair_left_out_is_no_set_that_was_tried(monkeypatch):
     monkeypatch.setattr(swap, "needed", lambda *a: False)
     seen = SimpleNamespace(response=None)
     for rest in ((), (("bias", "joint2"),)):
-        found = SimpleNamespace(base=None, tried=[])
+        found = Trace(None, None, ())
         pair = SimpleNamespace(**{**vars(best), "active": best.active + rest})
-        left = swap.beside(None, found, pair, best.active[0], seen, print)
+        found, left = swap.beside(None, found, pair, best.active[0], seen, print)
         assert left.active == rest and [t.active for t in found.tried] == ([rest] if rest else [])
 
 
@@ -132,16 +132,16 @@ def test_a_pair_takes_the_place_of_what_was_found_one_by_one_only_if_it_is_likel
     fakes = {
         "anything": lambda *_: True, "refit_beside_first": lambda *_: [pair], "plausible": lambda *_: True,
         "force_ratio": lambda new, old: 0.01, "settled_plainly": lambda problem, t, seen: t, "without": lambda *_: None,
-        "earns": lambda *_: True, "choose": lambda problem, trials, *_: trials[0], "beside": lambda *args: args[2],
-        "seen_anew": lambda problem, m, response: m, "_finer": lambda problem, found, m, *_: (problem, m),
+        "earns": lambda *_: True, "choose": lambda problem, trials, *_: trials[0], "beside": lambda *args: args[1:3],
+        "seen_anew": lambda problem, m, response: m, "_finer": lambda problem, found, m, *_: (problem, found, m),
         "doubtful": lambda *_: set(),
     }  # fmt: skip
     for name, fake in fakes.items():
         monkeypatch.setattr(forward, name, fake)
     seen = SimpleNamespace(response=None, ranked=lambda **_: [])
     monkeypatch.setattr(forward, "view", lambda *_: seen)
-    found = SearchResult(base, final, [])
-    _, best = forward._paired(PROBLEM, found, final, seen, print)
+    found = Trace(base, None, ()).then("found one by one", final=final)
+    _, found, best = forward._paired(PROBLEM, found, final, seen, print)
     assert best.active[0][0] == goes and found.final is best
 
 
@@ -171,9 +171,9 @@ def test_where_nothing_may_be_named_the_likeliest_set_leads(monkeypatch, pair, n
     for name, fake in fakes.items():
         monkeypatch.setattr(forward, name, fake)
     final = model("rotor", -750.0, 0.3) if named else base
-    found = SearchResult(base, final, [])
+    found = Trace(base, None, ()).then("found one by one", final=final)
     seen = SimpleNamespace(response=None, ranked=lambda **_: [])
-    _, leading = forward._paired(PROBLEM, found, final if named else rotor, seen, print)
+    _, found, leading = forward._paired(PROBLEM, found, final if named else rotor, seen, print)
     assert leading.active[0][0] == leads and found.final is final
 
 
