@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import force_ratio
+from adaptsim_jax.sysid.estimate.fitted import force_ratio, rough_gain
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, confirms
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.rivals.kinematics import FARTHEST, Remeasured
@@ -173,7 +173,7 @@ def _wrong_length(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict 
         return None
     if rival.left > criteria.explained or abs(rival.l1 / e.length - 1.0) >= FARTHEST:
         return None
-    if verdict.named and rival.model.total <= e.found.final.total:
+    if verdict.named and rough_gain(rival.model, e.found.final) <= 0.0:
         return None
     beside = "which is likelier than any effect" if verdict.named else "and no effect does so"
     message = (
@@ -213,7 +213,7 @@ def _structured(found: Trace, before: ResidualDiagnosis, criteria: Criteria, fle
         return True
     fall = 1.0 - criteria.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
     return any(
-        t.total - found.base.total > criteria.rival_gain and force_ratio(t, found.base) < fall for t in found.tried
+        rough_gain(t, found.base) > criteria.rival_gain and force_ratio(t, found.base) < fall for t in found.tried
     )
 
 

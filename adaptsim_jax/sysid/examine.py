@@ -10,7 +10,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Evidence, Verdict, decide, open_to_rivals
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio, seen_anew
+from adaptsim_jax.sysid.estimate.fit import seen_anew
+from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
 from adaptsim_jax.sysid.evaluate.flexible import flexible_bound

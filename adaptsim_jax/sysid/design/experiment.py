@@ -18,8 +18,8 @@ from adaptsim_jax.control.lqr import lqr_gain
 from adaptsim_jax.mechanisms.closed_loop import broadcasts, history_rows, run_loop
 from adaptsim_jax.mechanisms.stepping import make_model
 from adaptsim_jax.sysid.design.excitation import library
-from adaptsim_jax.sysid.estimate.fit import Fit
-from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, rough_gain
+from adaptsim_jax.sysid.estimate.output_error import FitSettings, least_squares
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, any_torque
 from adaptsim_jax.sysid.evaluate.power import COMMON, Power
 from adaptsim_jax.sysid.segments import Windows, cut_windows
@@ -127,7 +127,7 @@ def _pair(problem: Problem, found: Trace, named: bool, powers: list[Power]) -> t
     ours = _of(found.base, None)
     weak = [p for p in powers if p.name in COMMON and (p.name, p.where) not in found.base.active]
     tried = max(found.tried, key=lambda t: t.total, default=None)
-    if tried is not None and tried.total > found.base.total + 10.0:
+    if tried is not None and rough_gain(tried, found.base) > 10.0:
         return ours, _of(tried, tried.active[-1])
     if not weak:
         return ours, None
@@ -289,7 +289,7 @@ def _distances(problem: Problem, ours: Rival, rival: Rival, windows: Windows, x0
 def _at(problem: Problem, model: Rival, windows: Windows, x0):
     mask = problem.model.layout.mask(list(model.active))
     start = windows.start if x0 is None else x0
-    return fit(
+    return least_squares(
         problem.model, mask, windows, model.theta, model.eff, start,
         bounds=problem.bounds, settings=FitSettings(iterations=0),
     )  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
+from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Problem, any_torque
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
 from adaptsim_jax.sysid.evaluate.flexible import FlexibleBound

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.select.trace import Trace
 

@@ -7,8 +7,9 @@ wandering torque gains there and nowhere else, so each has to make the model sim
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance, fitted
-from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, initial_states
+from adaptsim_jax.sysid.estimate.fit import fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
+from adaptsim_jax.sysid.estimate.problem import Problem, initial_states
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, confirms, cross_validate
 from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select.equivalence import class_of
@@ -40,16 +41,15 @@ def backward_eliminated(problem: Problem, found: Trace) -> tuple[Trace, CrossVal
 def _nearly(problem: Problem, found: Trace, whole: CrossValidation, effect: Instance) -> Fit | None:
     """The final model refitted without one of its effects; None where that runs away, or is far off. One that is near is polished
     as the final model was: else what its refit left undone would speak for the effect."""
-    c, seen = found.final.candidate, found.view
+    seen = found.view
     rest = tuple(a for a in found.final.active if a != effect)
     known = [t for t in found.tried if set(t.active) == set(rest)]
     if known and _far(problem, whole, max(known, key=lambda t: t.total), problem.criteria.very_far):
         return None
-    try:
-        less = fitted(problem, rest, c.theta, c.eff, c.refit.point.x0, found.final.parts, seen.response)
-        return None if _far(problem, whole, less, problem.criteria.far) else lowest(problem, less, found.base, seen)
-    except Diverged:
+    less = fit(problem, found.final.start(active=rest), seen.response)
+    if not less.ok or _far(problem, whole, less, problem.criteria.far):
         return None
+    return lowest(problem, less, found.base, seen)
 
 
 def _far(problem: Problem, whole: CrossValidation, less: Fit, times: float) -> bool:

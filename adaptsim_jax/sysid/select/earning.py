@@ -3,7 +3,7 @@
 import numpy as np
 
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
+from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio, gain, likeliest, rough_gain
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.select.trace import Trace
 
@@ -11,13 +11,13 @@ from adaptsim_jax.sysid.select.trace import Trace
 def choose(problem: Problem, trials: list[Fit], base: Fit) -> Fit | None:
     """The likeliest for its price; or one with fewer parameters that leaves nothing more that would matter, and would be named if
     that one would."""
-    if not trials:
+    best = likeliest(trials, problem.criteria.price)
+    if best is None:
         return None
-    best = max(trials, key=lambda t: t.merit(problem.criteria.price))
     named = earns(problem, best, base, base)
     simpler = [t for t in trials if t.size < best.size and (not named or earns(problem, t, base, base))]
     enough = [t for t in simpler if not matters(problem, best, t, base, 0.2)]
-    return max(enough, key=lambda t: t.merit(problem.criteria.price), default=best)
+    return likeliest(enough, problem.criteria.price) or best
 
 
 def matters(problem: Problem, new: Fit, old: Fit, base: Fit, strict: float = 1.0) -> bool:
@@ -37,13 +37,21 @@ def felt(problem: Problem, new: Fit, old: Fit) -> float:
 
 def pays(new: Fit, old: Fit, criteria: Criteria) -> bool:
     """More likely by more than the price of its parameters and the selection it was picked from."""
-    extra = new.size - old.size
-    return new.total - old.total > criteria.price * extra + 6.0
+    return _enough(gain(new, old), new, old, criteria)
+
+
+def pays_roughly(new: Fit, old: Fit, criteria: Criteria) -> bool:
+    """The same where `old` may have been judged about another model."""
+    return _enough(rough_gain(new, old), new, old, criteria)
+
+
+def _enough(gained: float, new: Fit, old: Fit, criteria: Criteria) -> bool:
+    return gained > criteria.price * (new.size - old.size) + 6.0
 
 
 def earns(problem: Problem, new: Fit, old: Fit, base: Fit) -> bool:
     """Whether what was added since `old` pays, and its torque matters: to the joint, and beside what was unexplained."""
-    if not pays(new, old, problem.criteria) or force_ratio(new, old) > 1.0 - problem.criteria.least_fall:
+    if not pays_roughly(new, old, problem.criteria) or force_ratio(new, old) > 1.0 - problem.criteria.least_fall:
         return False
     return matters(problem, new, old, base) or _small_but_all(new, old, base, problem.criteria)
 
@@ -52,7 +60,7 @@ def _small_but_all(new: Fit, old: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether one effect or two, small as they may be beside the torque, are nearly all that the declared model lacks, and surely
     no chance."""
     count = len(new.active) - len(base.active)
-    sure = new.total - base.total > criteria.surely * count
+    sure = rough_gain(new, base) > criteria.surely * count
     return old is base and count <= 2 and sure and force_ratio(new, base) < criteria.clear
 
 
@@ -61,7 +69,7 @@ def completes(problem: Problem, new: Fit, old: Fit, base: Fit) -> bool:
     down to what a name may leave (friction that differs by direction is an effect and a small bias), or is most of what was left
     and matters to its joint (a spring beside ten times as much friction)."""
     criteria = problem.criteria
-    if old is base or not pays(new, old, criteria):
+    if old is base or not pays_roughly(new, old, criteria):
         return False
     if force_ratio(new, old) < criteria.explained and felt(problem, new, old) > criteria.least_share:
         return True
@@ -78,5 +86,5 @@ def needed(problem: Problem, new: Fit, without: Fit, found: Trace) -> bool:
         return earns(problem, new, without, found.base)
     if force_ratio(new, without) > 1.0 - 0.5 * criteria.least_fall or not pays(new, without, criteria):
         return False
-    small = _small_but_all(new, found.base, found.base, criteria) and new.total - without.total > criteria.surely
+    small = _small_but_all(new, found.base, found.base, criteria) and gain(new, without) > criteria.surely
     return small or matters(problem, new, without, found.base)

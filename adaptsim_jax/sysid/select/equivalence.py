@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance, plausible
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance, plausible
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.select.earning import pays
+from adaptsim_jax.sysid.select.earning import pays_roughly
 from adaptsim_jax.sysid.select.trace import Trace
 
 
@@ -34,7 +34,7 @@ def _in_place_of(problem: Problem, effect: Instance, found: Trace) -> Iterator[t
             len(extra) != 1
             or sorted(a for a in other.active if a != extra[0]) != sorted(rest)
             or not plausible(other, found.base)
-            or (extra[0] in {(name, effect[1]) for name in wider} and not pays(other, final, problem.criteria))
+            or (extra[0] in {(name, effect[1]) for name in wider} and not pays_roughly(other, final, problem.criteria))
         ):
             continue
         if _close(final, other, problem.criteria):

@@ -9,15 +9,16 @@ import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fit, doubtful, force_ratio, plausible, seen_anew
+from adaptsim_jax.sysid.estimate.fit import fit, seen_anew
+from adaptsim_jax.sysid.estimate.fitted import Fit, doubtful, force_ratio, gain, likeliest, plausible, rough_gain
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.nuisance.stepsize import all_again, stepped
+from adaptsim_jax.sysid.nuisance.stepsize import stepped
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value, view
 from adaptsim_jax.sysid.select.earning import choose, completes, earns, pays
 from adaptsim_jax.sysid.select.equivalence import class_of, close_rivals
-from adaptsim_jax.sysid.select.extend import Progress, extend, finished, newest, settled_few, without
+from adaptsim_jax.sysid.select.extend import Progress, extend, newest, settle_better_half, settle_some, without
 from adaptsim_jax.sysid.select.nested import elaborated
-from adaptsim_jax.sysid.select.pairs import refit_beside_first, settled_plainly, with_look_alikes
+from adaptsim_jax.sysid.select.pairs import refit_beside_first, to_the_bottom, with_look_alikes
 from adaptsim_jax.sysid.select.shortlist import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.sysid.select.swap import beside, swap_back
 from adaptsim_jax.sysid.select.trace import Trace
@@ -72,7 +73,7 @@ def _astray(model: Fit, base: Fit, criteria: Criteria) -> bool:
 
 def _idle(model: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether a model leaves all of the force and is hardly likelier than none."""
-    return force_ratio(model, base) > criteria.idle and model.total - base.total < criteria.slight
+    return force_ratio(model, base) > criteria.idle and rough_gain(model, base) < criteria.slight
 
 
 def _worse(problem: Problem, model: Fit, before: Fit, base: Fit) -> bool:
@@ -109,8 +110,8 @@ def _next(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, ranked
         best = _best(problem, found, trials)
     if best is not None and pays(best, current, problem.criteria):
         alike = look_alikes(problem, newest(best, current), ranked, leaders)
-        more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t is not None]
-        more = settled_few(problem, found, trials, more, seen)
+        more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t.ok]
+        more = settle_some(problem, found, trials, more, seen)
         trials, found = trials + more, found.then("tried look-alikes", tried=tuple(more))
         best = _best(problem, found, trials)
     return found, best, trials
@@ -129,29 +130,29 @@ def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
 def _paired(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, say):
     """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
     more than they do; else, where none of them may be named, the likeliest set of all for trying."""
-    base = found.base
+    base, price = found.base, problem.criteria.price
     if not anything(problem, base, found.ranked, seen):
         return problem, found, current
     say("refitting with two effects at once")
     trials = refit_beside_first(problem, base, seen)
     for _ in range(2):
-        likeliest = max(trials, key=lambda t: t.merit(problem.criteria.price), default=base)
-        left = force_ratio(likeliest, base)
-        if left > problem.criteria.promising or (left < problem.criteria.clear and plausible(likeliest, base)):
+        leader = likeliest(trials, price) or base
+        left = force_ratio(leader, base)
+        if left > problem.criteria.promising or (left < problem.criteria.clear and plausible(leader, base)):
             break
-        more = with_look_alikes(problem, base, likeliest, trials, seen)
-        trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
-    order = sorted(trials, key=lambda t: -t.merit(problem.criteria.price))
+        more = with_look_alikes(problem, base, leader, trials, seen)
+        trials = [t for t in trials if t is not leader or plausible(t, base)] + more
+    order = sorted(trials, key=lambda t: -t.merit(price))
     front = [t for t in order if plausible(t, base) and not _idle(t, base, problem.criteria)][: problem.criteria.pairs]
-    trials = parallel_map(lambda t: settled_plainly(problem, t, seen), front)
-    trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
+    trials = parallel_map(lambda t: to_the_bottom(problem, t, seen), front)
+    trials += [alone for t in trials for alone in without(problem, t, doubtful(t, base), seen)]
     found = found.then("tried pairs", tried=tuple(trials))
-    merit = lambda model: seen_anew(problem, model, seen.response).merit(problem.criteria.price)
+    anew = lambda model: seen_anew(problem, model, seen.response)
     fair = [t for t in trials if plausible(t, base)]
     best = choose(problem, fair, base)
     if best is None or not earns(problem, best, base, base) or force_ratio(best, base) > problem.criteria.explained:
-        return problem, found, current if found.added else max([current, *fair], key=merit)
-    if found.added and merit(best) < merit(found.final):
+        return problem, found, current if found.added else max([current, *fair], key=lambda t: anew(t).merit(price))
+    if found.added and gain(anew(best), anew(found.final), price) < 0.0:
         return problem, found, current
     found = found.then("began anew with a pair", final=base, view=found.first)
     for new in [a for a in best.active if a not in base.active]:
@@ -166,8 +167,9 @@ def _finer(problem: Problem, found: Trace, model: Fit, seen: ScoreTable) -> tupl
     finer, fine = stepped(problem, model, seen.response)
     if finer is not problem:
         near = close_rivals(problem, found.then("as it is", final=model))
-        again = all_again(finer, near, seen.response)
-        found = found.then("refitted in shorter steps", tried=tuple(again), instead_of=tuple(near))
+        again = parallel_map(lambda m: fit(finer, m.start(), seen.response), near)
+        again = tuple(m for m in again if m.ok)
+        found = found.then("refitted in shorter steps", tried=again, instead_of=tuple(near))
     better = lambda new, old: (
         pays(new, old, problem.criteria) and force_ratio(new, old) < 1.0 - problem.criteria.least_fall
     )
@@ -187,8 +189,7 @@ def _pruned(
         idle = doubtful(trial, found.base) - {new}
         if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
             continue
-        out.append(without(problem, trial, idle, seen))
-    out = [t for t in out if t is not None]
+        out += without(problem, trial, idle, seen)
     return found.then("tried without what is idle", tried=tuple(out)), out
 
 
@@ -197,5 +198,5 @@ def _refitted(
 ) -> tuple[Trace, list[Fit]]:
     """The current model with each of the leaders in turn, refitted whole."""
     trials = parallel_map(lambda r: extend(problem, current, r, seen, say), leaders)
-    trials = finished(problem, found, [t for t in trials if t is not None], seen)
+    trials = settle_better_half(problem, found, [t for t in trials if t.ok], seen)
     return found.then("tried leaders", tried=tuple(trials)), trials

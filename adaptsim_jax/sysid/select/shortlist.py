@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Active, Problem
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Active
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable
 

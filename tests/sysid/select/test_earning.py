@@ -15,7 +15,9 @@ COULOMB, STRIBECK, BIAS = ("coulomb", "joint1"), ("stribeck", "joint1"), ("bias"
 def model(*active, total=0.0, size=4, force=1.0):
     """A fitted model that leaves `force` N m of unexplained torque at joint 1."""
     merit = lambda price: total - price * size
-    return SimpleNamespace(active=active, total=total, size=size, moving=np.array([force**2, 0.0]), merit=merit)
+    return SimpleNamespace(
+        active=active, total=total, size=size, response=0, moving=np.array([force**2, 0.0]), merit=merit
+    )
 
 
 def frictions(scale: float):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.estimate.fit import fitted
+from adaptsim_jax.sysid.estimate.fit import fit
 from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -37,8 +37,7 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
 
     def with_clock(clock):
         set_to = replace(problem, windows=replace(problem.windows, clock=clock))
-        c = base.candidate
-        return set_to, fitted(set_to, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
+        return set_to, fit(set_to, base.start(active=(PLACE,), eff=eff), first.response)
 
     problem, seen = timed(problem, base, first)
     early, _ = phases_refined_early(problem, seen, base)
