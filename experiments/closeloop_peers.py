@@ -89,7 +89,7 @@ def sparse_regression(d: Declared, python: str) -> Active:
 def bic_forward(d: Declared, python: str) -> Active:
     """Least squares and BIC, every sample counted as independent."""
     from adaptsim_jax.sysid.estimate.output_error import ROOM
-    from adaptsim_jax.sysid.estimate.problem import fit_plain
+    from adaptsim_jax.sysid.estimate.problem import by_least_squares
     from adaptsim_jax.sysid.score.table import view
     from adaptsim_jax.sysid.select.start import started
 
@@ -102,14 +102,14 @@ def bic_forward(d: Declared, python: str) -> Active:
         return samples * np.log(squares / samples) + len(result.names) * np.log(samples) if finite else np.inf
 
     c = current.candidate
-    best = bic(fit_plain(problem, c.active, c.theta, c.eff, c.refit.point.x0))
+    best = bic(by_least_squares(problem, c.active, c.theta, c.eff, c.refit.point.x0))
     while len(current.active) < MOST:
         c, tried = current.candidate, []
         for r in seen.ranked(exclude=current.active, plain=True)[:SHORTLIST]:
             active = (*current.active, r.instance)
             if _size(problem, active) > ROOM[-1]:
                 continue  # more than the package's fit takes at once
-            result = fit_plain(problem, active, c.theta, started(problem, current, r), c.refit.point.x0)
+            result = by_least_squares(problem, active, c.theta, started(problem, current, r), c.refit.point.x0)
             tried.append((bic(result), active, result))
         score, active, result = min(tried, key=lambda t: t[0], default=(np.inf, (), None))
         if score >= best:
@@ -127,11 +127,16 @@ def _size(problem, active: Active) -> int:
 
 def refitted(d: Declared, active: Active, theta=None, eff=None, x0=None):
     """The package's own refit of a model with those effects, from the declared one where no start is given."""
-    from adaptsim_jax.sysid.estimate.fit import fitted
+    from adaptsim_jax.sysid.estimate.fit import fit
+    from adaptsim_jax.sysid.estimate.fitted import Start
+    from adaptsim_jax.sysid.estimate.problem import Diverged
 
     c = d.base.candidate
     theta, eff, x0 = (a if b is None else b for a, b in ((c.theta, theta), (c.eff, eff), (c.refit.point.x0, x0)))
-    return fitted(d.problem, active, theta, eff, x0, d.base.parts, d.view.response, rounds=2)
+    model = fit(d.problem, Start(active, theta, eff, x0, d.base.parts), d.view.response, rounds=2)
+    if not model.ok:
+        raise Diverged(f"{active}: {model.code.value}")
+    return model
 
 
 def from_scores(d: Declared, active: Active) -> np.ndarray:

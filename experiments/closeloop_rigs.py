@@ -16,8 +16,8 @@ import numpy as np
 
 from adaptsim_jax.core import compile_flags, memory
 from adaptsim_jax.sysid import Criteria, Recording, catalogue, read_recording
-from adaptsim_jax.sysid.estimate.fit import Fit
-from adaptsim_jax.sysid.estimate.problem import Active, Problem, fit_plain, initial_states, prepare
+from adaptsim_jax.sysid.estimate.fitted import Fit
+from adaptsim_jax.sysid.estimate.problem import Active, Problem, by_least_squares, initial_states, prepare
 from adaptsim_jax.sysid.examine import Diagnosis, examine
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.quality.audit import audit, usable
@@ -78,7 +78,7 @@ def scored(rest: Problem, active: Active, theta: np.ndarray, eff: np.ndarray) ->
 def borrowed(rig: Rig, other: Rig) -> tuple[Active, np.ndarray, np.ndarray]:
     """The other rig's set with its parameters refitted on this rig's first trials."""
     problem, c = rig.diagnosis.problem, other.likeliest.candidate
-    fit = fit_plain(problem, c.active, rig.diagnosis.found.base.candidate.theta, c.eff, problem.windows.start)
+    fit = by_least_squares(problem, c.active, rig.diagnosis.found.base.candidate.theta, c.eff, problem.windows.start)
     return c.active, fit.theta, fit.eff
 
 

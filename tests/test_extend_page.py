@@ -59,10 +59,11 @@ def test_two_things_of_one_name_are_refused(installed):
 
 @pytest.mark.slow
 def test_the_page_runs(installed):
-    first, second, third, fourth = output(installed, "use.py").splitlines()
+    first, second, third, fourth, fifth = output(installed, "use.py").splitlines()
     assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
     assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
     assert re.fullmatch(r"random search earns -?\d+\.\d+ of 1", fourth)
+    assert re.search(r"earns 0\.\d+, and the best (0\.99|1\.00)$", fifth)
 
 
 @pytest.mark.slow

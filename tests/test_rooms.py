@@ -33,7 +33,7 @@ WITHIN = {
         "evaluate", "select", "rivals", "decide", "design", "report", "examine", "pipeline",
     ),
     "tasks": (
-        "base", "camera_record", "camera_effects", "trial_record", "saved_policy", "one_shot", "one_shot_naf", "engine",
+        "base", "camera_record", "camera_effects", "trial_record", "saved_policy", "one_shot", "one_action", "one_shot_naf", "engine",
         "engine_runs", "pendulum", "pushing", "scooping", "toss", "parity", "registry",
     ),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""`adaptsim new`: a file to start an effect, a mechanism or a task of one's own from."""
+"""`adaptsim new`: a file to start an effect, a mechanism, a task, an engine or a baseline of one's own from."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ import argparse
 import keyword
 from pathlib import Path
 
-KINDS = {"effect": ".py", "mechanism": ".xml", "task": ".py"}
+KINDS = {"effect": ".py", "mechanism": ".xml", "task": ".py", "engine": ".py", "baseline": ".py"}
 NEXT = {
     "effect": "python {file}    its torque; then fill in the physics, and let it compete (docs/howto/extend.md)",
     "mechanism": "adaptsim init LOGS --model {file}",
-    "task": "python {file}    trains a small Phase 1 on it",
+    "task": "python {file}    trains a small Phase 1 on it; an entry point makes it one of `adaptsim compare` (docs/howto/extend.md)",
+    "engine": "python {file}    moves the pendulum in it; an entry point makes it one of `adaptsim parity` (docs/howto/extend.md)",
+    "baseline": "python {file}    tries it in one target; an entry point makes it a row of `adaptsim compare` (docs/howto/extend.md)",
 }
 EXAMPLES = """
   adaptsim new effect cable_drag             writes cable_drag.py
   adaptsim new mechanism arm --dir robots    writes robots/arm.xml, an MJCF to fill in
   adaptsim new task puck                     writes puck.py
+  adaptsim new engine late                   writes late.py, the pendulum in other physics
+  adaptsim new baseline hill_climb           writes hill_climb.py, a row of `adaptsim compare`
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=KINDS, metavar="KIND", help="effect, mechanism or task")
+    parser.add_argument("kind", choices=KINDS, metavar="KIND", help="effect, mechanism, task, engine or baseline")
     parser.add_argument("name", metavar="NAME", help="in lower case, such as cable_drag")
     parser.add_argument("--dir", type=Path, default=Path("."), metavar="DIR", help="folder of the file (default: here)")
 

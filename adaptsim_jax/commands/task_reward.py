@@ -12,12 +12,12 @@ from adaptsim_jax.tasks.pendulum.augmented_policy import DT, ROWS, MendedPolicy,
 
 if TYPE_CHECKING:
     from adaptsim_jax.sysid.estimate.problem import Problem
-    from adaptsim_jax.sysid.select.result import SearchResult
+    from adaptsim_jax.sysid.select.trace import Trace
 
 REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
 
 
-def task_reward(problem: "Problem", found: "SearchResult") -> dict[str, Any] | None:
+def task_reward(problem: "Problem", found: "Trace") -> dict[str, Any] | None:
     """`{before, after, oracle, cost, in}`: both policies run in the mended model, rewards against the better of the two.
 
     Only for recordings of the linearized pendulum, whose task this is; None else, or where nothing was added. What the

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import force_ratio
+from adaptsim_jax.sysid.estimate.fitted import force_ratio, rough_gain
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, confirms
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.rivals.kinematics import FARTHEST, Remeasured
 from adaptsim_jax.sysid.rivals.known_parameters import Freed
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Evidence:
     likeliest one. Both None where nobody looked.
     """
 
-    found: SearchResult
+    found: Trace
     before: ResidualDiagnosis
     after: ResidualDiagnosis
     force: np.ndarray
@@ -173,7 +173,7 @@ def _wrong_length(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict 
         return None
     if rival.left > criteria.explained or abs(rival.l1 / e.length - 1.0) >= FARTHEST:
         return None
-    if verdict.named and rival.model.total <= e.found.final.total:
+    if verdict.named and rough_gain(rival.model, e.found.final) <= 0.0:
         return None
     beside = "which is likelier than any effect" if verdict.named else "and no effect does so"
     message = (
@@ -197,14 +197,14 @@ def open_to_rivals(verdict: Verdict) -> bool:
     return verdict.named or verdict.name == "structured_unattributed"
 
 
-def _everywhere(found: SearchResult, trials: CrossValidation, criteria: Criteria) -> bool:
+def _everywhere(found: Trace, trials: CrossValidation, criteria: Criteria) -> bool:
     """Whether the likelihood rises in every trial, of enough of them to be no chance."""
     names = np.unique(trials.trial[trials.fold >= 0])
     gain = found.final.likelihood - found.base.likelihood
     return len(names) >= criteria.least_trials and all(gain[trials.trial == k].sum() > 0.0 for k in names)
 
 
-def _structured(found: SearchResult, before: ResidualDiagnosis, criteria: Criteria, flexible: float) -> bool:
+def _structured(found: Trace, before: ResidualDiagnosis, criteria: Criteria, flexible: float) -> bool:
     """Structure that is more than chance: some smooth force, or a rival that was refitted, predicts it in left-out trials, or its
     spectrum has a line."""
     answer = before.answered and before.line is None and before.share < criteria.answered_share
@@ -213,7 +213,7 @@ def _structured(found: SearchResult, before: ResidualDiagnosis, criteria: Criter
         return True
     fall = 1.0 - criteria.least_fall  # a rival that is likelier but leaves all of the force has fitted single windows
     return any(
-        t.total - found.base.total > criteria.rival_gain and force_ratio(t, found.base) < fall for t in found.tried
+        rough_gain(t, found.base) > criteria.rival_gain and force_ratio(t, found.base) < fall for t in found.tried
     )
 
 
@@ -234,7 +234,7 @@ def _unattributed(at: ResidualDiagnosis) -> str:
     return f"There is structure that no candidate explains; it sits at {at.where()}{much}{at.beside()}."
 
 
-def _partly(found: SearchResult, at: ResidualDiagnosis, left: float) -> str:
+def _partly(found: Trace, at: ResidualDiagnosis, left: float) -> str:
     best = " and ".join(f"{_words(e)} at {_words(w)}" for e, w in found.final.active)
     return (
         f"The best candidate, {best}, leaves {100 * left:.0f} % of the unexplained torque, which is too much for a name; "

@@ -10,7 +10,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Evidence, Verdict, decide, open_to_rivals
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio, seen_anew
+from adaptsim_jax.sysid.estimate.fit import seen_anew
+from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
 from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
@@ -29,7 +30,7 @@ from adaptsim_jax.sysid.select import forward
 from adaptsim_jax.sysid.select.backward import backward_eliminated
 from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
 from adaptsim_jax.sysid.select.refine import refined
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 from adaptsim_jax.sysid.types import Recording
 
 STAGES = 9
@@ -41,7 +42,7 @@ class Diagnosis:
     """All that a diagnosis found; `report` is what goes into report.json. leading: the likeliest model where nothing is named."""
 
     problem: Problem
-    found: SearchResult
+    found: Trace
     before: ResidualDiagnosis
     after: ResidualDiagnosis
     error_before: CrossValidation
@@ -59,18 +60,18 @@ def examine(
     checked: Audit,
     noise: NoiseFloor,
     effects: Sequence[Effect],
-    settings: Criteria,
+    criteria: Criteria,
     seed: int,
     say: Progress,
 ) -> Diagnosis:
     """Everything between reading and writing. A filter of the angles that shows only once an effect is named has them examined anew
     without it, and one that an effect had passed for those as they were written."""
-    sought = searched(recording, checked, noise, effects, settings, say)
+    sought = searched(recording, checked, noise, effects, criteria, say)
     if sought.found.added:
-        smoothed = revised(sought.problem, sought.found.final, sought.found.view or sought.first)
+        smoothed = revised(sought.problem, sought.found.final, sought.found.view)
         if smoothed is not None:
-            sought = searched(recording, checked, noise, effects, settings, say, smoothed)
-    return concluded(sought, checked, effects, settings, seed, say)
+            sought = searched(recording, checked, noise, effects, criteria, say, smoothed)
+    return concluded(sought, checked, effects, seed, say)
 
 
 class Searched(NamedTuple):
@@ -82,7 +83,7 @@ class Searched(NamedTuple):
     first: ScoreTable
     before: ResidualDiagnosis
     force: np.ndarray
-    found: SearchResult
+    found: Trace
 
 
 def searched(
@@ -90,14 +91,14 @@ def searched(
     checked: Audit,
     noise: NoiseFloor,
     effects: Sequence[Effect],
-    settings: Criteria,
+    criteria: Criteria,
     say: Progress,
     smoothed: float | None = None,
 ) -> Searched:
     """The declared model and the search beside it. smoothed: by a filter of which `s` [s^2], 0 for none; looked for where None."""
     say(2, STAGES, "declared model")
     try:
-        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed, settings)
+        problem, base, first = fit_unfiltered(recording, checked, noise, effects, smoothed, criteria)
     except Diverged as error:
         raise BadInput(f"{recording.path}: {error}") from None
     problem, first = phases_refined_early(*timed(problem, base, first), base)
@@ -105,26 +106,25 @@ def searched(
     before = residual_diagnosis(problem, first, base.parts, force)
     say(3, STAGES, "candidates")
     fair = seen_anew(problem, base, first.response)
-    problem, found = forward.search(problem, fair, first, settings, say=lambda note: say(4, STAGES, note))
+    problem, found = forward.search(problem, fair, first, say=lambda note: say(4, STAGES, note))
     say(5, STAGES, "what is left")
-    problem, found = phases_refined(problem, found, first)
-    return Searched(problem, base, first, before, force, refined(problem, found, first))
+    problem, found = phases_refined(problem, found)
+    return Searched(problem, base, first, before, force, refined(problem, found))
 
 
-def concluded(
-    sought: Searched, checked: Audit, effects: Sequence[Effect], settings: Criteria, seed: int, say: Progress
-) -> Diagnosis:
+def concluded(sought: Searched, checked: Audit, effects: Sequence[Effect], seed: int, say: Progress) -> Diagnosis:
     """What left-out trials say of the search, the verdict, and the report."""
     problem, base, first, before, force, found = sought
-    found, tested = backward_eliminated(problem, found, first, settings)
-    found = rescaled(problem, found, first, settings)
-    seen = found.view or first
+    found, tested = backward_eliminated(problem, found)
+    found = rescaled(problem, found)
+    seen = found.view
     after = before
     if found.added:
-        many = force_ratio(found.final, found.base) > settings.explained  # then what is left says nothing of where
+        left = force_ratio(found.final, found.base)
+        many = left > problem.criteria.explained  # then what is left says nothing of where
         rest = force if many else found.final.parts.force_std() / problem.torque_scale
         after = residual_diagnosis(problem, seen, found.final.parts, rest)
-    powers = power(problem, seen, settings)
+    powers = power(problem, seen)
     say(6, STAGES, "held-out trials, declared model")
     error_before = cross_validate(problem, base, first)
     flexible = flexible_bound(problem, base, first, error_before.fold)
@@ -134,10 +134,10 @@ def concluded(
         known=problem.recording.known, length=problem.recording.geometry.get("l1"),
     )  # fmt: skip
     say(7, STAGES, "held-out trials, mended model")
-    verdict, evidence = judged(problem, base, first, tested, effects, evidence, settings)
+    verdict, evidence = judged(problem, base, tested, effects, evidence)
     error_after = error_before if evidence.error_after is None else evidence.error_after
     errors, rng = (error_before, error_after), np.random.default_rng(seed)
-    report, shown = report_of(problem, found, after, *errors, powers, verdict, settings, rng)
+    report, shown = report_of(problem, found, after, *errors, powers, verdict, rng)
     add_ceiling(report["error"], flexible)
     leading = None if verdict.named else found.leading or (found.final if found.added else None)
     if leading is not None:
@@ -153,23 +153,21 @@ def concluded(
 def judged(
     problem: Problem,
     base: Fit,
-    first: ScoreTable,
     tested: CrossValidation | None,
     effects: Sequence[Effect],
     evidence: Evidence,
-    settings: Criteria,
 ) -> tuple[Verdict, Evidence]:
     """The verdict, and the evidence on which it rests: what costs fits is looked for only where it could change what is said.
     tested: held-out errors of the mended model, if the search has them."""
     found = evidence.found
-    if decide(evidence, settings).named:
-        error = tested or cross_validate(problem, found.final, found.view or first)
+    if decide(evidence, problem.criteria).named:
+        error = tested or cross_validate(problem, found.final, found.view)
         evidence = replace(evidence, error_after=error)
-    if open_to_rivals(decide(evidence, settings)):
+    if open_to_rivals(decide(evidence, problem.criteria)):
         evidence = replace(evidence, freed=freed(problem, effects))
-    if open_to_rivals(decide(evidence, settings)):
-        evidence = replace(evidence, remeasured=remeasured(problem, base, effects, first))
-    return decide(evidence, settings), evidence
+    if open_to_rivals(decide(evidence, problem.criteria)):
+        evidence = replace(evidence, remeasured=remeasured(problem, base, effects, found.first))
+    return decide(evidence, problem.criteria), evidence
 
 
 def findings(checked: Audit) -> list[dict[str, str]]:

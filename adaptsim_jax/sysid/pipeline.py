@@ -25,10 +25,10 @@ from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.sysid.report.schema import check, new_report
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 from adaptsim_jax.sysid.types import Recording
 
-Reward = Callable[[Problem, SearchResult], dict[str, Any] | None]
+Reward = Callable[[Problem, Trace], dict[str, Any] | None]
 Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 
 
@@ -112,7 +112,7 @@ def useless(count: int) -> tuple[Effect, ...]:
 def regressors(result: Diagnosis) -> list[dict[str, Any]]:
     """For the page: each named effect's torque against what it follows."""
     found = result.found
-    if not result.verdict.named or found.view is None:
+    if not result.verdict.named:
         return []
     rows = evidence_of(result.problem, found.final, found.view, result.first, found.added)
     return [row.shown() for row in rows]

@@ -1,7 +1,10 @@
 """`adaptsim new` writes files that run; `adaptsim completion` knows every command and option."""
 
+import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import mujoco
 import pytest
@@ -11,8 +14,16 @@ from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.completion import options_of
 from adaptsim_jax.sysid.io.read import read_with_model
 
+ROOT = Path(__file__).parents[2]
+STARTS = [
+    ("effect", "0.1"),
+    pytest.param("engine", "apart by", marks=pytest.mark.slow),
+    pytest.param("baseline", "cable_drag earns", marks=pytest.mark.slow),
+    pytest.param("task", "reward where it is slick", marks=pytest.mark.slow),
+]
 
-@pytest.mark.parametrize("kind, tells", [("effect", "0.1"), pytest.param("task", "reward", marks=pytest.mark.slow)])
+
+@pytest.mark.parametrize("kind, tells", STARTS)
 def test_a_file_of_python_runs(kind, tells, tmp_path, capsys):
     assert main(["new", kind, "cable_drag", "--dir", str(tmp_path)]) == 0
     assert f"next: python {tmp_path / 'cable_drag.py'}" in capsys.readouterr().out
@@ -20,6 +31,63 @@ def test_a_file_of_python_runs(kind, tells, tmp_path, capsys):
         [sys.executable, "-W", "error", "cable_drag.py"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert tells in done.stdout
+
+
+@pytest.mark.slow
+def test_what_was_begun_is_installed_and_compared(tmp_path):
+    """A task, a baseline and an engine by their entry points: `adaptsim compare` runs the one with rows of ours and of the other."""
+    for kind, name in (("task", "puck"), ("baseline", "walk"), ("engine", "weak")):
+        assert main(["new", kind, name, "--dir", str(tmp_path)]) == 0
+    info = tmp_path / "mine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    points = {
+        "tasks": "puck = puck:TASK",
+        "baselines": "exact.walk = walk:walk",
+        "backends": "pendulum.weak = weak:ENGINE",
+    }
+    (info / "entry_points.txt").write_text("".join(f"[adaptsim.{g}]\n{line}\n" for g, line in points.items()))
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+
+    def run(*words):
+        command = [sys.executable, *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+        return done.stdout
+
+    small = ["--seeds", "2", "--set", "iterations=2", "--set", "sysid.simulations=50"]
+    small += [
+        "--set",
+        "train.phase1.trajectories=40",
+        "--set",
+        "train.phase1.parallel=10",
+        "--set",
+        "train.phase1.updates=4",
+    ]
+    methods = "adaptsim,sysid-point,bayesopt,udr,udr-target,learn-in-target,oracle"
+    run("-m", "adaptsim_jax", "compare", "puck", "--out", "puck", "--methods", methods, *small)
+    rows = json.loads((tmp_path / "puck" / "results.json").read_text())["rows"]
+    mean = {(row["method"], row["setting"]): row["mean"] for row in rows}
+    assert len(mean) == 14 and mean["oracle", "slick"] > 0.99
+    assert mean["udr", "slick"] < 0.5 < mean["udr", "middle"]  # a push for all of Omega goes too far where it is slick
+    run(
+        "-m",
+        "adaptsim_jax",
+        "compare",
+        "pendulum",
+        "--out",
+        "walk",
+        "--methods",
+        "walk",
+        "--settings",
+        "wd",
+        "--seeds",
+        "1",
+    )
+    code = "from adaptsim_jax import make_backend; print(make_backend('pendulum', 'weak', 0.01).name)"
+    assert run("-c", code).strip() == "weak"
+    protocols = str(ROOT / "tests" / "test_protocols.py")
+    assert "failed" not in run("-m", "pytest", "-q", protocols, "-k", "puck or weak or test_baselines")
 
 
 def test_a_mechanism_is_one_that_logs_can_be_read_with(tmp_path):

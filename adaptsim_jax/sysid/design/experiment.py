@@ -18,12 +18,12 @@ from adaptsim_jax.control.lqr import lqr_gain
 from adaptsim_jax.mechanisms.closed_loop import broadcasts, history_rows, run_loop
 from adaptsim_jax.mechanisms.stepping import make_model
 from adaptsim_jax.sysid.design.excitation import library
-from adaptsim_jax.sysid.estimate.fit import Fit
-from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, rough_gain
+from adaptsim_jax.sysid.estimate.output_error import FitSettings, least_squares
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, any_torque
 from adaptsim_jax.sysid.evaluate.power import COMMON, Power
 from adaptsim_jax.sysid.segments import Windows, cut_windows
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 CSV = "next_experiment.csv"
 SIZES = (1.0, 0.6, 0.35, 0.2)
@@ -90,9 +90,7 @@ def csv_of(time: np.ndarray, torque: np.ndarray) -> bytes:
     return text.getvalue().encode()
 
 
-def next_experiment(
-    problem: Problem, found: SearchResult, named: bool, powers: list[Power], seed: int = 0
-) -> Plan | None:
+def next_experiment(problem: Problem, found: Trace, named: bool, powers: list[Power], seed: int = 0) -> Plan | None:
     """The command that best parts what the diagnosis left open, or None where there is nothing to part or no safe way."""
     if not any_torque(problem.recording):  # nothing says how much torque moves this rig
         return None
@@ -116,20 +114,20 @@ def next_experiment(
     return Plan(time, push, shape, (ours.label, rival.label), float(distance), recorded, _upright(problem))
 
 
-def _pair(problem: Problem, found: SearchResult, named: bool, powers: list[Power]) -> tuple[Rival, Rival | None]:
+def _pair(problem: Problem, found: Trace, named: bool, powers: list[Power]) -> tuple[Rival, Rival | None]:
     """What was accepted (or the declared model) and what is hardest to tell from it."""
     if named and found.added:
         effect = found.added[-1]
         ours = _of(found.final, effect)
         others = [t for t in found.tried if effect not in t.active and len(t.active) == len(found.final.active)]
         others = [t for t in others if not _holds(problem, t.active[-1], effect)]
-        alike = [t for t in others if any(t.active[-1] == r for r in found.classes.get(effect, []))]
+        alike = [t for t in others if any(t.active[-1] == r for r in found.classes.get(effect, ()))]
         best = max(alike or others, key=lambda t: t.total, default=None)
         return ours, _of(best, best.active[-1]) if best is not None else _of(found.base, None)
     ours = _of(found.base, None)
     weak = [p for p in powers if p.name in COMMON and (p.name, p.where) not in found.base.active]
     tried = max(found.tried, key=lambda t: t.total, default=None)
-    if tried is not None and tried.total > found.base.total + 10.0:
+    if tried is not None and rough_gain(tried, found.base) > 10.0:
         return ours, _of(tried, tried.active[-1])
     if not weak:
         return ours, None
@@ -291,7 +289,7 @@ def _distances(problem: Problem, ours: Rival, rival: Rival, windows: Windows, x0
 def _at(problem: Problem, model: Rival, windows: Windows, x0):
     mask = problem.model.layout.mask(list(model.active))
     start = windows.start if x0 is None else x0
-    return fit(
+    return least_squares(
         problem.model, mask, windows, model.theta, model.eff, start,
         bounds=problem.bounds, settings=FitSettings(iterations=0),
     )  # fmt: skip

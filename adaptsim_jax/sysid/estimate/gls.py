@@ -1,6 +1,6 @@
 """Joint refit of declared parameters, effect parameters and initial states under a full residual covariance.
 
-`fit.py` weighs samples one by one, which is right where the sensors are the only noise. Here the residual covariance
+`output_error.py` weighs samples one by one, which is right where the sensors are the only noise. Here the residual covariance
 comes from `variance.py`: a Gauss-Newton step on whitened rows, initial states projected out of them, so that a force
 which wanders costs what it should and no more. The linearisation is a callable; nothing here knows a model.
 """
@@ -39,6 +39,16 @@ class Refit:
     @property
     def cost(self) -> np.ndarray:
         return np.sum(self.white.residual**2, axis=1)
+
+
+def nowhere(x0: np.ndarray) -> Refit:
+    """What is left of a refit that ran away from its initial states `[W, S]`: no parameters, and no rows."""
+    count, none, trial = len(x0), np.zeros((len(x0), 0, 0)), np.zeros(len(x0), int)
+    rows = np.zeros((count, 0))
+    lin = Linearised(rows, none, none, none, none[..., None], rows, np.zeros(0, int), trial, rows > 0)
+    held = np.zeros(0, bool)
+    white = Whitened(rows, none, none, trial, trial)
+    return Refit(Point(np.zeros(0), x0), lin, white, np.zeros((0, 0)), held, held, 0, LEAST)
 
 
 Linearise = Callable[[Point], Linearised]

@@ -37,7 +37,7 @@ class Prior(NamedTuple):
     precision: Array
 
 
-def fit(
+def least_squares(
     model: Model,
     mask: np.ndarray,
     windows: Windows,

@@ -12,7 +12,7 @@ from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.dictionary import gravity_torque, make_reach
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
-from adaptsim_jax.sysid.estimate.output_error import FitSettings, fit
+from adaptsim_jax.sysid.estimate.output_error import FitSettings, least_squares
 from adaptsim_jax.sysid.forward import Model, make_model
 from adaptsim_jax.sysid.io.meta import check_known
 from adaptsim_jax.sysid.io.model_file import declared_model
@@ -24,7 +24,7 @@ from adaptsim_jax.sysid.types import Recording, Trial
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 
 
-UNFINISHED, DIVERGED = 1, 3  # indices into fit.CODES
+UNFINISHED, DIVERGED = 1, 3  # indices into fit_result.CODES
 FAR = 0.15  # rad that a window may stray, times the growth of errors within it, before it is cut shorter
 
 
@@ -177,7 +177,7 @@ def distance(problem: Problem, result: FitResult) -> float:
 def initial_states(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
     """A model as it is, only its initial states fitted, by least squares."""
     fixed = (*problem.plant.theta_names, *("/".join(n) for n in problem.model.layout.names()))
-    return fit(
+    return least_squares(
         problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
         bounds=problem.bounds, fixed=fixed, settings=FitSettings(iterations=12, tolerance=1e-3, huber=1e3),
     )  # fmt: skip
@@ -206,33 +206,21 @@ def regressed_start(problem: Problem) -> FitResult:
     return initial_states(problem, problem.base, problem.theta0, eff0, problem.windows.start)
 
 
-def declared_fit(
-    problem: Problem, active: Active | None = None, start: FitResult | None = None, eff0=None
-) -> FitResult:
-    """Least-squares output-error fit in which sensors are the only noise."""
-    active = problem.base if active is None else active
-    eff0 = problem.eff0 if eff0 is None else eff0
-    return fit(
-        problem.model, problem.model.layout.mask(list(active)), problem.windows,
-        problem.theta0 if start is None else start.theta, eff0, None if start is None else start.x0,
-        bounds=problem.bounds, settings=FitSettings(iterations=30, huber=1e3),
-    )  # fmt: skip
-
-
-def fit_plain(
-    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray, iterations: int = 25
-) -> FitResult:
-    """Least-squares fit of a model with effects, sensors being the only noise."""
-    return fit(
-        problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0,
-        bounds=problem.bounds, settings=FitSettings(iterations=iterations, tolerance=1e-3, huber=1e3),
+def by_least_squares(
+    problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray,
+    settings: FitSettings = FitSettings(iterations=25, tolerance=1e-3, huber=1e3),  # noqa: B008
+) -> FitResult:  # fmt: skip
+    """Least-squares output-error fit of a model with effects, sensors being the only noise."""
+    return least_squares(
+        problem.model, problem.model.layout.mask(list(active)), problem.windows, theta, eff, x0, bounds=problem.bounds,
+        settings=settings,
     )  # fmt: skip
 
 
 def at_point(problem: Problem, active: Active, theta: np.ndarray, eff: np.ndarray, x0: np.ndarray) -> FitResult:
     """Residual and Jacobians of a model at given parameters: a fit of no iterations."""
     mask = problem.model.layout.mask(list(active))
-    return fit(
+    return least_squares(
         problem.model, mask, problem.windows, theta, eff, x0,
         bounds=problem.bounds, settings=FitSettings(iterations=0),
     )  # fmt: skip

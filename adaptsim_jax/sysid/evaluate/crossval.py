@@ -13,7 +13,7 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import refit_more
-from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem, initial_states
 from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.segments import folds
@@ -49,12 +49,12 @@ class CrossValidation:
         return [float(x) for x in np.quantile(rms, [0.5 - level / 2, 0.5 + level / 2])]
 
 
-def confirms(with_effect: CrossValidation, without: CrossValidation, settings: Criteria) -> bool:
+def confirms(with_effect: CrossValidation, without: CrossValidation, criteria: Criteria) -> bool:
     """Whether left-out trials are simulated better with an effect: on the whole, and at least half of them."""
     squared = [h.squared.sum(1) for h in (with_effect, without)]
     trials = np.unique(without.trial[without.fold >= 0])
     better = [squared[0][without.trial == t].sum() < squared[1][without.trial == t].sum() for t in trials]
-    return bool(with_effect.rmse() < settings.least_gain * without.rmse() and 2 * sum(better) >= len(better))
+    return bool(with_effect.rmse() < criteria.least_gain * without.rmse() and 2 * sum(better) >= len(better))
 
 
 def cross_validate(problem: Problem, model: Fit, view: ScoreTable, *, most_folds: int = 6) -> CrossValidation:

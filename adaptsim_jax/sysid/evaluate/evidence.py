@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed, linearised
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Problem, at_point
 from adaptsim_jax.sysid.estimate.variance import Linearised
 from adaptsim_jax.sysid.score.table import ScoreTable

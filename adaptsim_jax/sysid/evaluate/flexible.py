@@ -19,7 +19,7 @@ import numpy as np
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed, linearised, survey
-from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.generic_forces import generic_forces, generic_names
 from adaptsim_jax.sysid.estimate.problem import Problem, at_point
 from adaptsim_jax.sysid.estimate.variance import Linearised, VarianceComponents

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
 
@@ -27,14 +26,14 @@ class Power:
         return self.smallest <= self.matters
 
 
-def power(problem: Problem, view: ScoreTable, settings: Criteria) -> list[Power]:
+def power(problem: Problem, view: ScoreTable) -> list[Power]:
     """Smallest detectable share of each candidate, from the information in its projected signature.
 
     The effect torque of a unit amplitude is taken from the signature itself: the torque on one joint, of white spectrum
     up to 3 Hz, whose outputs are as large.
     """
     ranked = view.ranked()
-    level = settings.alpha / max(len(ranked), 1)
+    level = problem.criteria.alpha / max(len(ranked), 1)
     scale = _force_scale(problem, view)
     out = []
     for r in ranked:
@@ -43,7 +42,7 @@ def power(problem: Problem, view: ScoreTable, settings: Criteria) -> list[Power]
         information, size = (np.sum(z**2, (0, 1)) for z in (view.scorer.columns(column), view.lin.atoms[:, :, column]))
         joint = int(r.instance[1][-1]) - 1 if r.instance[1].startswith("joint") else 0
         share = need / np.sqrt(np.maximum(information, 1e-300)) * np.sqrt(size) * scale[joint]
-        out.append(Power(*r.instance, float(np.min(share)), settings.matters))
+        out.append(Power(*r.instance, float(np.min(share)), problem.criteria.matters))
     return out
 
 

@@ -10,14 +10,16 @@ from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import surveyed
-from adaptsim_jax.sysid.estimate.fit import Fit, Response, ended, fitted_from, respond
+from adaptsim_jax.sysid.estimate.fit import fit
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
+from adaptsim_jax.sysid.estimate.fitted import Fit, Response, Start, respond
+from adaptsim_jax.sysid.estimate.output_error import FitSettings
 from adaptsim_jax.sysid.estimate.problem import (
     DIVERGED,
     Diverged,
     Problem,
     at_point,
-    declared_fit,
+    by_least_squares,
     prepare_within_reach,
 )
 from adaptsim_jax.sysid.estimate.variance import VarianceComponents
@@ -69,8 +71,8 @@ def declared_base(problem: Problem, start: FitResult) -> Fit:
         if fits and not np.any(fits[0].parts.force_std() > problem.criteria.suspicious * problem.torque_scale):
             break
         with suppress(Diverged, np.linalg.LinAlgError):
-            result = declared_fit(problem) if second else _free(problem, start)
-            fits.append(_declared_from(problem, result))
+            result = _least_squares(problem) if second else _free(problem, start)
+            fits += [one for one in [_declared_from(problem, result)] if one.ok]
     if not fits:
         raise Diverged("the declared model runs away from every start; look at the signs and units of the torques")
     base = max(fits, key=lambda m: (_sane(problem, m), m.total))
@@ -90,14 +92,15 @@ def _as_it_is(problem: Problem, result: FitResult) -> Fit | None:
     if result.code == DIVERGED:
         return None
     response, parts = _left(problem, result)
-    return ended(problem, problem.base, result, parts, response)
+    judged = fit(problem, Start.after(result, problem.base, parts), response, rounds=0)
+    return judged if judged.ok else None
 
 
 def _declared_from(problem: Problem, result: FitResult) -> Fit:
     if result.code == DIVERGED:  # before its response to forces is asked for
         raise Diverged("the declared model runs away")
     response, parts = _left(problem, result)
-    return fitted_from(problem, problem.base, result, parts, response)
+    return fit(problem, Start.after(result, problem.base, parts), response)
 
 
 def _left(problem: Problem, result: FitResult) -> tuple[Response, VarianceComponents]:
@@ -105,6 +108,16 @@ def _left(problem: Problem, result: FitResult) -> tuple[Response, VarianceCompon
     _, lin, _ = surveyed(problem, result, candidates=False)
     response = respond(lin)
     return response, variance.estimate(lin, response.kernels)
+
+
+def _least_squares(problem: Problem) -> FitResult:
+    """The declared model fitted with the sensors as the only noise."""
+    start = (
+        problem.theta0,
+        problem.model.layout.off() if problem.eff0 is None else problem.eff0,
+        problem.windows.start,
+    )
+    return by_least_squares(problem, problem.base, *start, FitSettings(iterations=30, huber=1e3))
 
 
 def _free(problem: Problem, start: FitResult) -> FitResult:

@@ -16,7 +16,7 @@ from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed
-from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor

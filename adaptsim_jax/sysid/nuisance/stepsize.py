@@ -5,14 +5,13 @@ order only, and rows of 5 ms left 20 standard deviations of the sensors in some 
 there to pay. What is switched on decides, so steps are halved once an effect has been found, where that moves its simulation.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.sysid.estimate.fit import Fit, Response, fitted
-from adaptsim_jax.sysid.estimate.problem import DIVERGED, Diverged, Problem, at_point
+from adaptsim_jax.sysid.estimate.fit import fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, Response
+from adaptsim_jax.sysid.estimate.problem import DIVERGED, Problem, at_point
 
 SHORTEST = 0.95e-3  # s: shorter steps would cost more than they tell
 
@@ -22,28 +21,8 @@ def stepped(problem: Problem, model: Fit, response: Response) -> tuple[Problem, 
     finer = in_short_steps(problem, model)
     if finer is problem:
         return problem, model
-    try:
-        return finer, again(finer, model, response)
-    except Diverged:
-        return problem, model
-
-
-def again(problem: Problem, model: Fit, response: Response) -> Fit:
-    """The model refitted from where it is, in the problem's steps. Raises `Diverged` where it runs away."""
-    c = model.candidate
-    return fitted(problem, c.active, c.theta, c.eff, c.refit.point.x0, model.parts, response)
-
-
-def all_again(problem: Problem, models: Sequence[Fit], response: Response) -> list[Fit]:
-    """Those of the models, refitted, that do not run away."""
-
-    def one(model: Fit) -> Fit | None:
-        try:
-            return again(problem, model, response)
-        except Diverged:
-            return None
-
-    return [m for m in parallel_map(one, models) if m is not None]
+    new = fit(finer, model.start(), response)
+    return (finer, new) if new.ok else (problem, model)
 
 
 def in_short_steps(problem: Problem, model: Fit) -> Problem:

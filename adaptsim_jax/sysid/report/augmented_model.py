@@ -6,7 +6,7 @@ import numpy as np
 
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
-from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
+from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Problem, any_torque
 from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
 from adaptsim_jax.sysid.evaluate.flexible import FlexibleBound
@@ -16,12 +16,12 @@ from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
 from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.sysid.report.union_intervals import reach_over_classes
 from adaptsim_jax.sysid.score.table import Ranked
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 
 def report_of(
-    problem: Problem, found: SearchResult, after: ResidualDiagnosis, error_before: CrossValidation, error_after: CrossValidation,
-    powers: list[Power], verdict: Verdict, settings: Criteria, rng: np.random.Generator,
+    problem: Problem, found: Trace, after: ResidualDiagnosis, error_before: CrossValidation, error_after: CrossValidation,
+    powers: list[Power], verdict: Verdict, rng: np.random.Generator,
 ) -> tuple[dict[str, Any], dict[str, Any]]:  # fmt: skip
     """The report and the arrays behind its figures."""
     recording = problem.recording
@@ -32,7 +32,7 @@ def report_of(
         recording.task, recording.model, verdict.name, verdict.message, data,
         effects=[_effect(problem, found, e) for e in found.added] if verdict.named else [],
         error=_error(problem, error_before, error_after if verdict.named else error_before, rng),
-        candidates=_candidates(found, verdict, settings),
+        candidates=_candidates(problem, found, verdict),
         declared={"before": _declared(problem, found.base), "after": _declared(problem, last)},
         not_established=_not_established(problem, found, verdict, powers),
         leftover=[dict(zip(("joint", "variable", "share", "p_value"), p, strict=True)) for p in after.told()],
@@ -62,7 +62,7 @@ def _within(number: dict[str, Any], low: float, high: float) -> dict[str, Any]:
     return number | {"low": max(number["low"], min(low, value)), "high": min(number["high"], max(high, value))}
 
 
-def _effect(problem: Problem, found: SearchResult, instance: tuple[str, str]) -> dict[str, Any]:
+def _effect(problem: Problem, found: Trace, instance: tuple[str, str]) -> dict[str, Any]:
     layout = problem.model.layout
     effect = layout.instances[layout.index(*instance)].effect
     at = layout.instances[layout.index(*instance)].at
@@ -73,7 +73,7 @@ def _effect(problem: Problem, found: SearchResult, instance: tuple[str, str]) ->
         parameters[p.name] = _within(_number(value, error, p.unit), *(float(z[at.start + k]) for z in problem.bounds))
     return {
         "name": instance[0], "where": instance[1], "parameters": parameters, "physics": effect.physics,
-        "alternatives": [f"{e}@{w}" for e, w in found.classes.get(instance, [])],
+        "alternatives": [f"{e}@{w}" for e, w in found.classes.get(instance, ())],
     }  # fmt: skip
 
 
@@ -136,9 +136,7 @@ def _error(problem: Problem, before: CrossValidation, after: CrossValidation | N
     }  # fmt: skip
 
 
-def add_leading(
-    report: dict[str, Any], problem: Problem, model: Fit, found: SearchResult, after: CrossValidation
-) -> bool:
+def add_leading(report: dict[str, Any], problem: Problem, model: Fit, found: Trace, after: CrossValidation) -> bool:
     """Put what the likeliest set of effects reaches into the report, where that set explains too little for a name; whether it
     simulates left-out trials any better than the declared model, and so is worth trying."""
     names = [e for e in model.active if e not in found.base.active]
@@ -189,7 +187,7 @@ def _trial_error(name: str, i: int, before: CrossValidation, after: CrossValidat
     return {"trial": name, **pair(None), "per_channel": {c: pair(k) for k, c in enumerate(channels)}}
 
 
-def _candidates(found: SearchResult, verdict: Verdict, settings: Criteria) -> list[dict[str, Any]]:
+def _candidates(problem: Problem, found: Trace, verdict: Verdict) -> list[dict[str, Any]]:
     """Every candidate once, best first, with why it was or was not taken."""
     count = len(found.ranked)
     refits = {}
@@ -198,10 +196,10 @@ def _candidates(found: SearchResult, verdict: Verdict, settings: Criteria) -> li
     order = sorted(
         found.ranked, key=lambda r: -(refits[r.instance].total if r.instance in refits else -1e18 + r.score.gain)
     )
-    return [_candidate(r, refits.get(r.instance), found, verdict, settings, count) for r in order]
+    return [_candidate(r, refits.get(r.instance), found, verdict, problem.criteria, count) for r in order]
 
 
-def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdict, settings: Criteria, count: int):
+def _candidate(r: Ranked, refit: Fit | None, found: Trace, verdict: Verdict, criteria: Criteria, count: int):
     accepted = verdict.named and r.instance in found.added
     alike = any(r.instance in rivals for rivals in found.classes.values())
     status, why = "rejected", ""
@@ -217,11 +215,11 @@ def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdi
         why = f"refitted, {refit.at_bound()[0].split('/')[2]} runs to the edge of what it may be"
     elif refit is not None and (odd := dict(refit.amiss).get(r.instance)):
         why = f"refitted, {odd}"
-    elif refit is not None and force_ratio(refit, found.base) > 1.0 - settings.least_fall:
+    elif refit is not None and force_ratio(refit, found.base) > 1.0 - criteria.least_fall:
         why = "refitted, it leaves the unexplained torque as it was"
     elif refit is not None:
         why = f"refitted, it leaves {100 * force_ratio(refit, found.base):.0f} % of the unexplained torque"
-    elif r.corrected(count) >= settings.alpha:
+    elif r.corrected(count) >= criteria.alpha:
         why = "no more than chance, corrected for all that was tried"
     else:
         why = "explains less than the candidates that were refitted"
@@ -233,7 +231,7 @@ def _candidate(r: Ranked, refit: Fit | None, found: SearchResult, verdict: Verdi
     }  # fmt: skip
 
 
-def _not_established(problem: Problem, found: SearchResult, verdict: Verdict, powers: list[Power]) -> list[str]:
+def _not_established(problem: Problem, found: Trace, verdict: Verdict, powers: list[Power]) -> list[str]:
     lines = [] if any_torque(problem.recording) else [_unscaled(problem)]
     hidden = [
         n
@@ -262,7 +260,7 @@ def _unscaled(problem: Problem) -> str:
     return f"How large masses and torques are: no torque was applied, and motions alone fix ratios. All sizes go with {given}."
 
 
-def _torques(problem: Problem, found: SearchResult) -> dict[str, Any]:
+def _torques(problem: Problem, found: Trace) -> dict[str, Any]:
     return {
         joint: {"before": float(b), "after": float(a), "unit": "N m", "torque_rms": float(r)}
         for joint, b, a, r in zip(

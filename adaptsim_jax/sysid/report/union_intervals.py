@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.estimate.fit import Fit
+from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 
-def class_members(found: SearchResult) -> list[Fit]:
+def class_members(found: Trace) -> list[Fit]:
     """The likeliest model with each of the alternatives in the place of its effect."""
     out = []
     for effect, alternatives in found.classes.items():
@@ -26,7 +26,7 @@ def class_members(found: SearchResult) -> list[Fit]:
     return out
 
 
-def reach_over_classes(declared: dict[str, Any], problem: Problem, found: SearchResult) -> None:
+def reach_over_classes(declared: dict[str, Any], problem: Problem, found: Trace) -> None:
     """Widen the intervals of `declared` (the report's `after`) to what each member of the classes would make of them."""
     for model in class_members(found):
         names, point = model.candidate.names, model.candidate.refit.point.z

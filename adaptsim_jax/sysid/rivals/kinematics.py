@@ -16,7 +16,7 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import Candidate, compressed, linearised
-from adaptsim_jax.sysid.estimate.fit import Fit, force_ratio
+from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio
 from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, at_point, prepare_within_reach
 from adaptsim_jax.sysid.nuisance.null_model import declared_base
 from adaptsim_jax.sysid.score.scorer import Scorer

@@ -5,24 +5,21 @@ and the torque of the other joint is too small instead. No data tell the two apa
 other model stands may rest far from that point where effects switch, so that it would pass for less likely.
 """
 
-from contextlib import suppress
-from dataclasses import replace
-
 import numpy as np
 
 from adaptsim_jax.effects.base import UNITS
 from adaptsim_jax.effects.layout import Layout
-from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance, unmoved
-from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
+from adaptsim_jax.sysid.estimate.fit import fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
+from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.select.equivalence import class_of
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 GAIN = "torque_gain"
 
 
-def rescaled(problem: Problem, found: SearchResult, first: ScoreTable, settings: Criteria) -> SearchResult:
+def rescaled(problem: Problem, found: Trace) -> Trace:
     """`found` with the torque gain of the other joint among its classes, where it explains the data as well in its own scale."""
     gains = [a for a in found.added if a[0] == GAIN]
     joints = problem.plant.joints
@@ -30,14 +27,14 @@ def rescaled(problem: Problem, found: SearchResult, first: ScoreTable, settings:
         return found
     (here,) = gains
     there = (GAIN, next(j for j in joints if j != here[1]))
-    if there in found.classes.get(here, []) or there in found.final.active:
+    if there in found.classes.get(here, ()) or there in found.final.active:
         return found
-    with suppress(Diverged):
-        own, other = _both(problem, found.final, here, there, found.view or first)
-        alone = replace(found, final=own, tried=[other])
-        if there in class_of(here, alone, settings, problem.model.layout):
-            classes = found.classes | {here: [*found.classes.get(here, []), there]}
-            return replace(found, tried=[*found.tried, other], classes=classes)
+    own, other = _both(problem, found.final, here, there, found.view)
+    if own.ok and other.ok:
+        alone = Trace(found.base, found.first, found.ranked).then("both scales", final=own, tried=(other,))
+        if there in class_of(problem, here, alone):
+            classes = found.classes | {here: (*found.classes.get(here, ()), there)}
+            return found.then("told in another scale", tried=(other,), classes=classes)
     return found
 
 
@@ -46,8 +43,8 @@ def _both(problem: Problem, model: Fit, here: Instance, there: Instance, seen: S
     c = model.candidate
     theta, eff = other_scale(problem.model.layout, c.theta, c.eff, model.active, here, there)
     active = tuple(there if a == here else a for a in model.active)
-    judged = lambda on, theta, eff: unmoved(problem, on, theta, eff, c.refit.point.x0, model.parts, seen.response)
-    return judged(model.active, c.theta, c.eff), judged(active, theta, eff)
+    judged = lambda start: fit(problem, start, seen.response, rounds=0)
+    return judged(model.start()), judged(model.start(active=active, theta=theta, eff=eff))
 
 
 def other_scale(

@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import survey
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance, Response, respond
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance, Response, respond
 from adaptsim_jax.sysid.estimate.generic_forces import generic_names
 from adaptsim_jax.sysid.estimate.linearize import Path
 from adaptsim_jax.sysid.estimate.problem import Problem

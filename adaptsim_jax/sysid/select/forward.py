@@ -5,29 +5,26 @@ residual covariance, and compared by restricted likelihood. What linear scores g
 stops) the refits put right. Rivals that stay within the scatter of the windows form one class with the leader.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fit, doubtful, force_ratio, plausible, seen_anew
+from adaptsim_jax.sysid.estimate.fit import fit, seen_anew
+from adaptsim_jax.sysid.estimate.fitted import Fit, doubtful, force_ratio, gain, likeliest, plausible, rough_gain
 from adaptsim_jax.sysid.estimate.problem import Problem
-from adaptsim_jax.sysid.nuisance.stepsize import all_again, stepped
+from adaptsim_jax.sysid.nuisance.stepsize import stepped
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value, view
 from adaptsim_jax.sysid.select.earning import choose, completes, earns, pays
 from adaptsim_jax.sysid.select.equivalence import class_of, close_rivals
-from adaptsim_jax.sysid.select.extend import Progress, extend, finished, newest, settled_few, without
+from adaptsim_jax.sysid.select.extend import Progress, extend, newest, settle_better_half, settle_some, without
 from adaptsim_jax.sysid.select.nested import elaborated
-from adaptsim_jax.sysid.select.pairs import refit_beside_first, settled_plainly, with_look_alikes
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.pairs import refit_beside_first, to_the_bottom, with_look_alikes
 from adaptsim_jax.sysid.select.shortlist import anything, first_leaders, further_leaders, look_alikes
 from adaptsim_jax.sysid.select.swap import beside, swap_back
+from adaptsim_jax.sysid.select.trace import Trace
 
 
-def search(
-    problem: Problem, base: Fit, first: ScoreTable, settings: Criteria, say: Progress = lambda _: None
-) -> tuple[Problem, SearchResult]:
+def search(problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambda _: None) -> tuple[Problem, Trace]:
     """Add effects greedily while they earn their price, with one look back after each; the problem comes back with the effects
     whose finer shape was fitted.
 
@@ -35,50 +32,48 @@ def search(
     as friction at both joints does, the first leaves most of the residual. The set is judged, not its first member.
     """
     ranked = first.ranked(exclude=base.active)
-    found = SearchResult(base, base, ranked, last=ranked, view=first)
-    seen, current, here, ranked = first, base, base, found.last
-    while len(current.active) - len(base.active) < settings.most_effects:
-        best, trials = _next(problem, found, here, seen, ranked, settings, say)
-        if best is None or not pays(best, here, settings):
+    found = Trace(base, first, tuple(ranked))
+    seen, current, here = first, base, base
+    while len(current.active) - len(base.active) < problem.criteria.most_effects:
+        found, best, trials = _next(problem, found, here, seen, ranked, say)
+        if best is None or not pays(best, here, problem.criteria):
             break
         new = newest(best, current)
-        found.rivals[new] = [t for t in trials if t is not best]
+        found = found.then("added", rivals={new: tuple(t for t in trials if t is not best)})
         final = here if found.final is current else found.final
         current = best
-        enough = earns(problem, current, final, base, settings)
-        if enough or completes(problem, current, final, base, settings):
-            current = swap_back(problem, found, current, new, seen, settings, say)
+        accepted = earns(problem, current, final, base) or completes(problem, current, final, base)
+        if accepted:
+            found, current = swap_back(problem, found, current, new, seen, say)
             if _worse(problem, current, found.final, base):
                 current = found.final
                 break
-            problem, current = _finer(problem, found, current, seen, settings)
-            found.final = current
-        elif force_ratio(found.final, base) < settings.explained or _astray(current, base, settings):
+            problem, found, current = _finer(problem, found, current, seen)
+        elif force_ratio(found.final, base) < problem.criteria.explained or _astray(current, base, problem.criteria):
             break
         seen = view(problem, current)
         here = seen_anew(problem, current, seen.response)
         ranked = seen.ranked(exclude=current.active)
-        if found.final is current:
-            found.view, found.last = seen, ranked
-    if force_ratio(found.final, base) > settings.explained or _still_far(problem, found.final):
-        problem, current = _paired(problem, found, current, first, settings, say)
-    found.leading = None if current is found.final else current
-    found.rivals = {e: r for e, r in found.rivals.items() if e in found.added}
-    found.classes = {e: class_of(e, found, settings, problem.model.layout) for e in found.added}
-    return problem, found
+        if accepted:
+            found = found.then("accepted", final=current, view=seen)
+    if force_ratio(found.final, base) > problem.criteria.explained or _still_far(problem, found.final):
+        problem, found, current = _paired(problem, found, current, first, say)
+    leading = None if current is found.final else current
+    classes = {e: class_of(problem, e, found) for e in found.added}
+    return problem, found.then("ended", leading=leading, classes=classes)
 
 
-def _astray(model: Fit, base: Fit, settings: Criteria) -> bool:
+def _astray(model: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether what earns no name leaves so much that one more is not worth looking for: one effect all of it, and hardly likelier
     than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
     if len(model.active) - len(base.active) > 1:
-        return force_ratio(model, base) > settings.promising
-    return _idle(model, base, settings)
+        return force_ratio(model, base) > criteria.promising
+    return _idle(model, base, criteria)
 
 
 def _idle(model: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether a model leaves all of the force and is hardly likelier than none."""
-    return force_ratio(model, base) > criteria.idle and model.total - base.total < criteria.slight
+    return force_ratio(model, base) > criteria.idle and rough_gain(model, base) < criteria.slight
 
 
 def _worse(problem: Problem, model: Fit, before: Fit, base: Fit) -> bool:
@@ -96,34 +91,34 @@ def _still_far(problem: Problem, model: Fit) -> bool:
     return bool(np.any(model.parts.force_std() > problem.criteria.still_far * problem.torque_scale))
 
 
-def _next(
-    problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, ranked: list[Ranked], settings: Criteria, say
-):
-    """The best model with one more effect than `current` (None where nothing fits), and all that were tried for it."""
-    done = force_ratio(current, found.base) < settings.explained  # little is left: a shorter list will do
-    count = settings.shortlist // 2 if done else settings.shortlist
-    worth = anything(problem, current, ranked, seen, settings)
+def _next(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, ranked: list[Ranked], say):
+    """The trace with all that was tried for one more effect than `current` has, the best (None where nothing fits), and all."""
+    done = force_ratio(current, found.base) < problem.criteria.explained  # little is left: a shorter list will do
+    count = problem.criteria.shortlist // 2 if done else problem.criteria.shortlist
+    worth = anything(problem, current, ranked, seen)
     leaders = first_leaders(ranked, seen, current.active, count) if worth else []
-    trials = _refitted(problem, found, current, leaders, seen, settings, say)
-    trials = trials + _pruned(problem, found, current, trials, seen)
-    best = _best(problem, found, trials, settings)
-    nothing = best is None or not pays(best, current, settings)
+    found, trials = _refitted(problem, found, current, leaders, seen, say)
+    found, pruned = _pruned(problem, found, current, trials, seen)
+    trials = trials + pruned
+    best = _best(problem, found, trials)
+    nothing = best is None or not pays(best, current, problem.criteria)
     if done and nothing and _blatant(problem, current, seen):
         more = further_leaders(problem, leaders, ranked, seen, current.active, count)
         leaders = leaders + more
-        trials = trials + _refitted(problem, found, current, more, seen, settings, say)
-        best = _best(problem, found, trials, settings)
-    if best is not None and pays(best, current, settings):
+        found, further = _refitted(problem, found, current, more, seen, say)
+        trials = trials + further
+        best = _best(problem, found, trials)
+    if best is not None and pays(best, current, problem.criteria):
         alike = look_alikes(problem, newest(best, current), ranked, leaders)
-        more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t is not None]
-        more = settled_few(problem, found, trials, more, seen, settings)
-        trials, found.tried = trials + more, found.tried + more
-        best = _best(problem, found, trials, settings)
-    return best, trials
+        more = [t for t in parallel_map(lambda r: extend(problem, current, r, seen, say), alike) if t.ok]
+        more = settle_some(problem, found, trials, more, seen)
+        trials, found = trials + more, found.then("tried look-alikes", tried=tuple(more))
+        best = _best(problem, found, trials)
+    return found, best, trials
 
 
-def _best(problem: Problem, found: SearchResult, trials: list[Fit], settings: Criteria) -> Fit | None:
-    return choose(problem, [t for t in trials if plausible(t, found.base)], found.base, settings)
+def _best(problem: Problem, found: Trace, trials: list[Fit]) -> Fit | None:
+    return choose(problem, [t for t in trials if plausible(t, found.base)], found.base)
 
 
 def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
@@ -132,57 +127,59 @@ def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
     return bool(moves) and generic_p_value(seen) < problem.criteria.left_follows
 
 
-def _paired(problem: Problem, found: SearchResult, current: Fit, seen: ScoreTable, settings: Criteria, say):
+def _paired(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, say):
     """Where the effects found one by one explain too little though something is there: the best pair, if it explains enough, and
     more than they do; else, where none of them may be named, the likeliest set of all for trying."""
-    base = found.base
-    if not anything(problem, base, found.ranked, seen, settings):
-        return problem, current
+    base, price = found.base, problem.criteria.price
+    if not anything(problem, base, found.ranked, seen):
+        return problem, found, current
     say("refitting with two effects at once")
     trials = refit_beside_first(problem, base, seen)
     for _ in range(2):
-        likeliest = max(trials, key=lambda t: t.merit(settings.price), default=base)
-        left = force_ratio(likeliest, base)
-        if left > settings.promising or (left < settings.clear and plausible(likeliest, base)):
+        leader = likeliest(trials, price) or base
+        left = force_ratio(leader, base)
+        if left > problem.criteria.promising or (left < problem.criteria.clear and plausible(leader, base)):
             break
-        more = with_look_alikes(problem, base, likeliest, trials, seen)
-        trials = [t for t in trials if t is not likeliest or plausible(t, base)] + more
-    order = sorted(trials, key=lambda t: -t.merit(settings.price))
-    front = [t for t in order if plausible(t, base) and not _idle(t, base, settings)][: settings.pairs]
-    trials = parallel_map(lambda t: settled_plainly(problem, t, seen), front)
-    trials += [alone for t in trials if (alone := without(problem, t, doubtful(t, base), seen)) is not None]
-    found.tried += trials
-    merit = lambda model: seen_anew(problem, model, seen.response).merit(settings.price)
+        more = with_look_alikes(problem, base, leader, trials, seen)
+        trials = [t for t in trials if t is not leader or plausible(t, base)] + more
+    order = sorted(trials, key=lambda t: -t.merit(price))
+    front = [t for t in order if plausible(t, base) and not _idle(t, base, problem.criteria)][: problem.criteria.pairs]
+    trials = parallel_map(lambda t: to_the_bottom(problem, t, seen), front)
+    trials += [alone for t in trials for alone in without(problem, t, doubtful(t, base), seen)]
+    found = found.then("tried pairs", tried=tuple(trials))
+    anew = lambda model: seen_anew(problem, model, seen.response)
     fair = [t for t in trials if plausible(t, base)]
-    best = choose(problem, fair, base, settings)
-    if best is None or not earns(problem, best, base, base, settings) or force_ratio(best, base) > settings.explained:
-        return problem, current if found.added else max([current, *fair], key=merit)
-    if found.added and merit(best) < merit(found.final):
-        return problem, current
-    found.final = base
+    best = choose(problem, fair, base)
+    if best is None or not earns(problem, best, base, base) or force_ratio(best, base) > problem.criteria.explained:
+        return problem, found, current if found.added else max([current, *fair], key=lambda t: anew(t).merit(price))
+    if found.added and gain(anew(best), anew(found.final), price) < 0.0:
+        return problem, found, current
+    found = found.then("began anew with a pair", final=base, view=found.first)
     for new in [a for a in best.active if a not in base.active]:
-        best = beside(problem, found, best, new, seen, settings, say)
-    problem, best = _finer(problem, found, best, seen, settings)
-    found.final, found.view = best, view(problem, best)
-    found.last = found.view.ranked(exclude=best.active)
-    return problem, best
+        found, best = beside(problem, found, best, new, seen, say)
+    problem, found, best = _finer(problem, found, best, seen)
+    return problem, found.then("accepted a pair", final=best, view=view(problem, best)), best
 
 
-def _finer(
-    problem: Problem, found: SearchResult, model: Fit, seen: ScoreTable, settings: Criteria
-) -> tuple[Problem, Fit]:
+def _finer(problem: Problem, found: Trace, model: Fit, seen: ScoreTable) -> tuple[Problem, Trace, Fit]:
     """The model in steps as short as it needs, its close rivals with it; and with the late parameters of its effects, where they
     pay and leave less unexplained."""
     finer, fine = stepped(problem, model, seen.response)
     if finer is not problem:
-        near = close_rivals(replace(found, final=model), settings, problem.model.layout)
-        far = [t for t in found.tried if not any(t is n for n in near)]
-        found.tried = far + all_again(finer, near, seen.response)
-    better = lambda new, old: pays(new, old, settings) and force_ratio(new, old) < 1.0 - settings.least_fall
-    return elaborated(finer, fine, found.base, seen.response, better)
+        near = close_rivals(problem, found.then("as it is", final=model))
+        again = parallel_map(lambda m: fit(finer, m.start(), seen.response), near)
+        again = tuple(m for m in again if m.ok)
+        found = found.then("refitted in shorter steps", tried=again, instead_of=tuple(near))
+    better = lambda new, old: (
+        pays(new, old, problem.criteria) and force_ratio(new, old) < 1.0 - problem.criteria.least_fall
+    )
+    problem, model = elaborated(finer, fine, found.base, seen.response, better)
+    return problem, found, model
 
 
-def _pruned(problem: Problem, found: SearchResult, current: Fit, trials: list[Fit], seen: ScoreTable) -> list[Fit]:
+def _pruned(
+    problem: Problem, found: Trace, current: Fit, trials: list[Fit], seen: ScoreTable
+) -> tuple[Trace, list[Fit]]:
     """Trials in which the new effect makes an earlier one idle or absurd, which had stood in for it: the same without that one,
     where they are likelier than any trial that may be."""
     bar = max((t.total for t in trials if plausible(t, found.base)), default=current.total)
@@ -192,23 +189,14 @@ def _pruned(problem: Problem, found: SearchResult, current: Fit, trials: list[Fi
         idle = doubtful(trial, found.base) - {new}
         if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
             continue
-        out.append(without(problem, trial, idle, seen))
-    out = [t for t in out if t is not None]
-    found.tried += out
-    return out
+        out += without(problem, trial, idle, seen)
+    return found.then("tried without what is idle", tried=tuple(out)), out
 
 
 def _refitted(
-    problem: Problem,
-    found: SearchResult,
-    current: Fit,
-    leaders: list[Ranked],
-    seen: ScoreTable,
-    settings: Criteria,
-    say,
-):
+    problem: Problem, found: Trace, current: Fit, leaders: list[Ranked], seen: ScoreTable, say
+) -> tuple[Trace, list[Fit]]:
     """The current model with each of the leaders in turn, refitted whole."""
     trials = parallel_map(lambda r: extend(problem, current, r, seen, say), leaders)
-    trials = finished(problem, found, [t for t in trials if t is not None], seen, settings)
-    found.tried += trials
-    return trials
+    trials = settle_better_half(problem, found, [t for t in trials if t.ok], seen)
+    return found.then("tried leaders", tried=tuple(trials)), trials

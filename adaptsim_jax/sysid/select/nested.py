@@ -12,8 +12,9 @@ import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Parameter
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance, Response, fitted, plausible, settled
-from adaptsim_jax.sysid.estimate.problem import Diverged, Problem
+from adaptsim_jax.sysid.estimate.fit import fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance, Response, gain, plausible
+from adaptsim_jax.sysid.estimate.problem import Problem
 
 INTO = 0.1  # of its range that a parameter starts from its end, where its default is that end and has no slope
 
@@ -40,19 +41,17 @@ def elaborated(
 
 def _with_late(problem: Problem, model: Fit, effect: Instance, response: Response) -> Fit | None:
     """The model refitted with the late parameters of one effect; None where it has none, or that runs away or gains nothing."""
-    layout, c = problem.model.layout, model.candidate
+    layout = problem.model.layout
     instance = layout.instances[layout.index(*effect)]
     late = [k for k, p in enumerate(instance.effect.parameters) if p.late]
     if not late:
         return None
-    eff = np.array(c.eff)
+    eff = np.array(model.candidate.eff)
     for k in late:
         eff[instance.at.start + k] = _start(instance.effect.parameters[k])
-    try:
-        new = fitted(problem, c.active, c.theta, eff, c.refit.point.x0, model.parts, response, rounds=1)
-    except Diverged:
-        return None
-    return settled(problem, new, response) if new.total - model.total > problem.criteria.wider_gain else None
+    new = fit(problem, model.start(eff=eff), response, rounds=1)
+    worth = new.ok and gain(new, model) > problem.criteria.wider_gain
+    return fit(problem, new, response, rounds=3) if worth else None
 
 
 def _start(p: Parameter) -> float:

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance, doubtful, ended, fitted_plainly, settled, settled_from
+from adaptsim_jax.sysid.estimate.fit import fit
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
-from adaptsim_jax.sysid.estimate.problem import DIVERGED, UNFINISHED, Active, Diverged, Problem, fit_plain
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance, Start, doubtful, gain
+from adaptsim_jax.sysid.estimate.problem import DIVERGED, UNFINISHED, Active, Diverged, Problem, by_least_squares
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, view
 from adaptsim_jax.sysid.select.shortlist import NEW, look_alikes
 from adaptsim_jax.sysid.select.start import merged, own_starts, started
@@ -27,8 +28,8 @@ NEAR = 0.2  # of a declared parameter: a start that far away is another one
 Alone = tuple[Active, FitResult]
 
 
-class Start(NamedTuple):
-    """Where a fit begins: theta `[P]`, effect parameters `[E]`, initial states `[W, S]`."""
+class Point(NamedTuple):
+    """Where a least-squares fit begins: theta `[P]`, effect parameters `[E]`, initial states `[W, S]`."""
 
     theta: np.ndarray
     eff: np.ndarray
@@ -61,25 +62,28 @@ def _error(fit: FitResult) -> tuple[bool, float]:
     return fit.code == DIVERGED, float(fit.cost.sum())
 
 
-def _beside(problem: Problem, base: Fit, active: Active, fit: FitResult, seen: ScoreTable) -> list[Fit]:
+def _beside(problem: Problem, base: Fit, active: Active, alone: FitResult, seen: ScoreTable) -> list[Fit]:
     """A fit of one effect, and with each of the plain score's leaders about it."""
     try:
-        first = ended(problem, active, fit, base.parts, seen.response)
+        first = fit(problem, Start.after(alone, active, base.parts), seen.response, weighting="ols", rounds=0)
+        if not first.ok:
+            return []
         about = view(problem, first)
-        single = settled(problem, first, seen.response, rounds=1)
+        single = fit(problem, first, seen.response, rounds=1)
     except (Diverged, np.linalg.LinAlgError):  # its response to forces is not finite
         return []
     seconds = [r for r in about.ranked(active, plain=True) if r.score.retained > NEW][:SECONDS]
     made = [
-        _likelier(problem, base, (*active, r.instance), fit.theta, started(problem, first, r), seen) for r in seconds
+        _likelier(problem, base, (*active, r.instance), alone.theta, started(problem, first, r), seen) for r in seconds
     ]
-    return [single, *(m for m in made if m is not None)]
+    return [single, *(m for m in made if m.ok)]
 
 
-def _likelier(problem: Problem, base: Fit, active: Active, theta, eff: np.ndarray, seen: ScoreTable) -> Fit | None:
+def _likelier(problem: Problem, base: Fit, active: Active, theta, eff: np.ndarray, seen: ScoreTable) -> Fit:
     """A pair fitted from each of the declared parameters to start from, and refitted from where the fit ended that leaves less."""
-    fits = [fit_plain(problem, active, start, eff, problem.windows.start) for start in _starts(problem, theta)]
-    return settled_from(problem, active, min(fits, key=_error), base.parts, seen.response)
+    fits = [by_least_squares(problem, active, start, eff, problem.windows.start) for start in _starts(problem, theta)]
+    start = Start.after(min(fits, key=_error), active, base.parts)
+    return fit(problem, start, seen.response, weighting="ols", rounds=1)
 
 
 def _starts(problem: Problem, theta) -> list[np.ndarray]:
@@ -96,55 +100,54 @@ def with_look_alikes(problem: Problem, base: Fit, pair: Fit, tried: Sequence[Fit
     members = sorted(doubtful(pair, base) or set(pair.active) - set(base.active))
     swaps = [(old, r) for old in members for r in look_alikes(problem, old, ranked, [])]
     swaps = [(old, r) for old, r in swaps if frozenset({*pair.active, r.instance} - {old}) not in done]
-    made = parallel_map(lambda swap: swapped_plainly(problem, base, pair, *swap, seen), swaps)
-    return [m for m in made if m is not None]
+    made = parallel_map(lambda swap: with_swap(problem, base, pair, *swap, seen), swaps)
+    return [m for m in made if m.ok]
 
 
-def swapped_plainly(
-    problem: Problem, base: Fit, model: Fit, old: Instance, new: Ranked, seen: ScoreTable
-) -> Fit | None:
-    """`new` in the place of `old`, refitted whole from where the model is; None where that runs away."""
+def with_swap(problem: Problem, base: Fit, model: Fit, old: Instance, new: Ranked, seen: ScoreTable) -> Fit:
+    """`new` in the place of `old`, refitted whole from where the model is."""
     active = tuple(new.instance if a == old else a for a in model.active)
     eff = merged(problem, model.candidate.eff, started(problem, base, new), new.instance)
-    return fitted_plainly(problem, active, model.candidate.theta, eff, base.parts, seen.response)
+    start = model.start(active=active, eff=eff, x0=None, parts=base.parts)
+    return fit(problem, start, seen.response, weighting="ols", rounds=1)
 
 
-def _without(problem: Problem, base: Fit) -> Start:
+def _without(problem: Problem, base: Fit) -> Point:
     """The base's own least-squares fit: the way there, half of all steps, is the same for every effect."""
     c = base.candidate
-    start = Start(c.theta, c.eff, problem.windows.start)
-    fit = fit_plain(problem, base.active, *start)
-    return start if fit.code == DIVERGED else Start(fit.theta, fit.eff, fit.x0)
+    start = Point(c.theta, c.eff, problem.windows.start)
+    ended = by_least_squares(problem, base.active, *start)
+    return start if ended.code == DIVERGED else Point(ended.theta, ended.eff, ended.x0)
 
 
-def _alone(problem: Problem, base: Fit, plain: Start, ranked: Ranked) -> Alone:
+def _alone(problem: Problem, base: Fit, plain: Point, ranked: Ranked) -> Alone:
     """The least-squares fit with one effect."""
     active = (*base.active, ranked.instance)
     eff = merged(problem, plain.eff, started(problem, base, ranked), ranked.instance)
-    return active, fit_plain(problem, active, plain.theta, eff, plain.x0)
+    return active, by_least_squares(problem, active, plain.theta, eff, plain.x0)
 
 
 def _closer(problem: Problem, base: Fit, alone: Alone) -> Alone:
     """The fit of one effect, or that from the other declared parameters, or from the effect's own starts beside them, where one
     leaves less; carried on where it ran out of steps."""
-    active, fit = alone
-    starts = [(theta, fit.eff) for theta in _starts(problem, base.candidate.theta)[1:]]
-    starts += [(problem.theta0, eff) for eff in own_starts(problem, active[-1], fit.eff)]
-    fits = [fit, *(fit_plain(problem, active, *start, problem.windows.start) for start in starts)]
+    active, first = alone
+    starts = [(theta, first.eff) for theta in _starts(problem, base.candidate.theta)[1:]]
+    starts += [(problem.theta0, eff) for eff in own_starts(problem, active[-1], first.eff)]
+    fits = [first, *(by_least_squares(problem, active, *start, problem.windows.start) for start in starts)]
     best = min(fits, key=_error)
     if best.code == UNFINISHED:
-        best = fit_plain(problem, active, best.theta, best.eff, best.x0)
+        best = by_least_squares(problem, active, best.theta, best.eff, best.x0)
     return active, best
 
 
-def settled_plainly(problem: Problem, model: Fit, seen: ScoreTable) -> Fit:
+def to_the_bottom(problem: Problem, model: Fit, seen: ScoreTable) -> Fit:
     """Refitted with the sensors as the only noise until that gains no more, then under its own covariance."""
     for _ in range(MOST):
-        c = model.candidate
-        new = fitted_plainly(problem, c.active, c.theta, c.eff, model.parts, seen.response)
-        if new is None or new.total <= model.total:
+        new = fit(problem, model.start(x0=None), seen.response, weighting="ols", rounds=1)
+        gained = gain(new, model)
+        if gained <= 0.0:
             break
-        gain, model = new.total - model.total, new
-        if gain <= 1.0:
+        model = new
+        if gained <= 1.0:
             break
-    return settled(problem, model, seen.response)
+    return fit(problem, model, seen.response, rounds=3)

@@ -12,28 +12,26 @@ import numpy as np
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed, linearised
-from adaptsim_jax.sysid.estimate.fit import Fit, Response, fitted
-from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, at_point
+from adaptsim_jax.sysid.estimate.fit import fit
+from adaptsim_jax.sysid.estimate.fitted import Fit, Response, rough_gain
+from adaptsim_jax.sysid.estimate.problem import Problem, at_point
 from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.select.extend import extend
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 
 TRIED = 2  # periodic forces that clocks are sharpened with
 STEP = 1e-5  # s: the angle of a force of 60 Hz moves by 4e-3 rad
 
 
-def phases_refined(
-    problem: Problem, found: SearchResult, first: ScoreTable, rounds: int = 3
-) -> tuple[Problem, SearchResult]:
+def phases_refined(problem: Problem, found: Trace, rounds: int = 3) -> tuple[Problem, Trace]:
     """The problem with better clocks and the final model refitted with them; both as they were where that is no likelier,
     or where no effect of the final model has a clock."""
     if not problem.phases(found.final.active):
         return problem, found
-    problem, model = _sharper(problem, found.final, (found.view or first).response, rounds)
+    problem, model = _sharper(problem, found.final, found.view.response, rounds)
     if model is found.final:
         return problem, found
-    seen = view(problem, model)
-    return problem, replace(found, final=model, view=seen, last=seen.ranked(exclude=model.active))
+    return problem, found.then("phases refined", final=model, view=view(problem, model))
 
 
 def _sharper(problem: Problem, model: Fit, response: Response, rounds: int = 3) -> tuple[Problem, Fit]:
@@ -43,14 +41,10 @@ def _sharper(problem: Problem, model: Fit, response: Response, rounds: int = 3) 
     clock = problem.windows.clock
     for _ in range(rounds):
         tried = replace(problem, windows=replace(problem.windows, clock=clock + clock_step(problem, model, response)))
-        c = model.candidate
-        try:
-            new = fitted(tried, c.active, c.theta, c.eff, c.refit.point.x0, model.parts, response)
-        except Diverged:
+        new = fit(tried, model.start(), response)
+        if rough_gain(new, model) <= 0.0:
             break
-        if new.total <= model.total:
-            break
-        settled = new.total - model.total < 1.0
+        settled = rough_gain(new, model) < 1.0
         problem, model, clock = tried, new, tried.windows.clock
         if settled:
             break
@@ -65,7 +59,7 @@ def phases_refined_early(problem: Problem, first: ScoreTable, base: Fit) -> tupl
     layout = problem.model.layout
     clocked = [r for r in first.ranked(base.active) if layout.instances[layout.index(*r.instance)].effect.clocked]
     models = parallel_map(lambda r: extend(problem, base, r, first), clocked[:TRIED])
-    best = max((m for m in models if m is not None), key=lambda m: m.total, default=base)
+    best = max((m for m in models if m.ok), key=lambda m: m.total, default=base)
     better, sharp = _sharper(problem, best, first.response)
     if better is problem:
         return problem, first

@@ -1,21 +1,23 @@
 """Which candidates are worth a whole refit: the linear scores propose, and where they are blunt, more are tried."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Active, Problem
 from adaptsim_jax.sysid.score.table import Ranked, ScoreTable, generic_p_value
 
 NEW = 1e-3  # of a candidate's signature that the declared parameters cannot do themselves
 
 
-def anything(problem: Problem, current: Fit, ranked: list[Ranked], view: ScoreTable, settings: Criteria) -> bool:
+def anything(problem: Problem, current: Fit, ranked: Sequence[Ranked], view: ScoreTable) -> bool:
     """Whether there is something to explain: a candidate or some smooth force is no chance, or the force left over is too large for
     one. A stop that is hit in few windows is hardly sure by the scatter of the windows, however much it explains."""
-    if np.any(current.parts.force_std() > settings.large * problem.torque_scale):
+    if np.any(current.parts.force_std() > problem.criteria.large * problem.torque_scale):
         return True
-    return any(r.corrected(len(ranked)) < settings.alpha for r in ranked) or generic_p_value(view) < settings.alpha
+    alpha = problem.criteria.alpha
+    return any(r.corrected(len(ranked)) < alpha for r in ranked) or generic_p_value(view) < alpha
 
 
 def first_leaders(ranked: list[Ranked], view: ScoreTable, active: Active, count: int) -> list[Ranked]:
@@ -48,7 +50,7 @@ def further_leaders(
     return far + [r for r in first_leaders(ranked, view, active, 2 * count) if r.instance not in done]
 
 
-def look_alikes(problem: Problem, best: Instance, ranked: list[Ranked], done: list[Ranked]) -> list[Ranked]:
+def look_alikes(problem: Problem, best: Instance, ranked: Sequence[Ranked], done: list[Ranked]) -> list[Ranked]:
     """Known look-alikes of the leader that were not refitted, at its joint or, if it is one of its own, at another: the score alone
     must not decide there."""
     layout = problem.model.layout

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adaptsim_jax.sysid.estimate.fit import Fit, Instance
+from adaptsim_jax.sysid.estimate.fitted import Fit, Instance
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.score.table import Ranked
 

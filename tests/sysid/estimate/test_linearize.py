@@ -11,7 +11,7 @@ from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.dictionary import make_reach
 from adaptsim_jax.sysid.estimate.generic_forces import generic_forces, generic_names
 from adaptsim_jax.sysid.estimate.linearize import signatures
-from adaptsim_jax.sysid.estimate.output_error import fit
+from adaptsim_jax.sysid.estimate.output_error import least_squares
 from adaptsim_jax.sysid.forward import make_model, simulate
 from adaptsim_jax.sysid.segments import cut_windows
 from tests.sysid.small_rig import GEOMETRY, SIGMA, TRUE, make_trials
@@ -36,7 +36,7 @@ def case():
     trials = make_trials(seed=1, count=2, seconds=1.5, noise=0.02)
     windows = cut_windows(trials, SIGMA)
     model = make_model(make_plant("rigid_body", "hanging", GEOMETRY), catalogue())
-    result = fit(model, model.layout.mask([]), windows, TRUE)
+    result = least_squares(model, model.layout.mask([]), windows, TRUE)
     reach = make_reach(model.plant, result.theta, windows)
     return model, windows, result, reach, signatures(model, result, windows, reach, basis=generic_forces)
 

@@ -9,7 +9,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.mechanisms.registry import make_plant
-from adaptsim_jax.sysid.estimate.output_error import fit
+from adaptsim_jax.sysid.estimate.output_error import least_squares
 from adaptsim_jax.sysid.forward import driven, make_model, simulate
 from adaptsim_jax.sysid.segments import cut_windows, local_motion
 from tests.sysid.small_rig import GEOMETRY, SIGMA, TRUE, make_trials
@@ -49,7 +49,7 @@ def chi_square(result, windows):
 
 def fitted(model, trials, active=(), **kwargs):
     windows = cut_windows(trials, SIGMA)
-    return fit(model, model.layout.mask(list(active)), windows, start(model, trials), **kwargs), windows
+    return least_squares(model, model.layout.mask(list(active)), windows, start(model, trials), **kwargs), windows
 
 
 def test_regression_starts_near_the_truth(model, clean):
@@ -92,7 +92,7 @@ def test_left_out_trial_does_not_inform_the_parameters(model, rubbing):
     weight = np.array([1.0, 1.0, 0.0])
     a, _ = fitted(model, rubbing, [("coulomb", "joint2")], trial_weight=weight)
     windows = cut_windows(bent, SIGMA)
-    b = fit(model, a.mask, windows, a.theta, a.eff, a.x0, trial_weight=weight)
+    b = least_squares(model, a.mask, windows, a.theta, a.eff, a.x0, trial_weight=weight)
     np.testing.assert_allclose(a.theta, b.theta, rtol=2e-3)
     held_out = np.asarray(windows.trial)[windows.real] == 2
     assert b.cost[windows.real][held_out].mean() > 10 * b.cost[windows.real][~held_out].mean()

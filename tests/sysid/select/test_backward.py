@@ -49,14 +49,14 @@ def test_an_effect_that_the_search_has_shown_to_be_needed_is_not_left_out_again(
     """Its fits without the effect are at hand; only one that is not far off is made again."""
     made = []
     monkeypatch.setattr(backward, "initial_states", lambda *_: SimpleNamespace(residual=6.0 * np.ones((4, 1, 1))))
-    monkeypatch.setattr(backward, "fitted", lambda problem, active, *_: made.append(active) or searched)
+    monkeypatch.setattr(backward, "fit", lambda problem, start, *_: made.append(start) or searched)
     monkeypatch.setattr(backward, "lowest", lambda problem, less, *_: less)
-    problem = SimpleNamespace(windows=SimpleNamespace(weight=np.ones((4, 1, 1))))
+    problem = SimpleNamespace(criteria=Criteria(), windows=SimpleNamespace(weight=np.ones((4, 1, 1))))
     candidate = SimpleNamespace(active=(), theta=None, eff=None, refit=SimpleNamespace(point=SimpleNamespace(x0=None)))
-    searched = SimpleNamespace(active=(("drag", "joint1"),), candidate=candidate, total=0.0)
-    final = SimpleNamespace(active=(("drag", "joint1"), ("lag", "joint2")), candidate=candidate, parts=None)
+    searched = SimpleNamespace(active=(("drag", "joint1"),), candidate=candidate, total=0.0, ok=True)
+    final = SimpleNamespace(active=(("drag", "joint1"), ("lag", "joint2")), start=lambda active: active)
     found = SimpleNamespace(final=final, view=SimpleNamespace(response=None), base=None, tried=[searched])
-    nearly = lambda errors: backward._nearly(problem, found, cross_validate(errors), ("lag", "joint2"), Criteria())
+    nearly = lambda errors: backward._nearly(problem, found, cross_validate(errors), ("lag", "joint2"))
     assert nearly([1.0] * 4) is None and made == []
     assert nearly([2.0] * 4) is None and len(made) == 1
     assert nearly([5.0] * 4) is searched

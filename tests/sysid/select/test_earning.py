@@ -8,7 +8,6 @@ import pytest
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.select.earning import choose, earns, needed
 
-SETTINGS = Criteria()
 PROBLEM = SimpleNamespace(criteria=Criteria(), torque_scale=np.array([1.0, 1.0]))
 COULOMB, STRIBECK, BIAS = ("coulomb", "joint1"), ("stribeck", "joint1"), ("bias", "joint1")
 
@@ -16,7 +15,9 @@ COULOMB, STRIBECK, BIAS = ("coulomb", "joint1"), ("stribeck", "joint1"), ("bias"
 def model(*active, total=0.0, size=4, force=1.0):
     """A fitted model that leaves `force` N m of unexplained torque at joint 1."""
     merit = lambda price: total - price * size
-    return SimpleNamespace(active=active, total=total, size=size, moving=np.array([force**2, 0.0]), merit=merit)
+    return SimpleNamespace(
+        active=active, total=total, size=size, response=0, moving=np.array([force**2, 0.0]), merit=merit
+    )
 
 
 def frictions(scale: float):
@@ -30,13 +31,13 @@ def test_a_simpler_effect_will_do_where_it_leaves_nothing_that_matters():
     base = model(force=0.1)
     simple = model(COULOMB, total=900.0, size=5, force=0.0012)
     wider = model(STRIBECK, total=930.0, size=7, force=0.001)
-    assert choose(PROBLEM, [simple, wider], base, SETTINGS) is simple
+    assert choose(PROBLEM, [simple, wider], base) is simple
 
 
 def test_a_simpler_effect_that_would_not_be_named_is_no_stand_in():
     base, simple, wider = frictions(0.003)  # of the torque: too little to matter by itself
-    assert earns(PROBLEM, wider, base, base, SETTINGS) and not earns(PROBLEM, simple, base, base, SETTINGS)
-    assert choose(PROBLEM, [simple, wider], base, SETTINGS) is wider
+    assert earns(PROBLEM, wider, base, base) and not earns(PROBLEM, simple, base, base)
+    assert choose(PROBLEM, [simple, wider], base) is wider
 
 
 @pytest.mark.parametrize(("total", "left", "count", "expected"), [
@@ -46,7 +47,7 @@ def test_small_effects_count_where_they_are_nearly_all_and_no_chance(total, left
     base = model(force=0.003)
     active = (COULOMB, BIAS, ("drag", "joint2"))[:count]
     new = model(*active, total=total, size=4 + count, force=left * 0.003)
-    assert earns(PROBLEM, new, base, base, SETTINGS) is expected
+    assert earns(PROBLEM, new, base, base) is expected
 
 
 @pytest.mark.parametrize(("without", "expected"), [(350.0, True), (640.0, False)])
@@ -55,4 +56,4 @@ def test_of_two_small_effects_each_must_be_no_chance(without, expected):
     pair = model(COULOMB, BIAS, total=700.0, size=6, force=3e-6)
     less = model(COULOMB, total=without, size=5, force=0.002)
     found = SimpleNamespace(base=base, final=base)
-    assert needed(PROBLEM, pair, less, found, SETTINGS) is expected
+    assert needed(PROBLEM, pair, less, found) is expected

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.estimate.fit import fitted, force_ratio
+from adaptsim_jax.sysid.estimate.fit import fit
+from adaptsim_jax.sysid.estimate.fitted import force_ratio
 from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
@@ -39,11 +40,11 @@ def test_a_knee_is_fitted_where_there_is_one(tmp_path, limit):
     recording = usable(recording, checked)
     problem, start = prepare_within_reach(recording, checked, noise_floor(recording, checked), EFFECTS)
     base, first = declared(problem, start)
-    layout, c = problem.model.layout, base.candidate
+    layout = problem.model.layout
     at = layout.instances[layout.index(*PLACE)].at
     eff = layout.off()
     eff[at] = [1.0 - LIMIT / problem.reach.peak[0], problem.reach.peak[0], 0.0]
-    plain = fitted(problem, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
+    plain = fit(problem, base.start(active=(PLACE,), eff=eff), first.response)
     assert "softness" not in plain.candidate.parameters(*PLACE)  # late: not fitted in the search
     better = lambda new, old: new.total > old.total + 10.0 and force_ratio(new, old) < 0.9
     again, final = elaborated(problem, plain, base, first.response, better)

@@ -1,5 +1,6 @@
 """Pairs begin with what alone leaves least error; a look-alike takes the place of a doubtful member."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.sysid.criteria import Criteria
+from adaptsim_jax.sysid.estimate.fitted import Code, Fit
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import Ranked
@@ -53,17 +55,24 @@ def layout():
 
 def fake_fits(monkeypatch, errors=None, doubted=()):
     """Refits that only say which effects they hold; `errors` are the sums of squares of single ones, with their sizes."""
-    made = lambda active, theta=None: SimpleNamespace(
-        active=active, candidate=SimpleNamespace(theta=theta, eff=None), total=0.0 if theta is None else theta[0]
-    )
+
+    def made(active, theta=None, ok=True):
+        candidate = SimpleNamespace(
+            active=active, theta=theta, eff=None, refit=SimpleNamespace(point=SimpleNamespace(x0=None))
+        )
+        return Fit(candidate, None, np.zeros(1), None, code=Code.SETTLED if ok else Code.RAN_AWAY)
+
+    def fit(problem, start, response, *, weighting="gls", rounds):
+        if isinstance(start, Fit):
+            return start
+        ran_away = start.ended is not None and start.ended.code == pairs.DIVERGED
+        return made(start.active, start.theta, not ran_away)
+
     monkeypatch.setattr(pairs, "started", lambda *_: None)
     monkeypatch.setattr(pairs, "merged", lambda *_: None)
     monkeypatch.setattr(pairs, "own_starts", lambda *_: [])
     monkeypatch.setattr(pairs, "doubtful", lambda *_: set(doubted))
-    monkeypatch.setattr(pairs, "fitted_plainly", lambda problem, active, theta, *_: made(active, theta))
-    diverged = lambda fit: fit.code == pairs.DIVERGED
-    settled = lambda problem, active, fit, *_: None if diverged(fit) else made(active, fit.theta)
-    monkeypatch.setattr(pairs, "settled_from", settled)
+    monkeypatch.setattr(pairs, "fit", fit)
 
     def plainly(problem, active, theta, *_):
         if len(active) > 1:
@@ -74,11 +83,9 @@ def fake_fits(monkeypatch, errors=None, doubted=()):
         error = error / theta[0]  # from further away, less is left
         return SimpleNamespace(code=code, cost=np.array([error]), names=["p"] * size, theta=theta, eff=None, x0=None)
 
-    monkeypatch.setattr(pairs, "fit_plain", plainly)
-    monkeypatch.setattr(pairs, "ended", lambda problem, active, *_: made(active))
+    monkeypatch.setattr(pairs, "by_least_squares", plainly)
     monkeypatch.setattr(pairs, "view", lambda problem, model: Seen())
-    monkeypatch.setattr(pairs, "settled", lambda problem, model, *_, **__: model)
-    return SimpleNamespace(active=(), candidate=SimpleNamespace(active=(), theta=np.ones(2), eff=None), parts=None)
+    return made((), np.ones(2))
 
 
 SEEN = SimpleNamespace(response=None, ranked=Seen().ranked)
@@ -136,11 +143,11 @@ def test_what_fits_best_alone_is_fitted_from_its_own_starts_and_carried_on(monke
     )
     calls = []
 
-    def fit_plain(problem, active, theta, eff, x0):
+    def by_least_squares(problem, active, theta, eff, x0):
         calls.append(eff)
         return ended(pairs.UNFINISHED, 2.0, "on the way") if eff == "stiff" else ended(0, 1.0, "at the end")
 
-    monkeypatch.setattr(pairs, "fit_plain", fit_plain)
+    monkeypatch.setattr(pairs, "by_least_squares", by_least_squares)
     monkeypatch.setattr(pairs, "own_starts", lambda *_: ["stiff"])
     alone = ((("drag", "joint1"),), ended(0, 5.0, "soft"))
     assert pairs._closer(problem, base, alone)[1].eff == "at the end"
@@ -171,8 +178,8 @@ def test_a_stop_has_stiff_starts_of_its_own_at_the_side_where_it_is():
 def test_each_effect_is_fitted_alone_from_where_the_fit_without_it_ended(monkeypatch):
     base, problem = fake_fits(monkeypatch, {"nothing": (9.0, 2), "drag": (4.0, 3)}), layout()
     ended = SimpleNamespace(code=0, theta=np.array([0.5, 1.0]), eff=None, x0="there")
-    made = pairs.fit_plain
-    monkeypatch.setattr(pairs, "fit_plain", lambda *a: ended if not a[1] else made(*a))
+    made = pairs.by_least_squares
+    monkeypatch.setattr(pairs, "by_least_squares", lambda *a: ended if not a[1] else made(*a))
     plain = pairs._without(problem, base)
     assert plain.x0 == "there"
     drag = next(r for r in Seen().ranked(plain=True) if r.instance[0] == "drag")
@@ -188,7 +195,8 @@ def test_where_every_single_fit_runs_away_there_is_no_first(monkeypatch):
 
 def test_a_look_alike_takes_the_place_of_a_doubtful_member_alone(monkeypatch):
     base = fake_fits(monkeypatch, doubted=[("drag", "joint1")])
-    pair = SimpleNamespace(active=(("drag", "joint1"), ("ripple", "joint1")), candidate=base.candidate)
+    both = SimpleNamespace(**{**vars(base.candidate), "active": (("drag", "joint1"), ("ripple", "joint1"))})
+    pair = replace(base, candidate=both)
     assert names_of(pairs.with_look_alikes(layout(), base, pair, [], SEEN)) == [("friction", "ripple")]
     done = SimpleNamespace(active=(("ripple", "joint1"), ("friction", "joint1")))
     assert pairs.with_look_alikes(layout(), base, pair, [done], SEEN) == []

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.estimate.fit import fitted
+from adaptsim_jax.sysid.estimate.fit import fit
 from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
 from adaptsim_jax.sysid.io.recording import read_recording
 from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import declared, timed
 from adaptsim_jax.sysid.quality.audit import audit
 from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
-from adaptsim_jax.sysid.select.result import SearchResult
+from adaptsim_jax.sysid.select.trace import Trace
 from tests.generators import make_dataset, write_dataset
 
 PLACE = ("periodic_disturbance", "joint1")
@@ -37,8 +37,7 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
 
     def with_clock(clock):
         set_to = replace(problem, windows=replace(problem.windows, clock=clock))
-        c = base.candidate
-        return set_to, fitted(set_to, (PLACE,), c.theta, eff, c.refit.point.x0, base.parts, first.response)
+        return set_to, fit(set_to, base.start(active=(PLACE,), eff=eff), first.response)
 
     problem, seen = timed(problem, base, first)
     early, _ = phases_refined_early(problem, seen, base)
@@ -48,7 +47,7 @@ def test_clocks_that_are_off_are_found_again(tmp_path):
     ends = []
     for start_at in (clock, clock + away):
         set_to, model = with_clock(start_at)
-        better, sharp = phases_refined(set_to, SearchResult(base, model, [], view=first), first, rounds=6)
+        better, sharp = phases_refined(set_to, Trace(base, first, ()).then("found", final=model), rounds=6)
         assert sharp.final.total >= model.total
         ends.append(better.windows.clock)
     assert sharp.final.total > model.total + 10.0

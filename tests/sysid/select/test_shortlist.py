@@ -24,4 +24,4 @@ def test_what_is_worth_refits(monkeypatch, force, candidate, generic, expected):
     problem = SimpleNamespace(criteria=Criteria(), torque_scale=np.array([2.0, 2.0]))
     current = SimpleNamespace(parts=SimpleNamespace(force_std=lambda: np.array([0.0, 2.0 * force])))
     ranked = [SimpleNamespace(corrected=lambda count: candidate)]
-    assert anything(problem, current, ranked, None, Criteria()) is expected
+    assert anything(problem, current, ranked, None) is expected
