@@ -89,7 +89,12 @@ def peers(machine, xml: str) -> tuple[dict, str]:
     for p in found.parameters.values() if hasattr(found, "parameters") else ():
         p.modifier(spec, p)
     values = {name: float(found[name].value[0]) for name in params.keys()}
-    return {"seconds": seconds, "stretches": len(names), "values": values, "says": str(getattr(result, "message", ""))}, spec.to_xml()
+    return {
+        "seconds": seconds,
+        "stretches": len(names),
+        "values": values,
+        "says": str(getattr(result, "message", "")),
+    }, spec.to_xml()
 
 
 def main(rig: str) -> None:

@@ -8,8 +8,8 @@ class Criteria:
     """Each with its unit and reason (`docs/attribution.md`).
 
     alpha: family-wise level of the score test over all candidates, which lets one be tried.
-    confidence: level of the paired test over left-out trials by which each effect stays; with six trials 0.03 is the least p that
-        one trial against it allows, so that a further correction for the number of effects would refuse whatever is not in all.
+    confidence: level of the paired test over left-out blocks by which each effect stays (short trials, such as pushes: Holm over those
+        that are in the model).
     size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming.
     gap: share of the loss by which an alternative may be worse and still be told as doing as well.
     steady: an effect's size over its scatter between folds.

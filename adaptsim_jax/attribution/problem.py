@@ -16,6 +16,7 @@ from adaptsim_jax.sysid.segments import local_motion
 
 TILT = "tilt"
 TILTS = ("about_x", "about_y")
+LEAST_TRIALS = 5  # of which each is a fold
 LANES = 16  # stretches are padded to a multiple, so that compiled programs repeat
 
 
@@ -54,19 +55,26 @@ class Problem:
         return next(e for e in self.effects if e.name == name)
 
 
-def folds_of(stretches: Stretches, least: int = 8) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Fold [W] of each stretch: its trial, or where there are fewer than five trials a block of one, so that there are `least`."""
+def folds_of(stretches: Stretches) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Fold [W] of each stretch and the folds' names: trials, or of fewer than `LEAST_TRIALS` about eight blocks."""
     trials = np.unique(stretches.trial)
-    if len(trials) >= 5:
+    if len(trials) >= LEAST_TRIALS:
         return np.searchsorted(trials, stretches.trial), tuple(stretches.names[t] for t in trials)
-    fold, names = np.zeros(stretches.count, int), []
-    for t in trials:
-        mine = np.flatnonzero(stretches.trial == t)
-        parts = max(1, min(len(mine), round(least * len(mine) / stretches.count)))
-        for k, part in enumerate(np.array_split(mine, parts)):
-            fold[part] = len(names)
-            names.append(f"{stretches.names[t]} part {k + 1}")
-    return fold, tuple(names)
+    fold = blocks_of(stretches.trial, 8)
+    first = [int(np.flatnonzero(fold == k)[0]) for k in range(fold.max() + 1)]
+    part = [k - int(fold[stretches.trial == stretches.trial[i]].min()) for k, i in enumerate(first)]
+    return fold, tuple(f"{stretches.names[stretches.trial[i]]} part {p + 1}" for i, p in zip(first, part, strict=True))
+
+
+def blocks_of(trial: np.ndarray, about: int) -> np.ndarray:
+    """Block [W] of each stretch: about so many blocks of consecutive stretches of one trial, at least one a trial."""
+    out, at = np.zeros(len(trial), int), 0
+    for t in np.unique(trial):
+        mine = np.flatnonzero(trial == t)
+        parts = max(1, min(len(mine), round(about * len(mine) / len(trial))))
+        for part in np.array_split(mine, parts):
+            out[part], at = at, at + 1
+    return out
 
 
 def prepare(

@@ -28,13 +28,13 @@ from adaptsim_jax.attribution.estimate import (
     start_steps,
 )
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import TILT, Problem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.problem import TILT, Problem, blocks_of, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
 from adaptsim_jax.effects.base import Reach
 
 TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
-LEAST_TRIALS = 5
-EXACT = 14  # folds up to which the sign-flip test takes all patterns of signs
+BLOCKS = 24  # of consecutive stretches, about, whose losses a paired test compares
+EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,14 @@ class Model:
 
 @dataclass(frozen=True)
 class Test:
-    """Of one model against another over folds: gain, the share of the loss that it takes off (geometric mean); p of a sign-flip test;
-    better: folds in which it is better."""
+    """Of one model against another. gain: the share of the loss that it takes off (geometric mean over folds); p of a sign-flip test
+    over `parts` blocks; better: folds in which it is better."""
 
     gain: float
     p: float
     better: int
     folds: int
+    parts: int
 
 
 @dataclass(frozen=True)
@@ -135,20 +136,16 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     return HeldOut(best, squared, now.vector.values + steps)
 
 
-def by_fold(problem: Problem, loss: np.ndarray) -> np.ndarray:
-    """Sums [F] of a loss by stretch [W]."""
-    return np.bincount(problem.fold, loss[: len(problem.fold)], len(problem.folds))
-
-
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
-    """One model against another by their held-out losses [W] (one-sided: is the second better?): trial by trial, and where there
-    are not enough of those stretch by stretch, each of which has a start of its own."""
-    whole = len(np.unique(problem.groups[0].stretches.trial)) >= LEAST_TRIALS
-    count = len(problem.fold)
-    a, b = (by_fold(problem, z) if whole else z[:count] for z in (without, with_))
+    """One model against another by their held-out losses [W] (one-sided: is the second better?): logarithms of each stretch's ratio,
+    averaged over a fold or a block, so that no stretch that runs away decides for its trial. The test takes blocks of consecutive
+    stretches: a few trials alone could not show what is not in each of them."""
+    a, b = without[: len(problem.fold)], with_[: len(problem.fold)]
     usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
-    d = np.log((a + usual) / (b + usual))
-    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d))
+    ratio = np.log((a + usual) / (b + usual))
+    mean = lambda unit: np.bincount(unit, ratio) / np.bincount(unit)
+    d, parts = mean(problem.fold), mean(blocks_of(problem.groups[0].stretches.trial[: len(ratio)], BLOCKS))
+    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts))
 
 
 def sign_flip(d: np.ndarray) -> float:
@@ -243,9 +240,7 @@ def select(
 def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say) -> Model | None:
     """The best candidate that gains held out, fitted; None where none does."""
     family = max(len(scores), 1)
-    hopeful = [
-        s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total
-    ]
+    hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
     best = None
     for score in hopeful[: criteria.tried]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
@@ -306,7 +301,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(problem, model, c)))
         failing = []
         for c, less, test, steady in tests:
-            level = max(criteria.confidence, 1.01 * 2.0**-test.folds)
+            level = max(criteria.confidence, 1.01 * 2.0**-test.parts)
             if (
                 test.p > level
                 or test.gain < criteria.size

@@ -60,7 +60,7 @@ def paired(without: np.ndarray, with_: np.ndarray) -> Test:
     """Whether the second model predicts trials better: mean squares `[T]` of each."""
     usual = 0.1 * np.median(without)
     d = np.log((without + usual) / (with_ + usual))
-    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d))
+    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d), len(d))
 
 
 def together(problem: TrialProblem, residual: np.ndarray) -> float:
