@@ -17,8 +17,9 @@ ROOMS = (
 )  # fmt: skip
 WITHIN = {
     "core": (
-        "lazy", "errors", "given", "files", "lock", "surroundings", "progress", "config", "registry", "constants", "once", "trig",
-        "parallel", "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store", "store",
+        "lazy", "errors", "given", "files", "lock", "surroundings", "progress", "progress_parts", "beside", "config", "registry",
+        "constants", "once", "trig", "parallel", "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store",
+        "store",
     ),
     "effects": (
         "base", "grids", "friction", "elastic", "disturbance", "inertia", "actuator", "sensor", "base_motion", "layout",

@@ -56,7 +56,7 @@ def show(
     task, made = trained.phase1.task, config.from_table(PushingConfig, options, found["run"])
     start, best = map(int, best_visit(result.history.score))
     target = np.array(list(found["target"]["params"].values()))
-    goals, actions, tracks, rewards = _pushes(made, result, start, target)
+    goals, actions, tracks, rewards = pushes_of(made, visits_of(result, start), target)
     shown = picked(len(tracks), best)
     panels = [[[draw.Push(goals[g], tracks[i, g], rewards[i, g])] for i in shown] for g in range(len(goals))]
     params = np.asarray(task.space.physical(result.history.mean[start]))
@@ -75,7 +75,8 @@ def show(
     if video:
         visits = [(0, "first"), (best, "best")] if best else [(0, "best")]
         takes = [(f"iteration {i} ({word})", actions[i, g], goals[g]) for g in range(len(goals)) for i, word in visits]
-        lines.append(_film(made, target, takes, out))
+        path, how = filmed(made, target, takes, out)
+        lines.append(f"written: {path}, {how}")
     return lines
 
 
@@ -88,30 +89,38 @@ def picked(count: int, best: int) -> list[int]:
     return shown
 
 
-def _pushes(made: Any, result: Any, start: int, target: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Goals `[G, 2]`, and for each visit of the start: actions `[I + 1, G, 2]`, tracks `[I + 1, G, T, 2]`, rewards `[I + 1, G]`."""
+def visits_of(result: Any, start: int) -> Any:
+    """The policies `[I + 1]` of one start's visits."""
+    import jax
+
+    return jax.tree.map(lambda x: x[start], result.history.policy)
+
+
+def pushes_of(made: Any, policies: Any, target: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Goals `[G, 2]`, and for each of `policies [P]`: actions `[P, G, 2]`, tracks `[P, G, T, 2]`, rewards `[P, G]`."""
     import jax
     import jax.numpy as jnp
 
     from adaptsim_jax.tasks.pushing import task as pushing
     from adaptsim_jax.tasks.pushing.simulator import make_guide, make_simulator
 
-    policy = jax.tree.map(lambda x: x[start], result.history.policy)
     simulate = make_guide(made) or make_simulator(made)
     goals, act = jnp.asarray(GOALS), pushing.make_policy(made)
 
     @jax.jit
-    def run(policy):
-        actions = jax.vmap(lambda p: act(p, goals))(policy)
+    def run(policies):
+        actions = jax.vmap(lambda p: act(p, goals))(policies)
         one = lambda a: simulate(jnp.asarray(target, jnp.float32), a)
         tracks = jax.vmap(jax.vmap(one))(actions)
         return actions, tracks, pushing.push_reward(tracks[..., -1, :], goals[None])
 
-    return tuple(map(np.asarray, (goals, *run(policy))))
+    return tuple(map(np.asarray, (goals, *run(policies))))
 
 
-def _film(made: Any, target: np.ndarray, takes: list[tuple[str, np.ndarray, np.ndarray]], out: Path) -> str:
-    """Pushes (who, action, goal) in the MuJoCo scene, on film."""
+def filmed(
+    made: Any, target: np.ndarray, takes: list[tuple[str, np.ndarray, np.ndarray]], out: Path
+) -> tuple[Path, str]:
+    """Pushes (who, action, goal) in the MuJoCo scene, on film; its path, and what drew it."""
     from adaptsim_jax.report.push_video import Clip, write_push_video
     from adaptsim_jax.tasks.pushing.engines.registry import make_backend
     from adaptsim_jax.tasks.pushing.model import START, PushOptions
@@ -123,8 +132,7 @@ def _film(made: Any, target: np.ndarray, takes: list[tuple[str, np.ndarray, np.n
     for (who, action, goal), state in zip(takes, states, strict=True):
         apart = 100 * np.linalg.norm(state[-1, :2] - goal)
         clips.append(Clip(state, action, goal, float(target[3]), f"{who}: {apart:.0f} cm from the goal"))
-    path, how = write_push_video(clips, out)
-    return f"written: {path}, {how}"
+    return write_push_video(clips, out)
 
 
 PART = AdaptPart(show, adapt)

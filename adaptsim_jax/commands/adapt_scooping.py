@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.commands.adapt_pushing import picked
+from adaptsim_jax.commands.adapt_pushing import picked, visits_of
 from adaptsim_jax.commands.task_parts import AdaptPart
 
 MOMENTS = (0.35, 0.5, 1.0)  # s, that the figure shows of a trial
@@ -73,7 +73,7 @@ def show(
     reward = np.asarray(result.history.reward)
     start, best = map(int, best_visit(result.history.score))
     target = np.array(list(found["target"]["params"].values()))
-    clips = clips_of(made, result, start, target)
+    clips = clips_of(made, visits_of(result, start), target)
     shown = picked(len(clips), best)
     heads = [f"iteration {i}" + (" (best)" if i == best else "") for i in shown]
     figure = scoops_over_iterations(
@@ -98,8 +98,8 @@ def show(
     return lines
 
 
-def clips_of(made: Any, result: Any, start: int, target: np.ndarray) -> list[Any]:
-    """A clip `ScoopClip` of each visit of the start: what its policy does in the target, without an error of execution."""
+def clips_of(made: Any, policies: Any, target: np.ndarray) -> list[Any]:
+    """A clip `ScoopClip` of each of `policies [P]`: what it does in the target, without an error of execution."""
     import jax
     import jax.numpy as jnp
 
@@ -107,7 +107,6 @@ def clips_of(made: Any, result: Any, start: int, target: np.ndarray) -> list[Any
     from adaptsim_jax.tasks.scooping import hydro
     from adaptsim_jax.tasks.scooping import task as scooping
 
-    policy = jax.tree.map(lambda x: x[start], result.history.policy)
     act, options = scooping.make_policy(made), scooping.checked(made)
 
     @jax.jit
@@ -116,7 +115,7 @@ def clips_of(made: Any, result: Any, start: int, target: np.ndarray) -> list[Any
         action = act(one, jnp.zeros(2))
         return action, hydro.rollout(jnp.asarray(target, jnp.float32), action, options, made.numerics)
 
-    actions, scoops = run(policy)
+    actions, scoops = run(policies)
     clips = []
     for i, (pitch, rate, distance) in enumerate(np.asarray(actions)):
         text = f"iteration {i}: {np.degrees(pitch):.1f} deg, {rate:+.2f} rad/s, {1e3 * distance:.0f} mm"

@@ -3,36 +3,62 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
+import sys
 from pathlib import Path
 
 EXAMPLES = """
   adaptsim demo
   adaptsim demo --out demo_out --seed 1
+  adaptsim demo --full --out demo_full         larger sizes, films, a second diagnosis: about a quarter of an hour
 """
+
+TITLES = {
+    "pendulum": "pendulum: learn to adapt, then adapt",
+    "baselines": "pendulum: other methods, and a map",
+    "push": "push: before and after adaptation",
+    "scoop": "scoop: before and after adaptation",
+    "diagnosis": "diagnosis: what a model lacks",
+    "double": "diagnosis of a double pendulum",
+    "page": "figures and page",
+}
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", default="demo_out", metavar="DIR", help="default: demo_out")
+    parser.add_argument("--full", action="store_true", help="the long tour: larger sizes, all baselines, films")
 
 
 def run(args: argparse.Namespace) -> int:
-    """The tour on small sizes."""
+    """The tour, on small sizes unless `--full`."""
     from adaptsim_jax.core.files import output_folder
-    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.core.parallel import cores
+    from adaptsim_jax.core.progress_parts import parts_progress
 
     out = output_folder(args.out)
-    args.resume_hint = f"continue with: adaptsim demo --out {shlex.quote(args.out)} --seed {args.seed}"
+    again = f"adaptsim demo{' --full' * args.full} --out {shlex.quote(args.out)} --seed {args.seed}"
+    args.resume_hint = f"continue with: {again}"
+    how_long = "about a quarter of an hour" if args.full else "two to three minutes"
     print(
-        "train a small Phase 1, adapt to OOD-1 beside the baselines, diagnose a sample recording; a few minutes",
+        f"A pendulum, a push and a scoop are adapted to targets that the simulator is wrong about; a recording is diagnosed: "
+        f"{how_long} on two cores.",
         flush=True,
     )
-    with progress("demo") as report:
+    if "jax" not in sys.modules:
+        _share_a_gpu()
+    with parts_progress(TITLES) as report:
+        from adaptsim_jax.commands.demo_config import FULL, SHORT
         from adaptsim_jax.commands.demo_tour import demo
 
-        tour = demo(out, args.seed, report)
+        tour = demo(out, args.seed, report, FULL if args.full else SHORT, apart=cores() > 1)
     _show(tour, out)
     return 0
+
+
+def _share_a_gpu() -> None:
+    # two processes; by default each would take three quarters of a GPU's memory at once
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 def _show(tour, out: Path) -> None:

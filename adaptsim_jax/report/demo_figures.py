@@ -1,4 +1,4 @@
-"""The figures of the tour: learning curves, and the picture that sums the tour up."""
+"""The figures of the tour: what learning earned, the comparison, a push from above, a scoop as a film strip, a recording explained."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,9 +8,17 @@ from matplotlib.figure import Figure
 
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
+from adaptsim_jax.report import figures_pushing as tables
+from adaptsim_jax.report.scoop_video import ScoopClip, draw_scoop
+from adaptsim_jax.tasks.scooping.model import SECONDS
 
 SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
+WHO = ("before", "after")
+ALONG = (0.5, 1.2)  # m of the table that the push is shown on
+MOMENTS = (0.1, 0.3, 0.4, 0.5, 0.7, 1.0)  # s of a scoop
+MEASURED, DECLARED, MENDED = "#7b8794", "#c4540a", "#1767b0"
+SHOWN = 2.0  # s of a recording
 
 
 def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
@@ -42,4 +50,82 @@ def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, 
     found = {row["method"]: np.array(row["best_params"])[:, :2] for row in rows if row["method"] in CURVES}
     figure = draw.parameter_map(chart, target, found)
     figure.set_size_inches(4.6, 3.9)
+    return figure
+
+
+def push_before_after(shown: Any) -> Figure:
+    """Table tops from above, two for each goal: the push of the policy before and after adaptation; `shown`: tour's `Pushes`."""
+    goals = len(shown.goals)
+    figure, axes = look.new_figure(2.2 * 2 * goals + 0.4, 3.7, 1, 2 * goals, sharey=True)
+    for g in range(goals):
+        for i, who in enumerate(WHO):
+            ax, end = axes[2 * g + i], shown.tracks[i, g, -1]
+            tables.table_top(ax, shown.patch, ALONG)
+            tables.draw_push(ax, tables.Push(shown.goals[g], shown.tracks[i, g], float(shown.rewards[i, g])))
+            ax.set_title(f"goal {g + 1}, {who}", fontsize=9.5, color=look.INK, pad=4)
+            off = 100 * float(np.linalg.norm(end - shown.goals[g]))
+            words = f"{off:.1f} cm from the goal" if np.isfinite(off) else "the push failed"
+            ax.set_xlabel(words, fontsize=8.5, color=look.INK, labelpad=4)
+    axes[0].set_ylabel("x (m), away from the arm", fontsize=8.5, color=look.MUTED)
+    return figure
+
+
+def scoop_strips(clips: Sequence[ScoopClip]) -> Figure:
+    """Two film strips from the side, the trial of the policy before and after adaptation, left to right in time."""
+    figure, axes = look.new_figure(1.6 * len(MOMENTS) + 0.4, 2.6, len(clips), len(MOMENTS))
+    for r, (clip, who) in enumerate(zip(clips, WHO, strict=True)):
+        last = len(clip.piece) - 1
+        for c, moment in enumerate(MOMENTS):
+            ax = axes[r * len(MOMENTS) + c]
+            draw_scoop(ax, clip, round(last * moment / SECONDS))
+            if r == 0:
+                ax.set_title(f"{moment:.1f} s", fontsize=8.5, color=look.MUTED, pad=3)
+            if c == 0:
+                ax.set_ylabel(who, fontsize=9.5, color=look.INK)
+        ended = "on the spatula" if clip.success else "not on the spatula"
+        axes[(r + 1) * len(MOMENTS) - 1].set_xlabel(ended, fontsize=8.5, color=look.INK, labelpad=3)
+    return figure
+
+
+def recording_explained(trial: Mapping[str, Any], channel: str) -> Figure:
+    """Two seconds of one trial, measured and simulated by the declared and the mended model, and under it what each is off by.
+
+    `trial`: of `held_out` of a diagnosis; each half second is simulated from its own fitted start.
+    """
+    time = np.asarray(trial["time"], float)
+    rows = time <= time[np.isfinite(time)][0] + SHOWN
+    columns = [("declared", DECLARED, trial["before"][channel])]
+    columns += [("mended", MENDED, trial["after"][channel])] if trial.get("after") else []
+    measured = np.asarray(trial["measured"][channel], float)[rows]
+    figure, (top, low) = look.new_figure(4.6, 3.4, 2, 1, sharex=True, height_ratios=(1.6, 1))
+    top.plot(time[rows], measured, color=MEASURED, linewidth=4.0, alpha=0.5, label="measured")
+    for name, colour, values in columns:
+        simulated = np.asarray(values, float)[rows]
+        top.plot(time[rows], simulated, color=colour, linewidth=1.3, label=f"{name} model")
+        low.plot(time[rows], 1e3 * (measured - simulated), color=colour, linewidth=1.2)
+    for ax in (top, low):
+        look.quiet(ax)
+    top.set_ylabel("angle (rad)", fontsize=8.5)
+    low.set_ylabel("off by (mrad)", fontsize=8.5)
+    low.set_xlabel("time (s)", fontsize=8.5)
+    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    return figure
+
+
+def errors_by_trial(error: Mapping[str, Any]) -> Figure:
+    """The error on each left-out trial under the declared and the mended model, and what noise alone leaves; `error` of a report."""
+    trials = [row for row in error["per_trial"] if row.get("before") is not None]
+    figure, (ax,) = look.new_figure(4.6, 3.4)
+    for k, row in enumerate(trials):
+        after = row["before"] if row.get("after") is None else row["after"]
+        ax.plot([1e3 * row["before"], 1e3 * after], [k, k], color=look.GRID, linewidth=2, zorder=1)
+        ax.plot(1e3 * row["before"], k, "o", color=DECLARED, label="declared model" if k == 0 else None)
+        ax.plot(1e3 * after, k, "o", color=MENDED, label="mended model" if k == 0 else None)
+    ax.axvline(1e3 * error["noise_floor"], color="#2f855a", linestyle="--", linewidth=1.3, label="noise alone")
+    look.quiet(ax)
+    ax.set_yticks(range(len(trials)), [row["trial"].replace("_", " ") for row in trials])
+    ax.invert_yaxis()
+    ax.set_xlim(0, None)
+    ax.set_xlabel("error on the trial, left out of the fit (mrad)", fontsize=8.5)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure

@@ -19,20 +19,32 @@ INK = {"adaptsim": "after", "sysid_bayes": "before", "sysid_point": "floor"}
 
 
 def write_demo(tour: Any, out: Path) -> None:
-    """Write `figures/*.png`, `comparison/table.md` and, last of all, `index.html` into `out`; see `demo.Tour`."""
-    task = tour.adapted[0].trained.phase1.task
-    target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
-    pictures = {
-        "learning": demo_figures.learning_curves([one.folder.read_metrics() for one in tour.adapted]),
-        "iterations": demo_figures.rewards_over_iterations(tour.results),
-        "map": demo_figures.reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
-    }
+    """Write `figures/*.png`, `comparison/table.md` and, last of all, `index.html` into `out`; see `demo_tour.Tour`."""
+    pictures = drawn(tour)
     folder = output_folder(out / "figures")
     for name, figure in pictures.items():
         look.save(figure, folder / f"{name}.png")
     write_bytes(out / "comparison" / "table.md", comparison.table(tour.results).encode())
-    page = render(tour, {name: look.svg(figure) for name, figure in pictures.items()})
+    page = render(tour, {name: look.svg(figure) for name, figure in pictures.items()}, out)
     write_bytes(out / "index.html", page.encode())
+
+
+def drawn(tour: Any) -> dict[str, Any]:
+    """The figures by name."""
+    task = tour.adapted[0].trained.phase1.task
+    target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
+    found = tour.rest.diagnosis
+    pictures = {
+        "learning": demo_figures.learning_curves([one.folder.read_metrics() for one in tour.adapted]),
+        "iterations": demo_figures.rewards_over_iterations(tour.results),
+        "map": demo_figures.reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
+        "push": demo_figures.push_before_after(tour.rest.push.shown),
+        "scoop": demo_figures.scoop_strips(tour.rest.scoop.shown),
+        "errors": demo_figures.errors_by_trial(found.report["error"]),
+    }
+    for trial in found.held_out[:1]:
+        pictures["recording"] = demo_figures.recording_explained(trial, next(iter(trial["measured"])))
+    return pictures
 
 
 def setting_of(tour: Any) -> str:
@@ -40,8 +52,8 @@ def setting_of(tour: Any) -> str:
     return tour.results["rows"][0]["setting"]
 
 
-def render(tour: Any, pictures: Mapping[str, str]) -> str:
-    """The page as text; `pictures` are SVG elements by name."""
+def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
+    """The page as text, to lie in `out`; `pictures` are SVG elements by name."""
     phase1 = tour.adapted[0].trained.phase1
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("adaptsim_jax.report", "templates"),
@@ -59,10 +71,34 @@ def render(tour: Any, pictures: Mapping[str, str]) -> str:
         rows=method_rows(tour.results),
         pictures=pictures,
         results=tour.results,
-        diagnosis=diagnosis_words(tour.diagnosis),
+        push=contact_words(tour.rest.push, out),
+        scoop=contact_words(tour.rest.scoop, out),
+        diagnosis=diagnosis_words(tour.rest.diagnosis.report),
+        double=None if tour.rest.double is None else diagnosis_words(tour.rest.double),
+        full=tour.rest.double is not None,
         commands=tour.commands,
         versions=tour.results["versions"],
     )
+
+
+def contact_words(found: Any, out: Path) -> dict[str, Any]:
+    """The push or the scoop: rewards before and after, trials spent, target and what was found, and the film's place."""
+    params, target = found.found["best"]["params"], found.found["target"]["params"]
+    return {
+        "setting": look.setting(found.found["target"]["name"]),
+        "before": _reward(found.before),
+        "after": _reward(found.after),
+        "better": found.after > found.before,
+        "trials": found.trials,
+        "start": found.start + 1,
+        "parameters": [(name, f"{target[name]:.3g}", f"{params[name]:.3g}") for name in params],
+        "ends": [_ended(clip) for clip in found.shown] if isinstance(found.shown, list) else [],
+        "film": None if found.film is None else str(found.film.relative_to(out)),
+    }
+
+
+def _ended(clip: Any) -> str:
+    return "on the spatula" if clip.success else "not on the spatula"
 
 
 def parameter_rows(tour: Any) -> list[dict[str, Any]]:
@@ -126,16 +162,19 @@ def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
 
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
-    found = {row["method"]: row for row in tour.results["rows"]}
-    seen = diagnosis_words(tour.diagnosis)
+    rows = {row["method"]: row for row in tour.results["rows"]}
+    seen = diagnosis_words(tour.rest.diagnosis.report)
     error = seen["before"] if seen["after"] is None else f"{seen['before']} -> {seen['after']}"
-    told = [f"{look.label(name)} {_reward(found[name]['mean'])}" for name in demo_figures.CURVES if name in found]
+    told = [f"{look.label(name)} {_reward(rows[name]['mean'])}" for name in demo_figures.CURVES if name in rows]
+    changed = lambda found: f"reward {_reward(found.before)} before adaptation, {_reward(found.after)} after, of 1"
     return [
-        ("trained", f"{len(tour.adapted)} runs of Phase 1, in {out / 'runs'}"),
-        (f"adapted to {look.SETTINGS[setting_of(tour)]}", f"{', '.join(told)} (0: UDR, 1: best in Omega)"),
-        ("diagnosed", f"{seen['headline']} Held-out error {error}"),
+        (f"pendulum in {look.SETTINGS[setting_of(tour)]}", f"reward {', '.join(told)} (0: UDR, 1: best in Omega)"),
+        ("push", changed(tour.rest.push)),
+        ("scoop", changed(tour.rest.scoop)),
+        ("diagnosed", f"{seen['headline']} Error on left-out trials {error}"),
         ("all on one page", str(out / "index.html")),
+        ("trained runs", str(out / "runs")),
         ("diagnosis", str(out / "diagnosis" / "report.html")),
         ("numbers", f"{out / 'comparison' / 'results.json'}, {out / 'diagnosis' / 'report.json'}"),
-        ("mended model", str(out / "diagnosis" / "model.toml")),
+        ("mended model", str(out / "diagnosis" / "model.xml")),
     ]

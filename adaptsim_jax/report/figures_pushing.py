@@ -76,9 +76,9 @@ def pushes_over_iterations(
     for r in range(rows):
         for c, ax in enumerate(tops[r]):
             ax.set_visible(c < len(panels[r]))
-            _table_top(ax, patch, along)
+            table_top(ax, patch, along)
             for push in panels[r][c] if c < len(panels[r]) else ():
-                _draw_push(ax, push)
+                draw_push(ax, push)
             if c < len(panels[r]):
                 ax.set_xlabel(_said(panels[r][c]), fontsize=7.5, color=look.MUTED, labelpad=2)
                 ax.set_title(heads[r][c] if r < len(heads) else "", fontsize=8, color=look.INK, pad=3)
@@ -91,7 +91,7 @@ def _said(pushes: Sequence[Push]) -> str:
     return "reward " + ", ".join(f"{push.reward:.2f}" for push in pushes)
 
 
-def _table_top(ax: Any, patch: float | None, along: tuple[float, float]) -> None:
+def table_top(ax: Any, patch: float | None, along: tuple[float, float]) -> None:
     """The table from above, the arm below, y to the left as the arm sees it."""
     ax.set_xlim(ACROSS[1], ACROSS[0])
     ax.set_ylim(*along)
@@ -106,7 +106,7 @@ def _table_top(ax: Any, patch: float | None, along: tuple[float, float]) -> None
         ax.add_patch(Rectangle(low, PATCH_SIDE, PATCH_SIDE, facecolor=PATCH, edgecolor="none", zorder=1))
 
 
-def _draw_push(ax: Any, push: Push) -> None:
+def draw_push(ax: Any, push: Push) -> None:
     """The bottle where it stood (dashed), its way, where it ended, and a cross at the goal; clipped to the table top."""
     track, goal = np.asarray(push.track), np.asarray(push.goal)
     end = (float(track[-1, 1]), float(track[-1, 0]))

@@ -10,30 +10,32 @@ XML = """<mujoco><compiler angle="radian"/><option timestep="0.0005" integrator=
 solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 <inertial pos="0 0 -0.25" mass="{mass}" diaginertia="0.01 0.01 0.001"/></body></worldbody>
 <actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
-RATE = 250
 
 
 def record(
-    folder: Path, friction: float, trials: int = 6, seconds: float = 4.0, seed: int = 0, noise: float = 2e-4
-) -> Path:
+    folder: Path, friction: float, trials: int = 6, seconds: float = 4.0, seed: int = 0, noise: float = 2e-4,
+    rate: int = 250, digits: int = 8,
+) -> Path:  # fmt: skip
     """A folder with meta.toml, the declared model (mass 20 % off, no friction) and trials of the true one."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(XML.format(damping=0.02, friction=friction, mass=1.0))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.xml").write_text(XML.format(damping=0.01, friction=0.0, mass=1.2))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
-    steps = round(1.0 / RATE / model.opt.timestep)
+    steps = round(1.0 / rate / model.opt.timestep)
     for k in range(trials):
         data = mujoco.MjData(model)
         data.qpos[0] = rng.uniform(-1.0, 1.0)
         phase, speed = rng.uniform(0, 6, 3), rng.uniform(1.0, 9.0, 3)
         rows = []
-        for i in range(round(seconds * RATE)):
-            t = i / RATE
+        for i in range(round(seconds * rate)):
+            t = i / rate
             torque = 0.6 * np.sin(speed * t + phase).sum()
             data.ctrl[0] = torque
             rows.append([t, data.qpos[0] + noise * rng.normal(), torque])
             for _ in range(steps):
                 mujoco.mj_step(model, data)
-        np.savetxt(folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt="%.8g")
+        np.savetxt(
+            folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt=f"%.{digits}g"
+        )
     return folder

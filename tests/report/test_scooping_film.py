@@ -82,7 +82,8 @@ def test_the_best_visit_is_the_one_that_is_deployed(tmp_path, monkeypatch):
     drawn = []
     figure = scoops_over_iterations([clip()], [""], [0.0], np.tile(PARAMS, (3, 1)), AXES)
     monkeypatch.setattr(figures_scooping, "scoops_over_iterations", lambda *given, **_: drawn.append(given) or figure)
-    monkeypatch.setattr(adapt_scooping, "clips_of", lambda made, result, start, target: [start] * 3)
+    monkeypatch.setattr(adapt_scooping, "visits_of", lambda result, start: start)
+    monkeypatch.setattr(adapt_scooping, "clips_of", lambda made, policies, target: [policies] * 3)
     score, reward = np.array([[0.5, np.nan, 0.5], [0.0, 1.0, 0.5]]), np.array([[0.9, 0.2, 0.1], [0.3, 0.4, 0.5]])
     history = SimpleNamespace(score=score, reward=reward, mean=np.full((2, 3, 4), 0.5, np.float32))
     result = SimpleNamespace(history=history, policy=SimpleNamespace(told=None))

@@ -1,0 +1,93 @@
+"""The tour's pendulum: Phase 1, Phase 2 in a target beside the baselines, and the map of what could be earned there."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from adaptsim_jax.adaptation.phase2 import Phase2Result
+from adaptsim_jax.adaptation.training import TrainConfig, Trained, adapt_run, train_run
+from adaptsim_jax.baselines.compare import compare, find_bounds, visiting_rows
+from adaptsim_jax.baselines.config import CompareConfig
+from adaptsim_jax.baselines.methods import Visits
+from adaptsim_jax.baselines.problem import pendulum_problem
+from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
+from adaptsim_jax.commands.demo_config import TARGET, TASK, DemoConfig
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.files import output_folder, write_json
+from adaptsim_jax.core.progress import Report
+from adaptsim_jax.core.store import CONFIG, RunFolder
+
+MAP_LIMITS = ((0.8, 2.2), (0.2, 2.2))  # kg, m1 and m2: Omega and the target, which is outside it
+
+
+class Adapted(NamedTuple):
+    """One Phase 1 run and what Phase 2 made of it in the target."""
+
+    folder: RunFolder
+    trained: Trained
+    result: Phase2Result
+
+
+class Pendulum(NamedTuple):
+    """adapted: a run a seed; results: the comparison, as results.json; reward_map: around the target."""
+
+    adapted: list[Adapted]
+    results: dict[str, Any]
+    reward_map: RewardMap
+
+
+def pendulum_part(out: Path, seed: int, config: DemoConfig, say: Callable[[str], Report]) -> Pendulum:
+    """Everything that the tour shows of the pendulum; runs and the comparison lie in `out`."""
+    adapted = [
+        _adapt(out, replace(config.train, seed=seed + i), config, i, say("pendulum")) for i in range(config.seeds)
+    ]
+    return Pendulum(adapted, *_compare(out, adapted, seed, config, say("baselines")))
+
+
+def run_folder(path: Path, train: TrainConfig, task: str) -> RunFolder:
+    """A new run folder, or the one that is there; a kill may have left a folder and nothing in it."""
+    start = RunFolder.resume if (path / CONFIG).exists() else RunFolder.create
+    return start(path, configs.to_table(train), task=task)
+
+
+def _adapt(out: Path, train: TrainConfig, config: DemoConfig, index: int, report: Report) -> Adapted:
+    """Phase 1 into a run folder (or from one), and Phase 2 in the target."""
+    report(index, config.seeds)
+    folder = run_folder(out / "runs" / f"seed-{train.seed}", train, TASK)
+    share = lambda done, total, note="": report(index + 0.9 * done / total, config.seeds, note)
+    trained = train_run(train, folder, share)
+    task = trained.phase1.task
+    target = task.space.values(task.settings[TARGET], TARGET)
+    sizes = {"starts": config.starts, "iterations": config.iterations}
+    result = adapt_run(trained, jax.random.key(train.seed), target, **sizes)
+    report(index + 1, config.seeds, f"reward in the target {float(result.reward):.2f} of 1")
+    return Adapted(folder, trained, result)
+
+
+def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, report: Report):
+    """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the target."""
+    sizes = {"seeds": config.seeds, "starts": config.starts, "iterations": config.iterations, "sysid": config.sysid}
+    report(0, 1)
+    command = shlex.join(["adaptsim", "demo", "--out", str(out), "--seed", str(seed)])
+    share = lambda done, total, note="": report(0.8 * done / total, 1, note)
+    results = compare(TASK, CompareConfig(config.baselines, (TARGET,), seed=seed, **sizes), share, command)
+    report(0.8, 1, "map of rewards")
+    task = adapted[0].trained.phase1.task
+    problem = pendulum_problem(task.space)
+    targets = np.array([task.space.values(task.settings[TARGET], TARGET)])
+    bounds = find_bounds(problem, targets)
+    means = np.stack([np.asarray(one.result.history.mean) for one in adapted])[None]
+    visits = Visits(means, config.starts * (config.iterations + 1))
+    results["rows"] = visiting_rows("adaptsim", [TARGET], problem, targets, bounds, visits) + results["rows"]
+    write_json(output_folder(out / "comparison") / "results.json", results)
+    ends = float(bounds.lower[0]), float(bounds.upper[0])
+    chart = reward_map(problem, targets[0], *ends, names=("m1", "m2"), limits=MAP_LIMITS)
+    report(1, 1)
+    return results, chart
