@@ -21,7 +21,8 @@ PENDULUM = Path(__file__).parents[1] / "sysid" / "sample" / "recording"
 
 @dataclass(frozen=True)
 class ContactConfig:
-    """Sizes of the push or the scoop: the target, Phase 1's trajectories K and policies made at once, starts N and iterations."""
+    """Sizes of the push or the scoop: the target, Phase 1's trajectories, how many at once and updates a round, starts N and
+    iterations; options: of the task, over its default ones."""
 
     target: str
     trajectories: int
@@ -29,12 +30,14 @@ class ContactConfig:
     updates: int
     starts: int = 2
     iterations: int = 8
+    options: dict[str, Any] = field(default_factory=dict)
 
     def train(self, task: str, seed: int) -> TrainConfig:
         """Phase 1 of `task` at these sizes; all else is the task's own default."""
         base = default_config(task)
         sizes = {"trajectories": self.trajectories, "parallel": self.parallel, "updates": self.updates}
-        return replace(base, seed=seed, phase1=replace(base.phase1, **sizes))
+        options = configs.over(base.task, self.options)
+        return replace(base, seed=seed, task=options, phase1=replace(base.phase1, **sizes))
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,11 @@ class DemoConfig:
     train: TrainConfig = TrainConfig(phase1=Phase1Config(trajectories=2_000))  # noqa: RUF009
     sysid: SysIdConfig = SysIdConfig()  # noqa: RUF009
     baselines: tuple[str, ...] = ("sysid_point", "udr", "best_in_omega")
-    push: ContactConfig = field(default_factory=lambda: ContactConfig("ood-2", 500, 250, 2400))
+    push: ContactConfig = field(
+        default_factory=lambda: ContactConfig(
+            "ood-2", 500, 250, 1200, iterations=5, options={"shared": {"contexts": 500, "trials": 128, "updates": 2000}}
+        )
+    )
     scoop: ContactConfig = field(default_factory=lambda: ContactConfig("wd", 100, 50, 480, iterations=4))
     films: bool = False
     double: bool = False

@@ -33,13 +33,13 @@ def drawn(tour: Any) -> dict[str, Any]:
     """The figures by name."""
     task = tour.adapted[0].trained.phase1.task
     target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
-    found = tour.rest.diagnosis
+    found = tour.diagnosis
     pictures = {
         "learning": demo_figures.learning_curves([one.folder.read_metrics() for one in tour.adapted]),
         "iterations": demo_figures.rewards_over_iterations(tour.results),
         "map": demo_figures.reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
-        "push": demo_figures.push_before_after(tour.rest.push.shown),
-        "scoop": demo_figures.scoop_strips(tour.rest.scoop.shown),
+        "push": demo_figures.push_before_after(tour.push.shown),
+        "scoop": demo_figures.scoop_strips(tour.scoop.shown),
         "errors": demo_figures.errors_by_trial(found.report["error"]),
     }
     for trial in found.held_out[:1]:
@@ -71,11 +71,11 @@ def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
         rows=method_rows(tour.results),
         pictures=pictures,
         results=tour.results,
-        push=contact_words(tour.rest.push, out),
-        scoop=contact_words(tour.rest.scoop, out),
-        diagnosis=diagnosis_words(tour.rest.diagnosis.report),
-        double=None if tour.rest.double is None else diagnosis_words(tour.rest.double),
-        full=tour.rest.double is not None,
+        push=contact_words(tour.push, out),
+        scoop=contact_words(tour.scoop, out),
+        diagnosis=diagnosis_words(tour.diagnosis.report),
+        double=None if tour.double is None else diagnosis_words(tour.double),
+        full=tour.double is not None,
         commands=tour.commands,
         versions=tour.results["versions"],
     )
@@ -163,14 +163,14 @@ def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     rows = {row["method"]: row for row in tour.results["rows"]}
-    seen = diagnosis_words(tour.rest.diagnosis.report)
+    seen = diagnosis_words(tour.diagnosis.report)
     error = seen["before"] if seen["after"] is None else f"{seen['before']} -> {seen['after']}"
     told = [f"{look.label(name)} {_reward(rows[name]['mean'])}" for name in demo_figures.CURVES if name in rows]
     changed = lambda found: f"reward {_reward(found.before)} before adaptation, {_reward(found.after)} after, of 1"
     return [
         (f"pendulum in {look.SETTINGS[setting_of(tour)]}", f"reward {', '.join(told)} (0: UDR, 1: best in Omega)"),
-        ("push", changed(tour.rest.push)),
-        ("scoop", changed(tour.rest.scoop)),
+        ("push", changed(tour.push)),
+        ("scoop", changed(tour.scoop)),
         ("diagnosed", f"{seen['headline']} Error on left-out trials {error}"),
         ("all on one page", str(out / "index.html")),
         ("trained runs", str(out / "runs")),

@@ -16,52 +16,89 @@ from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.cli import main, parse
-from adaptsim_jax.commands import demo_tour as module
-from adaptsim_jax.commands.demo import _show
-from adaptsim_jax.commands.demo_tour import DemoConfig, demo
+from adaptsim_jax.commands import demo_pendulum, demo_tour
+from adaptsim_jax.commands.demo import TITLES, _show
+from adaptsim_jax.commands.demo_config import FULL, HINGE, PENDULUM, SHORT, DemoConfig, commands
+from adaptsim_jax.commands.demo_contact import Before, Pushes
+from adaptsim_jax.commands.demo_diagnosis import Diagnosed
+from adaptsim_jax.commands.demo_tour import demo
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.store import RunFolder
+from adaptsim_jax.tasks.pushing.task import pushing_space
+from adaptsim_jax.tasks.scooping.task import scooping_space
 
 pytestmark = pytest.mark.slow
-BASELINES = ("sysid_point", "udr", "best_in_omega")  # SysID-Bayes has the longest compile, and tests of its own
 FIT = FitConfig(updates=20)
 SIZES = DemoConfig(
     seeds=2,
     iterations=3,
     train=TrainConfig(phase1=Phase1Config(trajectories=40, parallel=10, updates=4, capacity=1000, archive=1000)),
     sysid=SysIdConfig(simulations=64, draws=50, first_fit=FIT, next_fit=FIT),
+    baselines=("sysid_point", "udr", "best_in_omega"),  # SysID-Bayes has the longest compile, and tests of its own
 )
 
 
+def tiny(task):
+    options = {"push": {"shared": {"updates": 20, "contexts": 8, "trials": 32}}, "scoop": {}}[task]
+    return replace(getattr(SHORT, task), trajectories=4, parallel=2, updates=4, iterations=2, options=options)
+
+
+def adapted(task, shown):
+    """A push or a scoop that was adapted; both have tests of their own and take a minute."""
+    space = {"pushing": pushing_space, "scooping": scooping_space}[task]()
+    params = dict(zip(space.names, map(float, space.physical(np.full(4, 0.5))), strict=True))
+    found = {"target": {"name": "wd", "params": params}, "best": {"params": params}, "trials": 18}
+    return Before(found, 0, 36, 0.25, 0.75, shown)
+
+
 @pytest.fixture(scope="module")
-def diagnosis():
+def stand_ins():
+    """The push, the scoop and the diagnosis, as the tour would have found them."""
     from tests.report.diagnosis_cases import explained
+    from tests.report.test_scooping_film import clip
 
-    return explained()
+    tracks = np.linspace((0.6, 0.0), (0.9, 0.1), 20)
+    pushes = Pushes(np.array([[0.8, 0.05], [0.9, -0.1]]), np.tile(tracks, (2, 2, 1, 1)), np.full((2, 2), 0.5), 0.05)
+    time = np.linspace(0.0, 3.0, 100)
+    trial = {"trial": "trial_00", "time": time, "measured": {"hinge": np.sin(time)}}
+    trial |= {"before": {"hinge": np.sin(1.02 * time)}, "after": {"hinge": np.sin(1.001 * time)}}
+    found = Diagnosed(explained(), [trial], [])
+    return adapted("pushing", pushes), adapted("scooping", [clip(success=False), clip()]), found
+
+
+def put_in(patch, stand_ins):
+    """Patch the tour so that the pendulum alone is computed."""
+    push, scoop, found = stand_ins
+
+    def contact(out, seed, config, progress):
+        for name in ("push", "scoop"):
+            progress(name, 0, 1)
+            progress(name, 1, 1)
+            (out / name).mkdir(exist_ok=True)
+            (out / name / "result.json").write_text("{}")
+        return push, scoop
+
+    patch.setattr(demo_tour, "contact_parts", contact)
+    patch.setattr(demo_tour, "hinge_part", lambda out, report: found)
 
 
 @pytest.fixture(scope="module")
-def tour(tmp_path_factory, diagnosis):
-    """A tour in a folder; the diagnosis has tests of its own and takes a minute, so a finished one stands in for it."""
+def tour(tmp_path_factory, stand_ins):
+    """A tour in a folder, of the pendulum alone."""
     told = []
-
-    def stand_in(data, out, seed, progress):
-        assert (data / "meta.toml").exists()
-        progress(1, 2, "audit")
-        return diagnosis
-
     out = tmp_path_factory.mktemp("demo")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "diagnose", stand_in)
-        patch.setattr(module, "BASELINES", BASELINES)
-        found = demo(out, 5, lambda done, total, note="": told.append((done / total, note)), SIZES)
+        put_in(patch, stand_ins)
+        say = lambda part, done, total, note="": told.append((part, done / total, note))
+        found = demo(out, 5, say, SIZES)
     return out, found, told
 
 
 def test_progress_only_goes_forward(tour):
-    shares = [share for share, _ in tour[2]]
-    assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)
-    assert {note.split()[0] for _, note in tour[2]} >= {"train", "baselines", "diagnose", "page"}
+    for part in ("pendulum", "baselines", "push", "page"):
+        shares = [share for name, share, _ in tour[2] if name == part]
+        assert shares == sorted(shares) and shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
+    assert {part for part, _, _ in tour[2]} <= set(TITLES)
 
 
 def test_its_runs_are_ordinary_and_adapt_alike(tour, tmp_path):
@@ -76,7 +113,7 @@ def test_its_runs_are_ordinary_and_adapt_alike(tour, tmp_path):
 def test_rows_of_all_methods_with_all_seeds(tour):
     results = json.loads((tour[0] / "comparison" / "results.json").read_text())
     rows = {row["method"]: row for row in results["rows"]}
-    assert set(rows) == {"adaptsim", *BASELINES}
+    assert set(rows) == {"adaptsim", *SIZES.baselines}
     assert all(len(row["per_seed"]) == 2 for row in rows.values())
     assert len(rows["adaptsim"]["curve"]["median"]) == 4
     assert rows["adaptsim"]["target_trials"] == 2 * 4
@@ -106,16 +143,16 @@ def test_the_page_is_whole_and_its_links_lead_somewhere(tour):
     rows = {row["method"]: row for row in found.results["rows"]}
     value = rows["adaptsim"]["mean"]
     assert ("fails" if value is None else f"{value:.2f}".replace("-", "\u2212")) in words
-    assert found.diagnosis["message"] in words
-    assert page.count("<svg") == 3 and page.rstrip().endswith("</html>")
+    assert found.diagnosis.report["message"] in words
+    assert "0.25" in words and "0.75" in words and "not on the spatula" in page
+    assert page.count("<svg") == 7 and page.rstrip().endswith("</html>")
     assert not re.search(r"https?://(?!www\.w3\.org|purl\.org|creativecommons|matplotlib)", page)
 
 
-def test_a_tour_again_takes_the_runs_up(tour, monkeypatch, diagnosis):
+def test_a_tour_again_takes_the_runs_up(tour, monkeypatch, stand_ins):
     out, found, _ = tour
     before = (out / "runs" / "seed-5" / "metrics.jsonl").read_bytes()
-    monkeypatch.setattr(module, "diagnose", lambda *_, **__: diagnosis)
-    monkeypatch.setattr(module, "BASELINES", BASELINES)
+    put_in(monkeypatch, stand_ins)
     again = demo(out, 5, config=SIZES)
     assert (out / "runs" / "seed-5" / "metrics.jsonl").read_bytes() == before
     assert np.array_equal(again.adapted[0].result.mean, found.adapted[0].result.mean)
@@ -128,28 +165,35 @@ def test_a_tour_killed_before_its_first_config_is_taken_up(tmp_path, monkeypatch
         raise KeyboardInterrupt
 
     (tmp_path / "runs" / "seed-5").mkdir(parents=True)
-    monkeypatch.setattr(module, "train_run", train)
+    monkeypatch.setattr(demo_pendulum, "train_run", train)
     for _ in range(2):  # first in the empty folder, then in the one that has its config
         with pytest.raises(KeyboardInterrupt):
             demo(tmp_path, 5, config=SIZES)
         assert RunFolder.open(tmp_path / "runs" / "seed-5").config["seed"] == 5
 
 
-@pytest.mark.parametrize("sizes", [DemoConfig(), SIZES])
+@pytest.mark.parametrize("sizes", [SHORT, FULL, SIZES])
 def test_its_commands_ask_for_the_same(tmp_path, sizes):
     from adaptsim_jax.commands import compare as compare_command
     from adaptsim_jax.commands import train as train_command
 
-    args = {k: parse(shlex.split(line)[1:]) for k, line in module._commands(tmp_path, 5, sizes).items()}
+    args = {k: parse(shlex.split(line)[1:]) for k, line in commands(tmp_path, 5, sizes).items()}
     assert train_command.config_of({}, args["train"]) == replace(sizes.train, seed=5)
     assert args["adapt"].folder == args["train"].folder and args["adapt"].target == "ood-1"
     assert (args["adapt"].starts, args["adapt"].iterations, args["adapt"].seed) == (sizes.starts, sizes.iterations, 5)
     asked = compare_command.config_of(args["compare"])
     wanted = {name: getattr(sizes, name) for name in ("seeds", "starts", "iterations", "train", "sysid")}
-    assert asked == CompareConfig(("adaptsim", *module.BASELINES), ("ood-1",), seed=5, **wanted)
-    assert args["diagnose"].data == str(module.SAMPLE) and args["diagnose"].seed == 5
-    for folder in (args["train"].folder, args["compare"].out, args["diagnose"].out):
-        assert tmp_path / "runs" not in Path(folder).parents and Path(folder).is_relative_to(tmp_path / "again")
+    assert asked == CompareConfig(("adaptsim", *sizes.baselines), ("ood-1",), seed=5, **wanted)
+    for task, sized in (("pushing", sizes.push), ("scooping", sizes.scoop)):
+        train, adapt = args[f"train_{task}"], args[f"adapt_{task}"]
+        assert train_command.config_of({}, train) == sized.train(task, 5)
+        assert adapt.folder == train.folder and (adapt.target, adapt.seed) == (sized.target, 5)
+        assert (adapt.starts, adapt.iterations) == (sized.starts, sized.iterations)
+    for name, data in (("diagnose", HINGE), ("double", PENDULUM)):
+        assert args[name].data == str(data) and (data / "meta.toml").exists() and args[name].seed == 5
+    for name in ("train", "train_pushing", "train_scooping", "compare", "diagnose", "double"):
+        folder = Path(getattr(args[name], "folder", None) or args[name].out)
+        assert tmp_path / "runs" not in folder.parents and folder.is_relative_to(tmp_path / "again")
 
 
 def test_other_sizes_in_the_same_folder_are_refused(tour):
@@ -163,6 +207,7 @@ def test_the_summary_says_where_things_lie(tour, capsys):
     _show(found, out)
     printed = capsys.readouterr().out
     assert str(out / "index.html") in printed and str(out / "runs") in printed
+    assert printed.count("0.25 before adaptation, 0.75 after") == 2
 
 
 def test_a_folder_that_cannot_be_written(tmp_path, capsys):
@@ -170,3 +215,20 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     assert main(["demo", "--out", str(tmp_path / "file")]) == 2
     error = capsys.readouterr().err
     assert "file" in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("task", ["push", "scoop"])
+def test_a_push_and_a_scoop_before_and_after(task, tmp_path):
+    """The real thing on the smallest sizes: a run folder, a result that agrees with what is shown."""
+    from adaptsim_jax.commands.demo_contact import push_part, scoop_part
+
+    told = []
+    say = lambda done, total, note="": told.append(done / total)
+    part = {"push": push_part, "scoop": scoop_part}[task]
+    found = part(tmp_path, 3, tiny(task), False, say)
+    assert told == sorted(told) and told[-1] == 1.0
+    assert (tmp_path / "runs" / task / "config.toml").exists()
+    result = json.loads((tmp_path / task / "result.json").read_text())
+    assert result["best"]["reward"] == pytest.approx(found.after)
+    assert result["history"][found.start][0]["reward"] == pytest.approx(found.before)
+    assert found.trials == 2 * 2 * 3  # two a visit, of two starts, at three visits
