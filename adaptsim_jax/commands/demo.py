@@ -45,8 +45,8 @@ def run(args: argparse.Namespace) -> int:
         f"{how_long} on two cores.",
         flush=True,
     )
-    if "jax" not in sys.modules:
-        _share_a_gpu()
+    if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
+        _set_up_computing()
     with parts_progress(TITLES) as report:
         from adaptsim_jax.commands.demo_config import FULL, SHORT
         from adaptsim_jax.commands.demo_tour import demo
@@ -56,8 +56,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _share_a_gpu() -> None:
-    # two processes; by default each would take three quarters of a GPU's memory at once
+def _set_up_computing() -> None:
+    from adaptsim_jax.core import compile_flags
+
+    compile_flags.small_steps()  # the tour is small loops, and most of its time goes into compiling them
+    # two processes: by default each would take three quarters of a GPU's memory at once
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 

@@ -15,7 +15,6 @@ from adaptsim_jax.tasks.scooping.model import SECONDS
 SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
 WHO = ("before", "after")
-ALONG = (0.5, 1.2)  # m of the table that the push is shown on
 MOMENTS = (0.1, 0.3, 0.4, 0.5, 0.7, 1.0)  # s of a scoop
 MEASURED, DECLARED, MENDED = "#7b8794", "#c4540a", "#1767b0"
 SHOWN = 2.0  # s of a recording
@@ -56,11 +55,13 @@ def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, 
 def push_before_after(shown: Any) -> Figure:
     """Table tops from above, two for each goal: the push of the policy before and after adaptation; `shown`: tour's `Pushes`."""
     goals = len(shown.goals)
-    figure, axes = look.new_figure(2.2 * 2 * goals + 0.4, 3.7, 1, 2 * goals, sharey=True)
+    along = tables.along_of(shown.tracks)
+    height = 2.1 * (along[1] - along[0]) / (tables.ACROSS[1] - tables.ACROSS[0]) + 0.6
+    figure, axes = look.new_figure(2.2 * 2 * goals + 0.4, height, 1, 2 * goals, sharey=True)
     for g in range(goals):
         for i, who in enumerate(WHO):
             ax, end = axes[2 * g + i], shown.tracks[i, g, -1]
-            tables.table_top(ax, shown.patch, ALONG)
+            tables.table_top(ax, shown.patch, along)
             tables.draw_push(ax, tables.Push(shown.goals[g], shown.tracks[i, g], float(shown.rewards[i, g])))
             ax.set_title(f"goal {g + 1}, {who}", fontsize=9.5, color=look.INK, pad=4)
             off = 100 * float(np.linalg.norm(end - shown.goals[g]))

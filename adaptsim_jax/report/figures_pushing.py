@@ -66,9 +66,7 @@ def pushes_over_iterations(
     the number of the first of `params`.
     """
     rows, across = len(panels), max(len(row) for row in panels)
-    ahead = np.concatenate([np.asarray(push.track)[:, 0] for row in panels for pushes in row for push in pushes])
-    farthest = ahead[np.isfinite(ahead)].max(initial=NEAR)  # a push that failed has no track
-    along = (NEAR, float(np.clip(farthest + 0.05, *REACH)))
+    along = along_of(*(push.track for row in panels for pushes in row for push in pushes))
     height = 1.12 * (along[1] - along[0]) / (ACROSS[1] - ACROSS[0]) + 0.35
     figure = Figure(figsize=(1.12 * across + 2.9, max(height * rows + 0.1, 3.3)), layout="constrained")
     frames: Any = figure.subfigures(1, 2, width_ratios=[1.12 * across + 0.35, 2.45])
@@ -85,6 +83,13 @@ def pushes_over_iterations(
     frames[0].supylabel("x (m), away from the arm", fontsize=8, color=look.MUTED)
     parameters_over_iterations(frames[1], first + np.arange(len(params)), params, axes, target)
     return figure
+
+
+def along_of(*tracks: Any) -> tuple[float, float]:
+    """What of the table is shown of `tracks [..., 2]` m: from near the arm to where a bottle came, within reason."""
+    ahead = np.concatenate([np.asarray(track)[..., 0].ravel() for track in tracks])
+    farthest = ahead[np.isfinite(ahead)].max(initial=NEAR)  # a push that failed has no track
+    return NEAR, float(np.clip(farthest + 0.05, *REACH))
 
 
 def _said(pushes: Sequence[Push]) -> str:
