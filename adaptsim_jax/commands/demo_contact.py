@@ -24,10 +24,11 @@ from adaptsim_jax.tasks.registry import TASKS
 
 
 class Before(NamedTuple):
-    """What adaptation changed. found: as `result.json` of `adaptsim adapt` has it. start: the one whose best visit is deployed.
+    """What adaptation changed. learned: trajectories of Phase 1. found: as `result.json` of `adaptsim adapt` has it. start: the one whose best visit is deployed.
     trials: made in the target in all. before, after: rewards, by the task's tests, of that start's first and of the deployed policy.
     shown: of both policies, what is drawn (`Pushes`, or two `ScoopClip`s). film: its path, where there is one."""
 
+    learned: int
     found: dict[str, Any]
     start: int
     trials: int
@@ -99,4 +100,4 @@ def _contact(
     shown, film = show(made, both, np.asarray(target))
     before, after = float(result.history.reward[start, 0]), float(result.reward)
     report(1, 1, f"reward {before:.2f} before, {after:.2f} after")
-    return Before(found, start, found["trials"] * made.trajectories, before, after, shown, film)
+    return Before(sizes.trajectories, found, start, found["trials"] * made.trajectories, before, after, shown, film)

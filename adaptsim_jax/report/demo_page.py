@@ -90,6 +90,7 @@ def contact_words(found: Any, out: Path) -> dict[str, Any]:
         "after": _reward(found.after),
         "better": found.after > found.before,
         "trials": found.trials,
+        "learned": f"{found.learned:,}",
         "start": found.start + 1,
         "parameters": [(name, f"{target[name]:.3g}", f"{params[name]:.3g}") for name in params],
         "ends": [_ended(clip) for clip in found.shown] if isinstance(found.shown, list) else [],

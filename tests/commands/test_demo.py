@@ -48,7 +48,7 @@ def adapted(task, shown):
     space = {"pushing": pushing_space, "scooping": scooping_space}[task]()
     params = dict(zip(space.names, map(float, space.physical(np.full(4, 0.5))), strict=True))
     found = {"target": {"name": "wd", "params": params}, "best": {"params": params}, "trials": 18}
-    return Before(found, 0, 36, 0.25, 0.75, shown)
+    return Before(40, found, 0, 36, 0.25, 0.75, shown)
 
 
 @pytest.fixture(scope="module")
