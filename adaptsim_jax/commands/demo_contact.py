@@ -24,9 +24,12 @@ from adaptsim_jax.tasks.registry import TASKS
 
 
 class Before(NamedTuple):
-    """What adaptation changed. learned: trajectories of Phase 1. found: as `result.json` of `adaptsim adapt` has it. start: the one whose best visit is deployed.
+    """What adaptation changed.
+
+    learned: trajectories of Phase 1. found: as `result.json` of `adaptsim adapt` has it. start: the one whose best visit is deployed.
     trials: made in the target in all. before, after: rewards, by the task's tests, of that start's first and of the deployed policy.
-    shown: of both policies, what is drawn (`Pushes`, or two `ScoopClip`s). film: its path, where there is one."""
+    shown: of both policies, what is drawn (`Pushes`, or two `ScoopClip`s). film: its path, where there is one.
+    """
 
     learned: int
     found: dict[str, Any]
