@@ -11,7 +11,7 @@ from pathlib import Path
 EXAMPLES = """
   adaptsim demo
   adaptsim demo --out demo_out --seed 1
-  adaptsim demo --full --out demo_full         larger sizes, films, a second diagnosis: about a quarter of an hour
+  adaptsim demo --full --out demo_full         larger sizes, films, a second diagnosis
 """
 
 TITLES = {
@@ -39,10 +39,9 @@ def run(args: argparse.Namespace) -> int:
     out = output_folder(args.out)
     again = f"adaptsim demo{' --full' * args.full} --out {shlex.quote(args.out)} --seed {args.seed}"
     args.resume_hint = f"continue with: {again}"
-    how_long = "about a quarter of an hour" if args.full else "two to three minutes"
     print(
-        f"A pendulum, a push and a scoop are adapted to targets that the simulator is wrong about; a recording is diagnosed: "
-        f"{how_long} on two cores.",
+        "A pendulum, a push and a scoop are adapted to targets that the simulator is wrong about, and a recording is diagnosed: "
+        f"{'a long while' if args.full else 'some minutes'} on two cores.",
         flush=True,
     )
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
