@@ -13,12 +13,10 @@ from adaptsim_jax.report.diagnosis import write_diagnosis
 
 
 class Diagnosed(NamedTuple):
-    """report: as report.json; held_out: measured and simulated angles of trials that chose nothing; missing: torque that the fitted
-    model lacks, against what the effect follows. Both as the page of a diagnosis is given them."""
+    """report: as report.json; held_out: measured and simulated angles of a trial, as the page of a diagnosis is given them."""
 
     report: dict[str, Any]
     held_out: list[dict[str, Any]]
-    missing: list[dict[str, Any]]
 
 
 def hinge_part(out: Path, report: Report) -> Diagnosed:
@@ -32,7 +30,7 @@ def hinge_part(out: Path, report: Report) -> Diagnosed:
     report(0, 1, "reading")
     found = diagnose(HINGE, out=output_folder(out / "diagnosis"), progress=report, page=page)
     report(1, 1, f"verdict: {found['verdict'].replace('_', ' ')}")
-    return Diagnosed(found, list(kept.get("held_out") or [])[:1], list(kept.get("regressor") or []))
+    return Diagnosed(found, list(kept.get("held_out") or [])[:1])
 
 
 def double_part(out: Path, seed: int, report: Report) -> dict[str, Any]:

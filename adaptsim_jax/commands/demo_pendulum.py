@@ -18,7 +18,7 @@ from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.methods import Visits
 from adaptsim_jax.baselines.problem import pendulum_problem
 from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
-from adaptsim_jax.commands.demo_config import TARGET, TASK, DemoConfig
+from adaptsim_jax.commands.demo_config import FULL, TARGET, TASK, DemoConfig
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.core.progress import Report
@@ -75,7 +75,8 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, r
     """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the target."""
     sizes = {"seeds": config.seeds, "starts": config.starts, "iterations": config.iterations, "sysid": config.sysid}
     report(0, 1)
-    command = shlex.join(["adaptsim", "demo", "--out", str(out), "--seed", str(seed)])
+    full = ["--full"] if config == FULL else []
+    command = shlex.join(["adaptsim", "demo", *full, "--out", str(out), "--seed", str(seed)])
     share = lambda done, total, note="": report(0.8 * done / total, 1, note)
     results = compare(TASK, CompareConfig(config.baselines, (TARGET,), seed=seed, **sizes), share, command)
     report(0.8, 1, "map of rewards")

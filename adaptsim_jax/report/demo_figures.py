@@ -122,9 +122,10 @@ def errors_by_trial(error: Mapping[str, Any]) -> Figure:
         ax.plot([1e3 * row["before"], 1e3 * after], [k, k], color=look.GRID, linewidth=2, zorder=1)
         ax.plot(1e3 * row["before"], k, "o", color=DECLARED, label="declared model" if k == 0 else None)
         ax.plot(1e3 * after, k, "o", color=MENDED, label="mended model" if k == 0 else None)
-    ax.axvline(1e3 * error["noise_floor"], color="#2f855a", linestyle="--", linewidth=1.3, label="noise alone")
+    if (floor := error.get("noise_floor")) is not None:
+        ax.axvline(1e3 * floor, color="#2f855a", linestyle="--", linewidth=1.3, label="noise alone")
     look.quiet(ax)
-    ax.set_yticks(range(len(trials)), [row["trial"].replace("_", " ") for row in trials])
+    ax.set_yticks(range(len(trials)), [str(row["trial"]).replace("_", " ") for row in trials])
     ax.invert_yaxis()
     ax.set_xlim(0, None)
     ax.set_xlabel("error on the trial, left out of the fit (mrad)", fontsize=8.5)

@@ -62,7 +62,7 @@ def stand_ins():
     time = np.linspace(0.0, 3.0, 100)
     trial = {"trial": "trial_00", "time": time, "measured": {"hinge": np.sin(time)}}
     trial |= {"before": {"hinge": np.sin(1.02 * time)}, "after": {"hinge": np.sin(1.001 * time)}}
-    found = Diagnosed(explained(), [trial], [])
+    found = Diagnosed(explained(), [trial])
     return adapted("pushing", pushes), adapted("scooping", [clip(success=False), clip()]), found
 
 
