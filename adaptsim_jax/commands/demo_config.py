@@ -56,7 +56,7 @@ class DemoConfig:
             "ood-2", 500, 250, 1200, iterations=5, options={"shared": {"contexts": 500, "trials": 128, "updates": 2000}}
         )
     )
-    scoop: ContactConfig = field(default_factory=lambda: ContactConfig("wd", 40, 20, 240, iterations=4))
+    scoop: ContactConfig = field(default_factory=lambda: ContactConfig("wd", 50, 50, 240, iterations=4))
     films: bool = False
     double: bool = False
 
