@@ -1,12 +1,14 @@
 """Pages of the site that are made from the code: the command line from its parsers, configuration keys from their dataclasses.
+And what the blocks of a tutorial print, beneath each (`docs/run_blocks.py` keeps it).
 
-MkDocs calls `on_files`. `python docs/hooks.py DIR` writes the same pages into a folder.
+MkDocs calls `on_files` and `on_page_markdown`. `python docs/hooks.py DIR` writes the generated pages into a folder.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from typing import Any
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
+BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
 TASKS = ("pendulum", "pushing", "scooping")
 
 
@@ -29,6 +32,28 @@ def on_files(files: Any, config: Any) -> Any:
     for place, text in pages().items():
         files.append(File.generated(config, place, content=text))
     return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """MkDocs: a tutorial with what its blocks print."""
+    source = Path(page.file.abs_src_path or "")
+    return with_outputs(markdown, source.parent / "outputs" / source.stem)
+
+
+def with_outputs(markdown: str, outputs: Path) -> str:
+    """The page with `outputs/K.txt` beneath its block K."""
+    count = 0
+
+    def shown(match: re.Match) -> str:
+        nonlocal count
+        count += 1
+        kept = outputs / f"{count}.txt"
+        if not kept.exists():
+            return match[0]
+        text = kept.read_text(encoding="utf-8").rstrip("\n")
+        return f"{match[0]}\n```{{.text .output}}\n{text}\n```\n"
+
+    return BLOCK.sub(shown, markdown)
 
 
 def command_line() -> str:
