@@ -22,7 +22,11 @@ TASKS = ("pendulum", "pushing", "scooping")
 
 def pages() -> dict[str, str]:
     """Text of the generated pages by their place under `docs/`."""
-    return {"reference/cli.md": command_line(), "reference/config.md": configuration()}
+    return {
+        "reference/cli.md": command_line(),
+        "reference/config.md": configuration(),
+        "reference/effects.md": effects(),
+    }
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -79,6 +83,49 @@ def _row(action: argparse.Action) -> str:
     needed = " (needed)" if action.option_strings and action.required else ""
     text = (action.help or "").replace("%%", "%").replace("|", "\\|")
     return f"| `{name}{value}`{needed} | {text} |"
+
+
+OF = {
+    "mechanism": ("Any mechanism", "At each joint, at all joints, or one value shared; `tilt` is of the base."),
+    "pendulum": ("Double pendulum", 'Of recordings with `task = "pendulum"`.'),
+    "pushing": ("Pushes", "Measured pushes."),
+    "scooping": ("Scoops", "Measured scoops."),
+    "toss": (
+        "Tossed bodies",
+        "Lengths in m, angles in rad; the others are shares, or s/m and 1/s of a friction and a drag.",
+    ),
+}
+
+
+def effects() -> str:
+    """What `adaptsim diagnose` can find, a table a task."""
+    from adaptsim_jax.commands.effects import CATALOGUES, LEGEND
+
+    parts = [
+        "# Effects\n\nWhat `adaptsim diagnose` can find, from the catalogues; `adaptsim effects TASK` prints the same with bounds. "
+        + " ".join(LEGEND.split())
+    ]
+    for task, (title, text) in OF.items():
+        rows = [_effect(effect) for effect in CATALOGUES[task]()]
+        head = "| effect | what it is | parameters | shown by | taken for |\n| --- | --- | --- | --- | --- |\n"
+        parts.append(f"## {title}\n\n{text}\n\n{head}" + "\n".join(rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def _effect(effect: dict[str, Any]) -> str:
+    numbers = effect.get("parameters") or effect["quantities"]
+    named = [f"`{p['name']}`{' [' + p['unit'] + ']' if p.get('unit', '1') not in ('', '1') else ''}" for p in numbers]
+    alike = effect.get("look_alikes") or [*effect.get("absorbed_by", ()), *effect.get("same_as", ())]
+    formula = f"<br>`{effect['formula']}`" if effect.get("formula") else ""
+    cells = (
+        f"`{effect['name']}`<br>{effect['place']}",
+        f"{effect['physics']}{formula}",
+        "<br>".join(named),
+        effect["excitation"],
+    )
+    return (
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} | {', '.join(alike).replace('_', ' ')} |"
+    )
 
 
 def configuration() -> str:

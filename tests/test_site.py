@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.commands.effects import CATALOGUES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -19,7 +20,7 @@ TUTORIALS = sorted(path.stem for path in (DOCS / "tutorials").glob("*.md"))
 
 def test_every_page_is_on_the_site_and_every_entry_is_a_page():
     named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2]))
-    made = {"reference/cli.md", "reference/config.md"}
+    made = {"reference/cli.md", "reference/config.md", "reference/effects.md"}
     assert named - made == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 
 
@@ -33,6 +34,12 @@ def test_the_reference_holds_every_key_with_its_default():
     text = runpy.run_path(str(DOCS / "hooks.py"))["configuration"]()
     assert text.count("```toml") == 3
     assert "delta = 0.1\n" in text and "### Phase1Config" in text and "### ScoopingConfig" in text
+
+
+def test_the_reference_holds_every_effect():
+    text = runpy.run_path(str(DOCS / "hooks.py"))["effects"]()
+    for task, catalogue in CATALOGUES.items():
+        assert all(f"| `{effect['name']}`" in text for effect in catalogue()), task
 
 
 def test_results_are_short():

@@ -70,15 +70,16 @@ def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) ->
     share = left[np.ix_(own, own)] / prior[own] / prior[own][:, None]
     count = int(np.sum(np.sqrt(np.maximum(np.linalg.eigvalsh(share), 0.0)) < NARROW))
     fixed = {name: row["combination"] for name, row in rows.items() if row["identifiable"] and "combination" in row}
-    named, bodies = ([name for name, joined in fixed.items() if joined == which] for which in (True, False))
-    parts = [f"of {len(own)} inertial parameters these data fix {count} combination{'' if count == 1 else 's'}"]
-    if named:
-        parts.append(f"{'they are' if len(named) == count else 'among them'} {', '.join(named)}")
-    parts.append(
-        f"by themselves {', '.join(bodies)}" if bodies else "no mass, centre of mass or inertia of a body by itself"
-    )
-    text = "; ".join(parts)
-    return [f"{text[:1].upper()}{text[1:]}. What they do not fix stays near what was declared."]
+    named = [name for name, joined in fixed.items() if joined]
+    bodies = [
+        name for name, joined in fixed.items() if not joined and not rows[name]["low"] <= 0.0 <= rows[name]["high"]
+    ]
+    which = f" ({'among them ' if len(named) < count else ''}{', '.join(named)})" if named else ""
+    alone = ", ".join(bodies) if bodies else "no mass, centre of mass or inertia of a body"
+    return [
+        f"Of {len(own)} inertial parameters these data fix {count} combination{'' if count == 1 else 's'}{which}; by itself "
+        f"{alone}. What they do not fix stays near what was declared."
+    ]
 
 
 def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:

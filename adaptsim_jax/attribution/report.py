@@ -62,7 +62,8 @@ def reported(
         candidates=_candidates(problem, found),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
-        not_established=_doubts(problem, found), remaining=remaining, notes=[*log.notes, *machine.mechanism.notes, *fixed],
+        not_established=_doubts(problem, found), remaining=remaining,
+        notes=[*log.notes, *machine.mechanism.notes, *_unused(machine), *fixed],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
                 for m in (*found.stages, found.final)],
     )  # fmt: skip
@@ -193,6 +194,15 @@ def _numbers_of(model: Model) -> list[tuple[Entry, dict[str, Any]]]:
         width = NINETY * float(spread)
         out.append((e, {"value": float(value), "low": value - width, "high": value + width, "unit": e.unit}))
     return out
+
+
+def _unused(machine: Machine) -> list[str]:
+    """What meta.toml says and no fit of a mechanism goes by."""
+    if not machine.log.meta.known:
+        return []
+    return [
+        "[known] in meta.toml is not used of a mechanism: put the value into its model file, and take the body out of [fit] inertias"
+    ]
 
 
 def _doubts(problem: Problem, found: Selection) -> list[str]:
