@@ -17,6 +17,7 @@ from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
 BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
+SHARED = {"--help", "--seed", "--no-cache"}
 TASKS = ("pendulum", "pushing", "scooping")
 
 
@@ -62,11 +63,14 @@ def with_outputs(markdown: str, outputs: Path) -> str:
 
 def command_line() -> str:
     """A section for each command: options with their help, examples."""
-    parts = ["# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 (stopped)."]
+    parts = [
+        "# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 (stopped). Every command takes"
+        " `--help`, `--seed N` (default 0) and `--no-cache` (keep no compiled programs on disk)."
+    ]
     for name, summary in SUMMARIES.items():
         parser = command_parser(name)
-        rows = [_row(action) for action in parser._actions if "--help" not in action.option_strings]
-        examples = parser.epilog.removeprefix("examples:\n").strip("\n")
+        rows = [_row(action) for action in parser._actions if SHARED.isdisjoint(action.option_strings)]
+        examples = (parser.epilog or "").removeprefix("examples:\n").strip("\n")
         parts.append(
             f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | meaning |\n| --- | --- |\n"
             + "\n".join(rows)
