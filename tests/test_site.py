@@ -42,6 +42,10 @@ def test_the_reference_holds_every_effect():
         assert all(f"| `{effect['name']}`" in text for effect in catalogue()), task
 
 
+def test_all_pages_together_are_short():
+    assert sum(path.stat().st_size for path in DOCS.rglob("*.md")) <= 150 * 1024
+
+
 def test_results_are_short():
     for page in (DOCS / "results").glob("*.md"):
         assert len(page.read_text().splitlines()) <= 150, page
