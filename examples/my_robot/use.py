@@ -23,3 +23,7 @@ print("late by a row:", np.abs(np.asarray(late)[0, 1:] - np.asarray(prompt)[0, :
 small = replace(default_comparison("pendulum"), methods=("random_search",), settings=("wd",), seeds=2, iterations=1)
 (row,) = compare("pendulum", small)["rows"]
 print(f"random search earns {row['mean']:.3f} of 1")
+
+small = replace(default_comparison("puck"), methods=("udr", "oracle"), settings=("slick",), seeds=2)
+udr, oracle = compare("puck", small)["rows"]
+print(f"where it is slick, a push for all of Omega earns {udr['mean']:.2f}, and the best {oracle['mean']:.2f}")

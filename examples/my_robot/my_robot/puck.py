@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 
 from adaptsim_jax import BadInput, Parameter, Space, Task, TaskKind
+from adaptsim_jax.tasks.one_action import one_action
 
 G = 9.81
 
@@ -45,4 +46,9 @@ def make_puck(config: PuckConfig) -> Task:
     )
 
 
-TASK = TaskKind(PuckConfig, make_puck)
+def one_shot(config: PuckConfig):
+    """What `adaptsim compare` needs: pushes between 0 and 3 N s."""
+    return one_action(make_puck(config), low=[0.0], high=[3.0])
+
+
+TASK = TaskKind(PuckConfig, make_puck, one_shot)
