@@ -8,7 +8,7 @@ DEMO_OUT ?= demo_out
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
-.PHONY: demo test test-all lint format bench docs clean help
+.PHONY: demo test test-all lint format bench docs tutorials clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -18,6 +18,7 @@ help:
 	@echo "make lint    ruff and pyright"
 	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
 	@echo "make docs    the documentation as a site, strictly, in build/site"
+	@echo "make tutorials  run the tutorials' blocks, and keep what they print and draw beside them"
 	@echo "make clean   remove $(VENV) and what the other targets wrote"
 
 demo: $(VENV)/.core
@@ -48,6 +49,9 @@ bench: $(VENV)/.core
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 	@echo "open build/site/index.html"
+
+tutorials: $(VENV)/.core
+	$(BIN)/python docs/run_blocks.py
 
 clean:
 	rm -rf $(VENV) .cache demo_out bench build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks

@@ -1,12 +1,14 @@
 """Pages of the site that are made from the code: the command line from its parsers, configuration keys from their dataclasses.
+And what the blocks of a tutorial print, beneath each (`docs/run_blocks.py` keeps it).
 
-MkDocs calls `on_files`. `python docs/hooks.py DIR` writes the same pages into a folder.
+MkDocs calls `on_files` and `on_page_markdown`. `python docs/hooks.py DIR` writes the generated pages into a folder.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,12 +16,18 @@ from typing import Any
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
+BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
+SHARED = {"--help", "--seed", "--no-cache"}
 TASKS = ("pendulum", "pushing", "scooping")
 
 
 def pages() -> dict[str, str]:
     """Text of the generated pages by their place under `docs/`."""
-    return {"reference/cli.md": command_line(), "reference/config.md": configuration()}
+    return {
+        "reference/cli.md": command_line(),
+        "reference/config.md": configuration(),
+        "reference/effects.md": effects(),
+    }
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -31,13 +39,38 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """MkDocs: a tutorial with what its blocks print."""
+    source = Path(page.file.abs_src_path or "")
+    return with_outputs(markdown, source.parent / "outputs" / source.stem)
+
+
+def with_outputs(markdown: str, outputs: Path) -> str:
+    """The page with `outputs/K.txt` beneath its block K."""
+    count = 0
+
+    def shown(match: re.Match) -> str:
+        nonlocal count
+        count += 1
+        kept = outputs / f"{count}.txt"
+        if not kept.exists():
+            return match[0]
+        text = kept.read_text(encoding="utf-8").rstrip("\n")
+        return f"{match[0]}\n```{{.text .output}}\n{text}\n```\n"
+
+    return BLOCK.sub(shown, markdown)
+
+
 def command_line() -> str:
     """A section for each command: options with their help, examples."""
-    parts = ["# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 (stopped)."]
+    parts = [
+        "# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 (stopped). Every command takes"
+        " `--help`, `--seed N` (default 0) and `--no-cache` (keep no compiled programs on disk)."
+    ]
     for name, summary in SUMMARIES.items():
         parser = command_parser(name)
-        rows = [_row(action) for action in parser._actions if "--help" not in action.option_strings]
-        examples = parser.epilog.removeprefix("examples:\n").strip("\n")
+        rows = [_row(action) for action in parser._actions if SHARED.isdisjoint(action.option_strings)]
+        examples = (parser.epilog or "").removeprefix("examples:\n").strip("\n")
         parts.append(
             f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | meaning |\n| --- | --- |\n"
             + "\n".join(rows)
@@ -54,6 +87,49 @@ def _row(action: argparse.Action) -> str:
     needed = " (needed)" if action.option_strings and action.required else ""
     text = (action.help or "").replace("%%", "%").replace("|", "\\|")
     return f"| `{name}{value}`{needed} | {text} |"
+
+
+OF = {
+    "mechanism": ("Any mechanism", "At each joint, at all joints, or one value shared; `tilt` is of the base."),
+    "pendulum": ("Double pendulum", 'Of recordings with `task = "pendulum"`.'),
+    "pushing": ("Pushes", "Measured pushes."),
+    "scooping": ("Scoops", "Measured scoops."),
+    "toss": (
+        "Tossed bodies",
+        "Lengths in m, angles in rad; the others are shares, or s/m and 1/s of a friction and a drag.",
+    ),
+}
+
+
+def effects() -> str:
+    """What `adaptsim diagnose` can find, a table a task."""
+    from adaptsim_jax.commands.effects import CATALOGUES, LEGEND
+
+    parts = [
+        "# Effects\n\nWhat `adaptsim diagnose` can find, from the catalogues; `adaptsim effects TASK` prints the same with bounds. "
+        + " ".join(LEGEND.split())
+    ]
+    for task, (title, text) in OF.items():
+        rows = [_effect(effect) for effect in CATALOGUES[task]()]
+        head = "| effect | what it is | parameters | shown by | taken for |\n| --- | --- | --- | --- | --- |\n"
+        parts.append(f"## {title}\n\n{text}\n\n{head}" + "\n".join(rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def _effect(effect: dict[str, Any]) -> str:
+    numbers = effect.get("parameters") or effect["quantities"]
+    named = [f"`{p['name']}`{' [' + p['unit'] + ']' if p.get('unit', '1') not in ('', '1') else ''}" for p in numbers]
+    alike = effect.get("look_alikes") or [*effect.get("absorbed_by", ()), *effect.get("same_as", ())]
+    formula = f"<br>`{effect['formula']}`" if effect.get("formula") else ""
+    cells = (
+        f"`{effect['name']}`<br>{effect['place']}",
+        f"{effect['physics']}{formula}",
+        "<br>".join(named),
+        effect["excitation"],
+    )
+    return (
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} | {', '.join(alike).replace('_', ' ')} |"
+    )
 
 
 def configuration() -> str:

@@ -1,7 +1,8 @@
-"""The files of docs/howto/extend.md, installed as a package, are found, do what the page says, and keep the protocols."""
+"""The package that docs/howto/extend.md shows is found once installed, does what the page says, and keeps the protocols."""
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -9,24 +10,31 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[1] / "docs" / "howto" / "extend.md"
+ROOT = Path(__file__).parents[1]
+PAGE, EXAMPLE = ROOT / "docs" / "howto" / "extend.md", ROOT / "examples" / "my_robot"
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """A folder with the page's files, and the metadata that installing them would write; the environment that finds it."""
+    """A folder with the package's files, and the metadata that installing them would write; the environment that finds it."""
     folder = tmp_path_factory.mktemp("third_party")
-    for name, text in re.findall(r"```(?:python|toml)\n# (\S+)\n(.*?)```", PAGE.read_text(), re.S):
-        path = folder / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text)
+    shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
     groups = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["entry-points"]
     lines = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()) for group, points in groups.items()]
     info = folder / "my_robot-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_robot\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("\n".join(lines))
-    return folder, os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{PAGE.parents[2]}"}
+    return folder, os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
+
+
+def test_the_page_shows_every_file_of_the_package():
+    shown = set(re.findall(r'^--8<-- "(\S+)"$', PAGE.read_text(), re.M))
+    assert shown == {
+        str(path.relative_to(ROOT))
+        for path in EXAMPLE.rglob("*.*")
+        if path.suffix in (".py", ".toml") and "build" not in path.parts
+    }
 
 
 def output(installed, *arguments):
@@ -69,8 +77,6 @@ def test_the_page_runs(installed):
 @pytest.mark.slow
 def test_what_is_installed_keeps_the_protocols(installed):
     names = "puck or inclined or magnet or late or test_baselines"
-    shown = output(
-        installed, "-m", "pytest", "-q", "-rs", str(PAGE.parents[2] / "tests" / "test_protocols.py"), "-k", names
-    )
+    shown = output(installed, "-m", "pytest", "-q", "-rs", str(ROOT / "tests" / "test_protocols.py"), "-k", names)
     passed = re.search(r"(\d+) passed", shown)
     assert passed and int(passed[1]) >= 9 and "failed" not in shown

@@ -10,15 +10,17 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.commands.effects import CATALOGUES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+RUN = runpy.run_path(str(DOCS / "run_blocks.py"))
 TUTORIALS = sorted(path.stem for path in (DOCS / "tutorials").glob("*.md"))
 
 
 def test_every_page_is_on_the_site_and_every_entry_is_a_page():
     named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2]))
-    made = {"reference/cli.md", "reference/config.md"}
+    made = {"reference/cli.md", "reference/config.md", "reference/effects.md"}
     assert named - made == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 
 
@@ -32,6 +34,16 @@ def test_the_reference_holds_every_key_with_its_default():
     text = runpy.run_path(str(DOCS / "hooks.py"))["configuration"]()
     assert text.count("```toml") == 3
     assert "delta = 0.1\n" in text and "### Phase1Config" in text and "### ScoopingConfig" in text
+
+
+def test_the_reference_holds_every_effect():
+    text = runpy.run_path(str(DOCS / "hooks.py"))["effects"]()
+    for task, catalogue in CATALOGUES.items():
+        assert all(f"| `{effect['name']}`" in text for effect in catalogue()), task
+
+
+def test_all_pages_together_are_short():
+    assert sum(path.stat().st_size for path in DOCS.rglob("*.md")) <= 150 * 1024
 
 
 def test_results_are_short():
@@ -51,13 +63,34 @@ def test_the_site_builds_strictly(tmp_path):
     assert "make_phase1" in (tmp_path / "reference" / "api.html").read_text()
 
 
+def blocks(name):
+    return RUN["BLOCK"].findall((DOCS / "tutorials" / f"{name}.md").read_text())
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_shows_what_its_blocks_print(name):
+    """`make tutorials` keeps it; the site has it beneath each block, and the pictures."""
+    page = DOCS / "tutorials" / f"{name}.md"
+    out = RUN["outputs_of"](page)
+    kept = {path.name for path in out.glob("*.txt")}
+    assert kept and kept <= {f"{k}.txt" for k in range(1, len(blocks(name)) + 1)}
+    shown = runpy.run_path(str(DOCS / "hooks.py"))["with_outputs"](page.read_text(), out)
+    assert shown.count("```{.text .output}") == len(kept)
+    pictures = RUN["FIGURE"].findall(page.read_text())
+    assert pictures and {path.name for path in out.glob("*.png")} == {Path(p).name for p in pictures}
+
+
+def test_outputs_of_tutorials_are_small():
+    assert sum(path.stat().st_size for path in (DOCS / "tutorials" / "outputs").rglob("*.*")) < 300_000
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TUTORIALS)
-def test_a_tutorial_runs(name, tmp_path):
-    """Its blocks run in an empty folder, in order; what they print is shown in the page, but numbers may differ by machine."""
-    run_page = runpy.run_path(str(DOCS / "run_blocks.py"))["run_page"]
+def test_a_tutorial_runs(name, tmp_path, monkeypatch):
+    """Its blocks run in an empty folder, in order; each that prints has its output in the page, though numbers differ by machine."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
     page = DOCS / "tutorials" / f"{name}.md"
-    text = run_page(page, tmp_path)
-    assert "```text" in text
-    for figure in re.findall(r"\]\(figures/([\w.-]+)\)", text):
-        assert (tmp_path / figure).exists()
+    printed = RUN["run_page"](page, tmp_path)
+    RUN["figures_of"](page, tmp_path)
+    kept = {path.name for path in RUN["outputs_of"](page).glob("*.txt")}
+    assert {f"{k}.txt" for k, text in enumerate(printed, 1) if text} == kept

@@ -68,7 +68,7 @@ def diagnose(
         "audit"
     ]
     report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__, "seed": 0, "command": command_of(data, model, exclude, without),
+        "version": adaptsim_jax.__version__, "seed": 0, "command": command_of(data, model, exclude, without, out, as_declared),
         "seconds": round(time.monotonic() - began, 1),
     }  # fmt: skip
     report = check(report)
@@ -80,10 +80,18 @@ def diagnose(
     return report
 
 
-def command_of(data: str | Path, model: str | Path | None, exclude: Sequence[str], without: Sequence[str]) -> str:
+def command_of(
+    data: str | Path,
+    model: str | Path | None,
+    exclude: Sequence[str],
+    without: Sequence[str],
+    out: str | Path | None = None,
+    as_declared: bool = False,
+) -> str:
     """The command that gives the same answer."""
-    words = ["adaptsim", "diagnose", str(data), "--out", "again"]
+    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again")]
     words += ["--model", str(model)] if model is not None else []
+    words += ["--as-declared"] if as_declared else []
     for flag, names in (("--exclude", exclude), ("--without", without)):
         words += [flag, *names] if names else []
     return shlex.join(words)

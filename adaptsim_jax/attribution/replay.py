@@ -4,6 +4,7 @@ No weighting of an estimator enters: the start of a stretch is the one from whic
 ones, each radian (or metre) counting alike. The error is the root mean square over a stretch, joint by joint.
 """
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path as File
 from typing import Any
@@ -11,11 +12,14 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refitted_start, run, starts_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, prepare
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED
 
 FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
 ROUNDS = 6
@@ -23,7 +27,8 @@ ROUNDS = 6
 
 @dataclass(frozen=True)
 class Replay:
-    """error [W, n] rad or m by stretch and joint; trial [W]; measured and simulated angles [W, L+1, n]; time [W, L+1] s."""
+    """error [W, n] rad or m by stretch and joint; trial [W]; measured and simulated angles [W, L+1, n]; time [W, L+1] s;
+    notes: what the reader says of the recording, and what its motion contradicts of the declared columns."""
 
     joint_names: tuple[str, ...]
     kinds: tuple[str, ...]
@@ -35,6 +40,7 @@ class Replay:
     simulated: np.ndarray
     seen: np.ndarray
     horizon: float
+    notes: tuple[str, ...] = ()
 
     def told(self) -> dict[str, Any]:
         """What `--json` prints."""
@@ -50,6 +56,7 @@ class Replay:
                 name: some(self.error[self.trial == k][:, main])
                 for k, name in enumerate(self.trial_names) if np.any(self.trial == k)
             },
+            "notes": list(self.notes),
         }  # fmt: skip
 
 
@@ -132,4 +139,13 @@ def fitted_starts(problem: Problem, vector: Vector, rounds: int = ROUNDS) -> tup
 
 def replay_files(model: str | File | None, data: str | File, horizon: float = 0.5) -> Replay:
     """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs."""
-    return replay(load(data, model), horizon)
+    machine = load(data, model)
+    return dataclasses.replace(replay(machine, horizon), notes=(*machine.log.notes, *suspected(machine)))
+
+
+def suspected(machine: Machine) -> tuple[str, ...]:
+    """What `diagnose` refuses or warns of: columns and units that the motion contradicts. A yardstick only tells."""
+    try:
+        return tuple(f.message for f in check_conventions(machine))
+    except BadInput as error:
+        return (str(error).removesuffix(f"; {AS_DECLARED}"),)

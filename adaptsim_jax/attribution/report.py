@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution import inertias_told
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import run
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.problem import TILT, Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Model, Named, Selection
@@ -53,12 +54,16 @@ def reported(
         "joints": {name: {"error": float(np.median(after[:, j])), "times_floor": float(np.median(after[:, j]) / max(noise[j], 1e-12))}
                    for j, name in enumerate(problem.joint_names)},
     }  # fmt: skip
+    after_rows = _declared(machine, problem, found.final)
+    fixed = inertias_told.sentence(problem, found.final, after_rows)
     report = new_report(
         "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
-        declared={"before": _declared(problem, found.null), "after": _declared(problem, found.final)},
-        not_established=_doubts(problem, found), remaining=remaining, notes=[*log.notes, *machine.mechanism.notes],
+        declared={"before": _declared(machine, problem, found.null), "after": after_rows},
+        fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
+        not_established=_doubts(problem, found), remaining=remaining,
+        notes=[*log.notes, *machine.mechanism.notes, *_unused(machine), *fixed],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
                 for m in (*found.stages, found.final)],
     )  # fmt: skip
@@ -169,23 +174,35 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
     return rows[:40]
 
 
-def _declared(problem: Problem, model: Model) -> dict[str, Any]:
-    """Fitted inertial parameters by body (mass and what gravity and motion see of it) and dampings."""
-    spread = model.spread
-    out: dict[str, Any] = {}
-    for i, e in enumerate(model.fit.vector.entries):
-        if e.owner in (INERTIA, "viscous"):
-            value, width = float(model.fit.vector.values[i]), NINETY * float(spread[i])
-            name = f"{e.name} of {problem.joint_names[e.joints[0]]}"
-            known = e.owner == "viscous" or float(spread[i]) < 0.5 * e.prior
-            out[name] = {
-                "value": value,
-                "low": value - width,
-                "high": value + width,
-                "unit": e.unit,
-                "identifiable": bool(known),
-            }
+def _declared(machine: Machine, problem: Problem, model: Model) -> dict[str, Any]:
+    """Fitted inertias, as a person knows them (`inertias_told`), and dampings."""
+    dampings = {f"{e.name} of {problem.joint_names[e.joints[0]]}": row | {"identifiable": True}
+                for e, row in _numbers_of(model) if e.owner == "viscous"}  # fmt: skip
+    return inertias_told.told(machine, problem, model) | dampings
+
+
+def _coordinates(problem: Problem, model: Model) -> dict[str, Any]:
+    """Inertias in the fit's own coordinates, without unit, about the declared ones."""
+    return {
+        f"{e.name} of {problem.joint_names[e.joints[0]]}": row for e, row in _numbers_of(model) if e.owner == INERTIA
+    }
+
+
+def _numbers_of(model: Model) -> list[tuple[Entry, dict[str, Any]]]:
+    out = []
+    for e, value, spread in zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True):
+        width = NINETY * float(spread)
+        out.append((e, {"value": float(value), "low": value - width, "high": value + width, "unit": e.unit}))
     return out
+
+
+def _unused(machine: Machine) -> list[str]:
+    """What meta.toml says and no fit of a mechanism goes by."""
+    if not machine.log.meta.known:
+        return []
+    return [
+        "[known] in meta.toml is not used of a mechanism: put the value into its model file, and take the body out of [fit] inertias"
+    ]
 
 
 def _doubts(problem: Problem, found: Selection) -> list[str]:

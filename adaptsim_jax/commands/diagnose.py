@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
+    from adaptsim_jax.attribution.diagnose import Page
     from adaptsim_jax.core.progress import Report
     from adaptsim_jax.sysid.types import Recording
 
@@ -204,21 +205,34 @@ def diagnose(
     effects_progress: told of that second part, whose length is not known beforehand."""
     from adaptsim_jax.attribution.partly import partly_explained
     from adaptsim_jax.commands.task_reward import task_reward
-    from adaptsim_jax.report.diagnosis import write_diagnosis
     from adaptsim_jax.sysid import pipeline
     from adaptsim_jax.sysid.io.recording import read_recording, without_trials
     from adaptsim_jax.sysid.quality.audit import audit, usable
 
     recording = read_recording(data) if isinstance(data, (str, Path)) else data
-    report = pipeline.diagnose(recording, reward=task_reward, page=write_diagnosis, **options)
+    page = page_of(options.get("out"))
+    report = pipeline.diagnose(recording, reward=task_reward, page=page, **options)
     # the second part knows a bare machine and its own catalogue: no mended model, no effects of the caller's
     bare = recording.model == "rigid_body" and recording.model_file is None and options.get("effects") is None
     if strict or not bare or report["verdict"] != "structured_unattributed":
         return report
     kept = {k: options[k] for k in ("out", "exclude") if k in options}
     rest = without_trials(recording, options.get("without", ()))
-    found = partly_explained(usable(rest, audit(rest)), report, progress=effects_progress, page=write_diagnosis, **kept)
+    found = partly_explained(usable(rest, audit(rest)), report, progress=effects_progress, page=page, **kept)
     return found or report
+
+
+def page_of(out: str | Path | None) -> Page:
+    """Report and page, with the command that was given: `sysid` does not know the folder that it is for."""
+    from adaptsim_jax.report.diagnosis import write_diagnosis
+
+    def page(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
+        given = shlex.join(["--out", str(out)])
+        for told in (report["run"], evidence["run"]):
+            told["command"] = told["command"].replace("--out again", given)
+        write_diagnosis(folder, report, evidence)
+
+    return page
 
 
 def paced(report: Report) -> Report:

@@ -42,8 +42,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(_told(begun), indent=1))
         return 0
     print(f"wrote {begun.path}")
-    guesses = sum("# guess" in line for line in begun.text.splitlines())
-    print(f"{guesses} guesses in it: check each line marked 'guess'")
+    print(f"{len(_guesses(begun.text))} guesses in it: check each line marked 'guess'")
     if begun.log is None:
         print(f"to mend before it reads: {begun.to_mend}")
         return 0
@@ -58,6 +57,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _guesses(text: str) -> list[str]:
+    """Lines marked 'guess', beside the first, which explains the mark."""
+    return [line for line in text.splitlines()[1:] if "guess" in line]
+
+
 def _told(begun: Any) -> dict[str, Any]:
     """The file, its lines that are guesses, and the log as it reads (None, and what is to be mended, where it does not)."""
     log = begun.log
@@ -65,5 +69,9 @@ def _told(begun: Any) -> dict[str, Any]:
         "trials": len(log.trials), "joints": list(log.joint_names), "input": log.input_kind, "notes": list(log.notes),
         "seconds": sum(float(trial.time[-1] - trial.time[0]) for trial in log.trials),
     }  # fmt: skip
-    guesses = [line for line in begun.text.splitlines() if "# guess" in line]
-    return {"written": str(begun.path), "guesses": guesses, "reads": reads, "to_mend": None if log else begun.to_mend}
+    return {
+        "written": str(begun.path),
+        "guesses": _guesses(begun.text),
+        "reads": reads,
+        "to_mend": None if log else begun.to_mend,
+    }

@@ -39,7 +39,8 @@ def _horizon(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate a model over recordings, from starts fitted to each stretch by plain least squares."""
+    """Simulate a model over recordings, from starts fitted to each stretch by plain least squares; what the motion
+    contradicts of the recording's columns and units is told, not refused."""
     from adaptsim_jax.attribution.replay import replay_files
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.files import output_folder, write_json
@@ -79,3 +80,5 @@ def _print(told: dict) -> None:
     for name, row in told["trials"].items():
         table.add_row(f"trial {name}", *size(row, told["unit"]))
     Console().print(table)
+    for note in told["notes"]:
+        print(f"note: {note}")

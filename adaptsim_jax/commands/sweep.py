@@ -108,7 +108,8 @@ def _sweep(args: argparse.Namespace) -> int:
         devices, at_once = 1, at_once or sweep_plan.PER_CORE
     plan = sweep_plan.make_plan(sweep, devices=devices, at_once=at_once)
     if first and not args.json:
-        print(f"{len(sweep.members)} members of {sweep.spec.task}, {len(sweep.spec.targets)} targets each")
+        targets = f", each in {', '.join(sweep.spec.targets)}" if sweep.spec.targets else ""
+        print(f"{len(sweep.members)} members of {sweep.spec.task}{targets}")
         print("\n".join(sweep_plan.described(plan)), flush=True)
     if args.estimate:
         return 0

@@ -27,6 +27,15 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
     assert model.dof_frictionloss[0] == pytest.approx(0.15, rel=0.05)
     assert replay_files(out / "model.xml", data).told()["median"] == pytest.approx(report["error"]["after"], rel=0.15)
     assert (out / "report.html").exists()
+    assert report["run"]["command"] == f"adaptsim diagnose {data} --out {out}"
+    told = report["declared"]["after"]  # the true link: 1 kg at 0.25 m, 0.01 kg m^2 about its centre
+    assert told["inertia about hinge"]["value"] == pytest.approx(0.0725, rel=0.01)
+    assert told["first moment z at hinge"]["value"] == pytest.approx(-0.25, rel=0.01)
+    fixed = {name for name, row in told.items() if row["identifiable"]}
+    assert {"inertia about hinge", "first moment z at hinge", "damping of hinge"} <= fixed
+    assert not fixed & {"mass of link", "centre of mass z of link", "inertia yy of link"}
+    assert set(report["fit_coordinates"]["after"]) >= {"size of hinge", "shift_z of hinge"}
+    assert any("inertia about hinge" in note for note in report["notes"])
 
 
 @pytest.mark.slow

@@ -34,3 +34,17 @@ def test_the_command_prints_json_and_draws(data, tmp_path, capsys):
 def test_a_horizon_that_is_none_is_refused(data, capsys):
     assert cli.main(["replay", str(data / "model.xml"), str(data), "--horizon", "-1"]) == 2
     assert "seconds" in capsys.readouterr().err
+
+
+def test_units_that_the_motion_contradicts_are_told(data, tmp_path, capsys):
+    """Torques logged in mN m, declared in N m: `diagnose` refuses them, the yardstick says so."""
+    wrong = tmp_path / "wrong"
+    wrong.mkdir()
+    (wrong / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
+    (wrong / "model.xml").write_text((data / "model.xml").read_text())
+    for path in data.glob("*.csv"):
+        rows = np.loadtxt(path, delimiter=",", skiprows=1) * [1.0, 1.0, 1e3]
+        np.savetxt(wrong / path.name, rows, delimiter=",", header="time,q1,tau1", comments="")
+    assert cli.main(["replay", str(wrong / "model.xml"), str(wrong)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "note: " in shown and "torques in mN m" in shown and "--as-declared" not in shown

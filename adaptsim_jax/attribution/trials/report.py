@@ -1,5 +1,6 @@
 """What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,12 @@ MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
 OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
+
+
+def command_of(data: str | Path, out: str | Path | None, exclude: Sequence[str] = ()) -> str:
+    """The command that gives the same answer."""
+    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again")]
+    return shlex.join([*words, *(["--exclude", *exclude] if exclude else [])])
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def diagnose(
     report["run"] = evidence["run"] = {
         "version": adaptsim_jax.__version__,
         "seed": 0,
-        "command": f"adaptsim diagnose {named if isinstance(data, Tossed) else data} --out again",
+        "command": parts.command_of(named if isinstance(data, Tossed) else data, out, exclude),
         "seconds": round(time.monotonic() - began, 1),
     }
     report = check(report)

@@ -43,7 +43,7 @@ def diagnose(
     step = trials.stepping(progress, 0.05)
     found = select(problem, criteria, step)
     report, evidence = reported(pushed, problem, found, criteria)
-    command = f"adaptsim diagnose {named if isinstance(data, Pushed) else data} --out again"
+    command = trials.command_of(named if isinstance(data, Pushed) else data, out, exclude)
     plan, model = telling(pushed, found), model_table(pushed, problem, found)
     seconds = time.monotonic() - began
     return trials.finished(report, evidence, command, seconds, plan, folder, model, ("speed", "angle"), page)

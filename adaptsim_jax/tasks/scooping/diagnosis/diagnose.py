@@ -42,7 +42,7 @@ def diagnose(
     step = trials.stepping(progress, 0.02)
     found = diagnosed(scooped, effects, criteria, step)
     report, evidence = reported(scooped, found, criteria)
-    command = f"adaptsim diagnose {named if isinstance(data, Scooped) else data} --out again"
+    command = trials.command_of(named if isinstance(data, Scooped) else data, out, exclude)
     plan, model = telling(scooped, found), model_table(scooped, found)
     return trials.finished(report, evidence, command, time.monotonic() - began, plan, folder, model, COLUMNS, page)
 

@@ -1,0 +1,188 @@
+"""Fitted inertias in a person's terms: mass, centre of mass and inertia about it by body, and which combinations the data fix.
+
+The fit's own coordinates (`parameters.ETA`) are held near the declared ones by a prior where the data say nothing, so a value by
+itself does not tell whether it was measured. A quantity counts as fixed by the data where they narrow what the prior leaves of it
+to `NARROW`. Motion alone never tells the inertial parameters of a tree one by one, only combinations of them (Gautier and Khalil,
+1990); of these, what each joint carries when all joints are at zero is told: inertia about the axis and first moments across it.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.estimate import normal
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import ETA, INERTIA
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.select import Model
+from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.mechanisms.inertia_frames import Frame, central, in_frame, inverse, moved, six_of, symmetric_of
+
+NARROW = 0.1
+"""Share of the prior's spread that may be left of a quantity that counts as fixed: a hundredth of its variance is the prior's."""
+OF_BODY = ("mass", "centre of mass x", "centre of mass y", "centre of mass z",
+           "inertia xx", "inertia yy", "inertia zz", "inertia xy", "inertia xz", "inertia yz")  # fmt: skip
+UNITS = ("kg", "m", "m", "m", *["kg m^2"] * 6)
+STEP = 1e-4  # of a coordinate, for differences
+EXACT = 1e-9
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of all inertial coordinates: name, unit, value [1 + F] (the fit's, then of each fold), slope [P] by the vector."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+    slope: np.ndarray
+    combined: bool
+
+
+def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, Any]]:
+    """Rows of `declared` in the report: combinations by joint, then bodies; `identifiable` where the data fix the value."""
+    vector = model.fit.vector
+    if not any(e.owner == INERTIA for e in vector.entries):
+        return {}
+    left, prior = spreads(problem, model)
+    rows = {}
+    for q in quantities(machine, problem, model):
+        alone = float(np.sqrt(np.square(q.slope) @ np.square(prior)))
+        if alone == 0.0:
+            continue
+        both = float(np.sqrt(max(q.slope @ left @ q.slope, 0.0)))
+        folds = q.values[1:]
+        jackknife = float(np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean()).sum()))
+        width, value = NINETY * max(jackknife, both), float(q.values[0])
+        rows[q.name] = {
+            "value": value, "low": value - width, "high": value + width, "unit": q.unit,
+            "identifiable": bool(both < NARROW * alone), "combination": q.combined,
+        }  # fmt: skip
+    return rows
+
+
+def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) -> list[str]:
+    """What the data fix of the inertial parameters, in words; nothing where none was fitted."""
+    own = [i for i, e in enumerate(model.fit.vector.entries) if e.owner == INERTIA]
+    if not own or not rows:
+        return []
+    left, prior = spreads(problem, model)
+    share = left[np.ix_(own, own)] / prior[own] / prior[own][:, None]
+    count = int(np.sum(np.sqrt(np.maximum(np.linalg.eigvalsh(share), 0.0)) < NARROW))
+    fixed = {name: row["combination"] for name, row in rows.items() if row["identifiable"] and "combination" in row}
+    named = [name for name, joined in fixed.items() if joined]
+    bodies = [
+        name for name, joined in fixed.items() if not joined and not rows[name]["low"] <= 0.0 <= rows[name]["high"]
+    ]
+    which = f" ({'among them ' if len(named) < count else ''}{', '.join(named)})" if named else ""
+    alone = ", ".join(bodies) if bodies else "no mass, centre of mass or inertia of a body"
+    return [
+        f"Of {len(own)} inertial parameters these data fix {count} combination{'' if count == 1 else 's'}{which}; by itself "
+        f"{alone}. What they do not fix stays near what was declared."
+    ]
+
+
+def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance [P, P] of the vector by data and prior together, and the prior's standard deviations [P] (0 where it has none)."""
+    lin, vector = model.lin, model.fit.vector
+    hess = normal(problem, lin.residual, lin.start, lin.shared).hess.sum(0) + np.diag(vector.precision)
+    size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
+    scaled = hess / size / size[:, None]
+    left = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / size / size[:, None]
+    prior = np.array([e.prior if np.isfinite(e.prior) else 0.0 for e in vector.entries])
+    return left, prior
+
+
+def quantities(machine: Machine, problem: Problem, model: Model) -> list[Quantity]:
+    """All that is told of inertias, joints first."""
+    tree, vector = machine.tree, model.fit.vector
+    fits = np.stack([vector.values, *model.held.vectors])
+    place = {(e.joints[0], e.name): i for i, e in enumerate(vector.entries) if e.owner == INERTIA}
+    found: dict[
+        int, tuple[np.ndarray, np.ndarray]
+    ] = {}  # inertial parameters [1 + F, 10] of a body, their slope [10, P]
+    for g in problem.groups:
+        by_fit = [_of_group(g, place, row) for row in fits]
+        for k, j in enumerate(g.joints):
+            slope = np.zeros((10, len(vector)))
+            for c, name in enumerate(ETA):
+                if (j, name) in place:
+                    slope[:, place[j, name]] = by_fit[0][1][k][:, c]
+            found[j] = np.stack([value[k] for value, _ in by_fit]), slope
+    out = [q for j in range(tree.n) for q in _carried(machine, found, j)]
+    return out + [q for j in range(tree.n) if not tree.massless[j] for q in _body(machine, *found[j], j)]
+
+
+def _of_group(group, place: dict, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    eta = np.zeros((len(group.joints), 10))
+    for k, j in enumerate(group.joints):
+        for c, name in enumerate(ETA):
+            if (j, name) in place:
+                eta[k, c] = numbers[place[j, name]]
+    value, slope = group.inertias.at(eta)
+    return value, slope
+
+
+def _body(machine: Machine, values: np.ndarray, slope: np.ndarray, j: int) -> list[Quantity]:
+    """Mass, centre of mass and inertia about it, in the axes of the model file's body."""
+    frames, name = machine.mechanism.frames, machine.tree.body_names[j]
+    frame = inverse((frames.place[name], frames.rotation[name]))
+    told = np.stack([_central(v, frame) for v in values])
+    size = STEP * np.maximum(np.abs(slope).max(1), 1e-12)
+    change = np.stack([
+        (_central(values[0] + h * e, frame) - _central(values[0] - h * e, frame)) / (2 * h)
+        for h, e in zip(size, np.eye(10), strict=True)
+    ], 1)  # fmt: skip
+    by = change @ slope
+    return [Quantity(f"{what} of {name}", UNITS[k], told[:, k], by[k], False) for k, what in enumerate(OF_BODY)]
+
+
+def _central(inertial: np.ndarray, frame: Frame) -> np.ndarray:
+    mass, com, about = central(in_frame(inertial, frame))
+    return np.array([mass, *com, *np.diagonal(about), about[0, 1], about[0, 2], about[1, 2]])
+
+
+def _carried(machine: Machine, found: dict, j: int) -> list[Quantity]:
+    """What joint j moves, with every joint at zero, about its own axis: linear in all inertial parameters."""
+    tree, frames = machine.tree, machine.mechanism.frames
+    total, slope = 0.0, 0.0
+    for i in range(j, tree.n):
+        frame = _frame(tree, i, j)
+        if frame is not None:
+            move = np.stack([_moved(e, frame) for e in np.eye(10)], 1)
+            total, slope = total + found[i][0] @ move.T, slope + move @ found[i][1]
+    name = tree.joint_names[j]
+    make = lambda what, unit, row: Quantity(f"{what} {name}", unit, np.asarray(total) @ row, row @ slope, True)
+    unit = np.eye(10)
+    if tree.kinds[j] == "slide":
+        return [make("mass on", "kg", unit[0])]
+    axes = frames.rotation[tree.body_names[j]] if tree.body_names[j] in frames.rotation else np.eye(3)
+    along = np.abs(axes[2])  # of the joint's axis, in the body's own
+    across = [k for k in range(3) if k != int(np.argmax(along))]
+    rows = [make("inertia about", "kg m^2", unit[9])]
+    for k in across:
+        flat = np.array([*axes[:2, k], 0.0])  # what gravity about the axis sees of it
+        if np.linalg.norm(flat) > EXACT:
+            rows.append(make(f"first moment {'xyz'[k]} at", "kg m", flat @ unit[1:4]))
+    return rows
+
+
+def _frame(tree, i: int, j: int) -> Frame | None:
+    """Joint i's frame in that of joint j at zero angles; None where j does not carry i."""
+    frame: Frame = (np.zeros(3), np.eye(3))
+    while i != j:
+        if i < j:
+            return None
+        frame = moved((np.asarray(tree.place)[i], np.asarray(tree.rotation)[i]), frame)
+        i = tree.parent[i]
+    return frame
+
+
+def _moved(inertial: np.ndarray, frame: Frame) -> np.ndarray:
+    """Inertial parameters [10] given in `frame`, in the frame that it is given in; linear, also where nothing is massive."""
+    mass, first, about = inertial[0], inertial[1:4], symmetric_of(inertial[4:])
+    place, turn = frame
+    spread = turn @ (0.5 * np.trace(about) * np.eye(3) - about) @ turn.T  # integral of x x'
+    first = turn @ first
+    spread = spread + np.outer(place, first) + np.outer(first, place) + mass * np.outer(place, place)
+    return np.concatenate([[mass], first + mass * place, six_of(np.trace(spread) * np.eye(3) - spread)])

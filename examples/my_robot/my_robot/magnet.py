@@ -1,0 +1,22 @@
+"""A magnet that pulls a joint towards zero, or pushes it away."""
+
+import jax.numpy as jnp
+
+from adaptsim_jax.sysid import Effect, Parameter
+
+
+def magnet(p, m):
+    """Torque [N m] at angles `m.q` [rad], elementwise."""
+    return -p["pull"] * m.q * jnp.exp(-jnp.square(m.q / p["reach"]))
+
+
+MAGNET = Effect(
+    "magnet",
+    "force",
+    (Parameter("pull", "N m/rad", -5.0, 5.0, 0.0), Parameter("reach", "rad", 0.05, 1.0, 0.3, off=None)),
+    magnet,
+    physics="a magnet near the angle zero",
+    excitation="slow motion through zero, and wide angles",
+    look_alikes=("spring", "cogging"),
+    formula="-pull q exp(-(q / reach)^2)",
+)
