@@ -119,7 +119,7 @@ def from_above(tracks: Mapping) -> Paint:
 def regressor(found: Mapping, unit: str = "N m") -> Paint:
     """The torque that the model lacks without one effect, against what that effect follows, and the fitted effect."""
     x, y = thin(found["x"], found["y"], most=1200)
-    factor, name = fmt.scaled(unit, _percentile(y))
+    factor, name = fmt.scaled(unit, percentile(y))
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
@@ -146,9 +146,9 @@ def _regressor_title(found: Mapping) -> str:
 def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
     """The estimated unmodelled torque of one joint over time, two standard deviations about it."""
     time, value, std = thin(row["time"], row["value"], row.get("std", np.zeros(len(row["value"]))))
-    factor, name = fmt.scaled(unit, _percentile(value))
+    factor, name = fmt.scaled(unit, percentile(value))
     limits = factor * value
-    time, value, std = _broken(time, value, std)
+    time, value, std = broken(time, value, std)
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
@@ -169,7 +169,7 @@ def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
     return paint
 
 
-def _broken(time: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+def broken(time: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
     """NaN where stretches of time are left out, lest a line be drawn across."""
     step = np.diff(time)
     at = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else np.zeros(0, int)
@@ -266,13 +266,14 @@ def _largest(*columns: np.ndarray) -> float:
     return max((float(c.max()) for c in finite if c.size), default=0.0)
 
 
-def _percentile(values: np.ndarray, q: float = 99.0) -> float:
+def percentile(values: np.ndarray, q: float = 99.0) -> float:
+    """How large values are, wild ones left aside; 0 where none is finite."""
     finite = np.abs(values[np.isfinite(values)])
     return float(np.percentile(finite, q)) if finite.size else 0.0
 
 
 def _robust_limits(ax: Axes, values: np.ndarray) -> None:
     """One wild estimate at a trial's edge must not flatten the rest."""
-    bound = 1.6 * _percentile(values)
+    bound = 1.6 * percentile(values)
     if 0 < bound < _largest(values):
         ax.set_ylim(-bound, bound)
