@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.explore import Plot, View, explorer, numbers
+from adaptsim_jax.report.explore import Plot, View, explorer, numbers, shown
 
 
 def rewards(results: Mapping[str, Any]) -> str:
@@ -27,7 +27,7 @@ def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str) -> dict
     """Median over seeds with its quartiles, a line a method. No value is drawn where the policy destabilised the target."""
     data: list[dict[str, Any]] = []
     for r in rows:
-        name, style = look.label(r["method"]), look.style(r["method"])
+        name, style = shown(look.label(r["method"])), look.style(r["method"])
         x = list(range(len(r["curve"]["median"])))
         common = {"type": "scatter", "mode": "lines", "x": x, "legendgroup": name, "name": name}
         if len(r["per_seed"]) > 1:
@@ -41,7 +41,7 @@ def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str) -> dict
         data.append(common | {"y": middle, "line": line, "hovertemplate": "%{y:.3f}"})
     layout = {
         "xaxis": {"title": {"text": "iteration"}, "tickformat": "d", "nticks": 8},
-        "yaxis": {"title": {"text": what}, "range": [bottom, 1.08]},
+        "yaxis": {"title": {"text": what.replace(" (", "<br>(")}, "range": [bottom, 1.08]},
         "hovermode": "x unified",
         "title": {"text": "over iterations"},
     }
@@ -51,7 +51,7 @@ def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str) -> dict
 def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float) -> dict[str, Any]:
     """Best iteration: every seed as a dot, and the mean with its 95 % interval where there are seeds to take one over."""
     data: list[dict[str, Any]] = []
-    names = [look.label(r["method"]) for r in rows]
+    names = [shown(look.label(r["method"])) for r in rows]
     for r, name in zip(rows, names, strict=True):
         colour, seeds = look.colour(r["method"]), [(i, v) for i, v in enumerate(r["per_seed"]) if v is not None]
         common = {"type": "scatter", "mode": "markers", "name": name, "showlegend": False}
@@ -59,13 +59,17 @@ def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float) -> dict[str, Any]:
         dots |= {"marker": {"color": colour, "size": 7, "opacity": 0.45}, "hovertemplate": "%{x:.3f}, %{text}"}
         data.append(common | dots)
         if r["mean"] is not None and len(r["per_seed"]) > 1:
-            mean = {"x": [round(r["mean"], 4)], "y": [name], "marker": {"color": colour, "size": 10, "symbol": "diamond"}}
+            mean = {
+                "x": [round(r["mean"], 4)],
+                "y": [name],
+                "marker": {"color": colour, "size": 10, "symbol": "diamond"},
+            }
             if r["low"] is not None and r["high"] is not None:
                 bar = {"array": [round(r["high"] - r["mean"], 4)], "arrayminus": [round(r["mean"] - r["low"], 4)]}
                 mean["error_x"] = bar | {"type": "data", "symmetric": False, "color": colour, "thickness": 2.2}
             data.append(common | mean | {"hovertemplate": "%{x:.3f}, mean"})
-    shown = [v for r in rows for v in r["per_seed"] if v is not None]
-    left = bottom if shown and min(shown) < bottom else None
+    found = [v for r in rows for v in r["per_seed"] if v is not None]
+    left = bottom if found and min(found) < bottom else None
     layout = {
         "xaxis": {"title": {"text": "best-iteration reward"}, **({} if left is None else {"range": [left, 1.08]})},
         "yaxis": {"categoryorder": "array", "categoryarray": names[::-1], "range": [-0.6, len(names) - 0.4]},

@@ -11,7 +11,7 @@ from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report.diagnosis_svg import thin
 from adaptsim_jax.report.diagnosis_words import plain
-from adaptsim_jax.report.explore import Columns, Plot, View, explorer, points
+from adaptsim_jax.report.explore import Columns, Plot, View, explorer, points, shown
 
 COLOURS = {"measured": "--measured", "before": "--before", "after": "--after"}
 NAMES = {"measured": "measured", "before": "declared model", "after": "mended model"}
@@ -77,7 +77,7 @@ def _line(x: Any, y: Any, stage: str, width: float, **more: Any) -> dict[str, An
 
 
 def _axis(name: str, unit: str) -> str:
-    return f"{plain(name)}, {unit}" if unit else plain(name)
+    return shown(f"{plain(name)}, {unit}" if unit else plain(name))
 
 
 def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int) -> str:
@@ -110,8 +110,8 @@ def tracks(found: Mapping) -> str:
         path, ends = np.vstack(rows), np.array([t[-1] for t in some[:kept]])
         width, opacity = (5, 0.6) if key == "measured" else (1.4, 0.95)
         step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None
-        drawn = [columns.add(path[:, k], step) for k in (0, 1)]
-        data.append(_line(*drawn, key, width, opacity=opacity, legendgroup=key))
+        along, up = (columns.add(path[:, k], step) for k in (0, 1))
+        data.append(_line(along, up, key, width, opacity=opacity, legendgroup=key))
         marks = {"x": columns.add(ends[:, 0], step), "y": columns.add(ends[:, 1], step), "mode": "markers"}
         marks |= {"marker": {"color": COLOURS[key], "size": 7 if key == "measured" else 5}, "hoverinfo": "skip"}
         data.append({"type": "scatter", "legendgroup": key, "showlegend": False, "name": NAMES[key], **marks})
@@ -132,9 +132,9 @@ def unmodelled(evidence: Mapping) -> str:
     joints = list(dict.fromkeys([*torque, *spectrum]))
     columns, views = Columns(), {}
     for i, joint in enumerate(joints):
-        shown = [_torque(torque[joint], columns)] if joint in torque else [{}] * bool(torque)
-        shown += [_spectrum(spectrum[joint])] if joint in spectrum else [{}] * bool(spectrum)
-        views[(i,)] = View(shown)
+        plots_of = [_torque(torque[joint], columns)] if joint in torque else [{}] * bool(torque)
+        plots_of += [_spectrum(spectrum[joint])] if joint in spectrum else [{}] * bool(spectrum)
+        views[(i,)] = View(plots_of)
     plots = [Plot("unmodelled torque over time", 320)] * bool(torque)
     plots += [Plot("spectrum of the residual", 320)] * bool(spectrum)
     return explorer({"joint": [plain(j) for j in joints]}, views, plots, columns) if joints else ""
@@ -171,8 +171,8 @@ def _spectrum(row: Mapping) -> dict[str, Any]:
         frequency, power = thin(row["frequency"], row[stage], most=1500)
         with np.errstate(invalid="ignore"):
             some = power > 0
-        shown = [float(f"{p:.4g}") for p in power[some]]
-        data.append(_line([float(f"{f:.5g}") for f in frequency[some]], shown, stage, 1.5))
+        rounded = lambda values, digits: [float(f"{v:.{digits}g}") for v in values]
+        data.append(_line(rounded(frequency[some], 5), rounded(power[some], 4), stage, 1.5))
     return {
         "data": data,
         "layout": {

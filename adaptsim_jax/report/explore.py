@@ -10,6 +10,8 @@ goes where the plots are to stand, `script(True)` at the end of the body and `te
     numbers    "@name" in a trace stands for that column of the explorer's `columns`, and {"minus": ["@a", "@b"], "times": 1e3} for
                1e3 (a - b), so that what plots share is written once
 
+    texts      are a little HTML to Plotly: what comes from files goes through `shown`
+
 Tables of the class `sortable` sort by a click on a heading, by `data-v` of a cell where it has one; with `data-most="8"` they show
 eight rows and a button for the rest.
 """
@@ -37,7 +39,9 @@ LEAST_POINTS = 200
 """Points to which traces are thinned before whole trials are left out."""
 MOST_NUMBERS = 300_000
 """Numbers of one explorer, of some nine characters each: with Plotly's 2 MB a page stays far below 6 MB."""
-MISSING = "The plots to explore need the package plotly, which was not there when this page was made: pip install plotly."
+MISSING = (
+    "The plots to explore need the package plotly, which was not there when this page was made: pip install plotly."
+)
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,11 @@ def plotly() -> str | None:
 @cache
 def _template() -> jinja2.Template:
     return jinja2.Environment(loader=jinja2.PackageLoader("adaptsim_jax.report")).get_template("explore.js.j2")
+
+
+def shown(name: Any) -> str:
+    """A name from a file as it is to stand in a figure: Plotly takes a little HTML in its texts."""
+    return escape(str(name), quote=False)
 
 
 def in_script(value: Any) -> str:

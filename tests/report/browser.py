@@ -5,11 +5,21 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-QUIET = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-dev-shm-usage")  # fmt: skip
+QUIET = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-dev-shm-usage",
+)  # fmt: skip
+START = """
+import fcntl, os, sys
+ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]
+os.dup2(ends[0], 3), os.dup2(ends[1], 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""The browser takes commands on its descriptor 3 and answers on 4."""
 PATIENCE = 90.0
 """Seconds that an answer may take; two cores with other work on them are slow."""
 
@@ -19,10 +29,9 @@ class Browser:
 
     def __init__(self, profile: Path) -> None:
         down, up = os.pipe(), os.pipe()
+        options = [*QUIET, "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"]
         self.process = subprocess.Popen(
-            # the browser reads commands from its descriptor 3 and answers on 4; the shell puts them there
-            ["/bin/sh", "-c", f'exec "$@" 3<&{down[0]} 4>&{up[1]}', "sh", str(CHROMIUM), *QUIET,
-             "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"],
+            [sys.executable, "-c", START, str(down[0]), str(up[1]), str(CHROMIUM), *options],
             pass_fds=(down[0], up[1]), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(down[0]), os.close(up[1])
