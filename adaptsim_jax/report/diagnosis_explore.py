@@ -53,19 +53,22 @@ def _residual(trial: Mapping, channel: str, columns: Columns, time: str, most: i
     sizes = [size for rest in left if (size := figures.percentile(rest)) > 0]
     step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
     seen = columns.add(measured, step)
-    data: list[dict[str, Any]] = [_line(time, seen, "measured", 5, opacity=0.6)]
+    hover = {"hovertemplate": f"%{{y:.5~g}} {fmt.unit_name(unit)}"}
+    data: list[dict[str, Any]] = [_line(time, seen, "measured", 5, opacity=0.6, **hover)]
     for stage, values in zip(stages, simulated, strict=True):
         drawn = columns.add(values, step)
-        data.append(_line(time, drawn, stage, 1.6, legendgroup=stage))
+        data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
         below = _line(time, {"minus": [seen, drawn], "times": factor}, stage, 1.4, legendgroup=stage)
-        below |= {"yaxis": "y2", "showlegend": False, "hovertemplate": f"%{{y:.4~g}} {name}"}
+        below |= {"yaxis": "y2", "showlegend": False, "name": f"{NAMES[stage]}: error"}
+        below |= {"hovertemplate": f"%{{y:.4~g}} {name}"}
         data.append(below)
     layout = {
-        "xaxis": {"title": {"text": "time, s"}, "anchor": "y2", "uirevision": str(trial["trial"])},
+        "xaxis": {"title": {"text": "time, s"}, "anchor": "y2", "unifiedhovertitle": {"text": "%{x} s"}},
         "yaxis": {"title": {"text": _axis(channel, fmt.unit_name(unit))}, "domain": [0.42, 1.0], "nticks": 6},
         "yaxis2": {"title": {"text": _axis("error", name)}, "domain": [0.0, 0.34], "nticks": 4, "zeroline": True},
         "hovermode": "x unified",
         "hoversubplots": "axis",
+        "legend": {"uirevision": "all"},  # what is hidden stays hidden from trial to trial
         "title": {"text": ""},
     }
     return {"data": data, "layout": layout}
@@ -85,15 +88,15 @@ def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int)
     own = next((row for row in error["per_trial"] if str(row["trial"]) == str(trial["trial"])), {})
     pair = (own.get("per_channel") or {}).get(channel) or {}
     unit = (error["per_channel"].get(channel) or {}).get("unit") or figures.channel_unit(channel)
-    parts = []
+    parts, size_of = [], lambda value, like: fmt.quantity(value, unit, like=like).replace(" ", "\u00a0")
     if pair.get("before") is not None:
         size = max(pair["before"], pair.get("after") or 0.0)
-        parts.append(f"error: declared {fmt.quantity(pair['before'], unit, like=size)}")
+        parts.append(f"error: declared {size_of(pair['before'], size)}")
         if pair.get("after") is not None and trial.get("after") is not None:
-            parts.append(f"mended {fmt.quantity(pair['after'], unit, like=size)}")
+            parts.append(f"mended {size_of(pair['after'], size)}")
     stride = -(-samples // most)
     if stride > 1:
-        parts.append(f"every {stride}th of {samples:,} samples is drawn")
+        parts.append(f"one in {stride} of {samples:,} samples is drawn")
     return ", ".join(parts)
 
 

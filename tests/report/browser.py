@@ -20,7 +20,7 @@ os.dup2(ends[0], 3), os.dup2(ends[1], 4)
 os.execv(sys.argv[3], sys.argv[3:])
 """
 """The browser takes commands on its descriptor 3 and answers on 4."""
-PATIENCE = 90.0
+PATIENCE = 300.0
 """Seconds that an answer may take; two cores with other work on them are slow."""
 
 

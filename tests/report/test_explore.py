@@ -63,13 +63,8 @@ def test_every_trial_and_channel_is_drawn_measured_simulated_and_their_differenc
     (found,) = data_of(html)
     assert set(found["views"]) == {f"{i},{j}" for i in range(3) for j in range(2)}
     figure = found["views"]["2,1"]["figures"][0]
-    assert [t["name"] for t in figure["data"]] == [
-        "measured",
-        "declared model",
-        "declared model",
-        "mended model",
-        "mended model",
-    ]
+    models = [name for model in ("declared model", "mended model") for name in (model, f"{model}: error")]
+    assert [t["name"] for t in figure["data"]] == ["measured", *models]
     below = figure["data"][2]["y"]
     a, b = (np.array(found["columns"][name[1:]]) for name in below["minus"])
     np.testing.assert_allclose(a - b, 0.1 * np.sin(np.linspace(0, 10, 500) + 1), atol=1e-3)
@@ -83,7 +78,7 @@ def test_without_a_mended_model_none_is_drawn_and_one_choice_is_no_choice():
 
 def test_thinned_traces_say_so():
     (found,) = data_of(diagnosis_explore.held_out(trials(1, 9000), ERROR)[0])
-    assert "every 5th of 9,000 samples" in found["views"]["0,0"]["note"]
+    assert "one in 5 of 9,000 samples" in found["views"]["0,0"]["note"]
     assert max(map(len, found["columns"].values())) == 1800
 
 

@@ -13,6 +13,7 @@ from tests.report.sweep_cases import made
 from tests.report.test_comparison import results  # noqa: F401  (a fixture)
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")]
+CHOOSE = "Object.assign(document.querySelectorAll('#held-out select')[{}], {{value: '1'}}).dispatchEvent(new Event('change'))"
 PLOTS = {"diagnosis": 2, "comparison": 2, "sweep": 2}
 
 
@@ -49,10 +50,11 @@ def test_plots_are_drawn_and_nothing_is_fetched(browser, pages, name, dark):
 def test_nothing_is_wider_than_a_phone(browser, pages, name):
     browser.show(pages[name], width=400)
     assert browser.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
-    boxes = "[...document.querySelectorAll('.js-plotly-plot {}')].map(p => p.getBoundingClientRect())"
-    assert browser.run(f"Math.max(...{boxes.format('.main-svg')}.map(box => box.right))") <= 400
+    plots = "[...document.querySelectorAll('.js-plotly-plot')]"
+    right = "p.querySelector('.main-svg').getBoundingClientRect().right"
+    assert browser.run(f"Math.max(...{plots}.map(p => {right}))") <= 400
     # a legend of many names must leave room for the lines
-    assert browser.run(f"Math.min(...{boxes.format('.cartesianlayer .bg')}.map(box => box.height))") > 80
+    assert browser.run(f"Math.min(...{plots}.map(p => p._fullLayout._size.h))") > 120
     assert browser.errors == []
 
 
@@ -97,10 +99,9 @@ def test_selectors_draw_another_trial_and_signal(browser, pages):
     first = "document.querySelector('#held-out .plot').data[0].y.slice(0, 50).join()"
     before, note = browser.run(first), browser.run("document.querySelector('#held-out .said').innerText")
     assert "declared" in note and "mended" in note
-    choose = "Object.assign(document.querySelectorAll('#held-out select')[{}], {{value: '1'}}).dispatchEvent(new Event('change'))"
-    browser.run(choose.format(0))
+    browser.run(CHOOSE.format(0))
     trial = browser.run(first)
-    browser.run(choose.format(1))
+    browser.run(CHOOSE.format(1))
     assert len({before, trial, browser.run(first)}) == 3
     title = browser.run("document.querySelector('#held-out .plot').layout.yaxis.title.text")
     assert title == "q2, rad"
@@ -113,3 +114,13 @@ def test_plots_follow_the_colour_scheme(browser, pages):
     browser.scheme(dark=True)
     browser.until(f"{ink} !== '{light}'")
     assert browser.run("document.querySelector('#held-out .plot').data[1].line.color") == "#f0924d"
+
+
+def test_a_zoom_in_time_stays_for_the_next_signal_and_goes_with_the_trial(browser, pages):
+    browser.show(pages["diagnosis"])
+    plot = "document.querySelector('#held-out .plot')"
+    browser.run(f"Plotly.relayout({plot}, {{'xaxis.range': [1, 2]}}).then(() => 0)")
+    browser.run(CHOOSE.format(1))
+    assert browser.run(f"{plot}.layout.xaxis.range") == [1, 2]
+    browser.run(CHOOSE.format(0))
+    assert browser.run(f"{plot}._fullLayout.xaxis.range[0]") < 1
