@@ -9,7 +9,6 @@ goes where the plots are to stand, `script(True)` at the end of the body and `te
                is its opacity in percent
     numbers    "@name" in a trace stands for that column of the explorer's `columns`, and {"minus": ["@a", "@b"], "times": 1e3} for
                1e3 (a - b), so that what plots share is written once
-
     texts      are a little HTML to Plotly: what comes from files goes through `shown`
 
 Tables of the class `sortable` sort by a click on a heading, by `data-v` of a cell where it has one; with `data-most="8"` they show
