@@ -124,7 +124,9 @@ def tracks(found: Mapping) -> str:
         "xaxis": {"title": {"text": f"{x}, m"}},
         "yaxis": {"title": {"text": f"{y}, m"}, "scaleanchor": "x"},
     }
-    view = View([{"data": data, "layout": layout}])
+    trials = max(map(len, all_of.values()))
+    note = f"the first {kept} of {trials} trials" if kept < trials else ""
+    view = View([{"data": data, "layout": layout}], note)
     return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns) if data else ""
 
 

@@ -76,6 +76,18 @@ def test_without_a_mended_model_none_is_drawn_and_one_choice_is_no_choice():
     assert "mended" not in html and html.count("<label hidden") == 2
 
 
+def test_tracks_are_one_line_a_model_broken_between_trials():
+    track = np.stack([np.linspace(0, 0.5, 30), np.linspace(0, 0.1, 30)], 1)
+    (found,) = data_of(
+        diagnosis_explore.tracks({"measured": [track, track + 0.2], "before": [track, track], "axes": ("x", "z")})
+    )
+    figure = found["views"][""]["figures"][0]
+    assert [t["name"] for t in figure["data"] if t["mode"] == "lines"] == ["measured", "declared model"]
+    line = found["columns"][figure["data"][0]["x"][1:]]
+    assert len(line) == 62 and line[30] is None and figure["layout"]["yaxis"]["title"]["text"] == "z, m"
+    assert diagnosis_explore.tracks({}) == ""
+
+
 def test_thinned_traces_say_so():
     (found,) = data_of(diagnosis_explore.held_out(trials(1, 9000), ERROR)[0])
     assert "one in 5 of 9,000 samples" in found["views"]["0,0"]["note"]
