@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def summary(rows: list[dict[str, Any]], swept: list[str], targets: list[str]) ->
 
 
 def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
-    pairs = [(row["seed"], _reward(row, name)) for row in rows]
+    pairs = [(row["seed"], earned(row, name)) for row in rows]
     by_seed: dict[int, list[float]] = {}
     for seed, reward in pairs:
         if reward is not None:
@@ -81,7 +82,8 @@ def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
     return interval([float(np.mean(some)) for some in by_seed.values()]) | {"over": "seeds", "members": len(rewards)}
 
 
-def _reward(row: dict[str, Any], name: str) -> float | None:
+def earned(row: Mapping[str, Any], name: str) -> float | None:
+    """What a finished member earned in training or in a target; None where it has no reward there."""
     return row["train_reward"] if name == TRAINING else row["targets"][name]["reward"]
 
 

@@ -12,7 +12,7 @@ EXAMPLES = """
   adaptsim sweep SPEC.toml --out sweeps/a
   adaptsim sweep SPEC.toml --out sweeps/a --resume       go on after a kill, to the same bits
   adaptsim sweep SPEC.toml --estimate                    members, programs and memory; nothing is run
-  adaptsim sweep show sweeps/a                           table and figures of what is done so far
+  adaptsim sweep show sweeps/a                           table, figures and page of what is done so far
   adaptsim sweep SPEC.toml --out sweeps/a --ray          members shared out by Ray, here or on its cluster
   srun adaptsim sweep SPEC.toml --out sweeps/a --hosts slurm
 SPEC.toml, for instance:
@@ -154,14 +154,16 @@ def _finish(folder: Any, as_json: bool) -> int:
     from adaptsim_jax.adaptation.sweep_results import write_results
     from adaptsim_jax.commands.common import next_step, print_file
     from adaptsim_jax.report.figures_sweep import draw
+    from adaptsim_jax.report.sweep_page import write_sweep_page
 
     found = write_results(folder)
     draw(found, folder.path)
+    page = write_sweep_page(found, folder.path)
     if as_json:
         print_file(folder.path / "results.json")
         return 0
     _print(found)
-    print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures")
+    print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures, and {page}")
     next_step(f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs")
     return 0
 

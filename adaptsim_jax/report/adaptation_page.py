@@ -8,6 +8,7 @@ import jinja2
 import numpy as np
 
 from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.report import comparison_explore, explore
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 
@@ -23,7 +24,7 @@ def write_adaptation_page(results: Mapping[str, Any], path: Path, reward_map: An
 
 
 def adaptation_section(results: Mapping[str, Any], reward_map: Any = None) -> str:
-    """The same as a `<section>`; classes are those of the diagnosis page's style sheet.
+    """The same as a `<section>`; classes are those of the diagnosis page's style sheets, and `explore.script` draws its plots.
 
     `reward_map`: a `baselines.reward_map.RewardMap` for the first setting of `results`, drawn with what was found there.
     """
@@ -40,10 +41,8 @@ def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
-    figures = []
-    if any(len(r["curve"]["median"]) > 1 for r in rows):
-        caption = (_CURVES if "reward" not in results else _PLAIN_CURVES).format(over=_OVER[look.one_seed(rows)])
-        figures.append((look.svg(draw.reward_over_iterations(results)), caption))
+    figures, curves = [], comparison_explore.rewards(results)
+    caption = (_CURVES if "reward" not in results else _PLAIN_CURVES).format(over=_OVER[look.one_seed(rows)])
     if reward_map is not None:
         figures.append((look.svg(_map(results, settings[0], reward_map)), _MAP))
     return {
@@ -54,7 +53,10 @@ def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
         "settings": [(s, look.SETTINGS.get(s, s)) for s in settings],
         "methods": [(m, look.label(m), look.colour(m)) for m in methods],
         "cells": cells,
+        "curves": curves,
+        "caption": caption,
         "figures": figures,
+        "script": explore.script(bool(curves)),
     }
 
 
@@ -105,7 +107,8 @@ def _scale(results: Mapping[str, Any]) -> str:
 def _cell(r: Mapping[str, Any]) -> dict[str, str]:
     number = lambda v: "fails" if v is None else f"{v:.2f}"
     spread = "" if r["low"] == r["high"] else f"{number(r['low'])} to {number(r['high'])}"
-    return {"mean": number(r["mean"]), "spread": spread, "final": number(r["final_mean"])}
+    value = "" if r["mean"] is None else f"{r['mean']:.6g}"
+    return {"mean": number(r["mean"]), "value": value, "spread": spread, "final": number(r["final_mean"])}
 
 
 def _map(results: Mapping[str, Any], setting: str, reward_map: Any):

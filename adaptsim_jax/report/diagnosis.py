@@ -32,6 +32,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
+from adaptsim_jax.report import diagnosis_explore, explore
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_rows as rows_of
@@ -41,8 +42,8 @@ from adaptsim_jax.sysid.report import schema
 
 MOST_LINES = 6
 """Warnings, and notes, that the terminal shows."""
-MOST_TRIALS = 6
-"""Held-out trials that the page draws; each costs some 150 kB."""
+MOST_CANDIDATES = 8
+"""Rows of candidates that the page shows at first."""
 
 GOES_TO = {
     "pendulum": "adaptsim train --model, adapt and diagnose",
@@ -76,6 +77,9 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
     mended = bool(report["effects"])
     error = report["error"] if mended else _declared_only(report["error"])
     plan = evidence.get("next_experiment")
+    traces, left_out = diagnosis_explore.held_out(evidence.get("held_out") or [], error)
+    above = diagnosis_explore.tracks(evidence.get("tracks") or {})
+    unmodelled = diagnosis_explore.unmodelled(evidence)
     page = {
         "report": report,
         "tone": words.TONES[report["verdict"]],
@@ -90,12 +94,13 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "improvement": words.improvement(error),
         "errors": _error_rows(error),
         "error_figures": _error_figures(error),
-        "above": _from_above(evidence.get("tracks")),
+        "above": above,
         "differ": rows_of.trial_rows(report),
         "above_from": figures.seen_from(evidence.get("tracks") or {}),
-        "trials": _held_out_figures(evidence.get("held_out") or []),
-        "trials_left_out": max(0, len(evidence.get("held_out") or []) - MOST_TRIALS),
-        "residual": _residual_figures(evidence),
+        "traces": traces,
+        "trials_left_out": left_out,
+        "regressors": _regressor_figures(evidence),
+        "unmodelled": unmodelled,
         "seen": [row for row in evidence.get("regressor") or [] if row.get("explained") is not None],
         "leftover": rows_of.leftover_rows(evidence),
         "quiet": report["verdict"] in ("within_noise", "underpowered"),
@@ -103,6 +108,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "power": rows_of.power_rows(report),
         "torque_share": all(row.get("unit") == rows_of.TORQUE_SHARE for row in report.get("power") or [{}]),
         "candidates": rows_of.candidate_rows(report),
+        "most_candidates": MOST_CANDIDATES,
         "declared": rows_of.declared_rows(report),
         "not_established": words.not_established(report),
         "next": _next_experiment(report, plan, out),
@@ -113,6 +119,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "model_goes_to": GOES_TO.get(report["task"], GOES_TO["pendulum"]),
         "levels": {"parameter": schema.PARAMETER_LEVEL, "error": schema.ERROR_LEVEL},
         "reward": report.get("task_reward"),
+        "script": explore.script(bool(traces or above or unmodelled)),
     }
     return _template().render(**page)
 
@@ -179,32 +186,11 @@ def _error_figures(error: Mapping) -> list[str]:
     return pictures
 
 
-def _from_above(tracks: Mapping | None) -> str | None:
-    return svg.draw(figures.from_above(tracks), 4.2, "tracks from above, measured and simulated") if tracks else None
-
-
-def _held_out_figures(trials: list[Mapping]) -> list[dict[str, Any]]:
-    shown = []
-    for trial in trials[:MOST_TRIALS]:
-        pictures = []
-        for channel in trial["measured"] if len(trial["time"]) else ():
-            label = f"{channel} of held-out trial {trial['trial']}: measured, and simulated with each model"
-            pictures.append(svg.draw(figures.held_out(trial, channel), 3.1, label))
-        shown.append({"name": trial["trial"], "pictures": pictures, "mended": trial.get("after") is not None})
-    return shown
-
-
-def _residual_figures(evidence: Mapping) -> list[dict[str, str]]:
+def _regressor_figures(evidence: Mapping) -> list[str]:
     pictures = []
     for found in evidence.get("regressor") or []:
         label = f"torque missing at {found['where']} against {found.get('x_label', 'the regressor')}"
-        pictures.append({"kind": "regressor", "svg": svg.draw(figures.regressor(found), 3.1, label)})
-    for row in evidence.get("residual_torque") or []:
-        label = f"unmodelled torque at {row['joint']} over time"
-        pictures.append({"kind": "torque", "svg": svg.draw(figures.residual_torque(row), 3.1, label)})
-    for joint, row in (evidence.get("spectrum") or {}).items():
-        label = f"spectrum of the residual at {joint}"
-        pictures.append({"kind": "spectrum", "svg": svg.draw(figures.spectrum(joint, row), 3.1, label)})
+        pictures.append(svg.draw(figures.regressor(found), 3.1, label))
     return pictures
 
 

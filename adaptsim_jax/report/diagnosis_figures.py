@@ -96,30 +96,10 @@ def seen_from(tracks: Mapping) -> str:
     return "the side" if "z" in (tracks.get("axes") or ()) else "above"
 
 
-def from_above(tracks: Mapping) -> Paint:
-    """Tracks of all trials from above, or in the plane of other `axes`, measured and simulated: places `[T, 2]` m of each under
-    `measured`, `before`, `after`."""
-    x, y = tracks.get("axes") or ("x", "y")
-
-    def paint(figure: Figure) -> None:
-        ax = figure.subplots()
-        for key, colour, width in (("measured", MEASURED, 3.2), ("before", BEFORE, 1.1), ("after", AFTER, 1.1)):
-            for track in tracks.get(key) or []:
-                ax.plot(
-                    track[:, 0], track[:, 1], color=colour, linewidth=width, alpha=0.55 if key == "measured" else 0.9
-                )
-                ax.plot(track[-1:, 0], track[-1:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
-        ax.set(xlabel=f"{x}, m", ylabel=f"{y}, m", title=f"from {seen_from(tracks)}, each to its end")
-        ax.set_aspect("equal", adjustable="datalim")
-        quiet(ax)
-
-    return paint
-
-
 def regressor(found: Mapping, unit: str = "N m") -> Paint:
     """The torque that the model lacks without one effect, against what that effect follows, and the fitted effect."""
     x, y = thin(found["x"], found["y"], most=1200)
-    factor, name = fmt.scaled(unit, _percentile(y))
+    factor, name = fmt.scaled(unit, percentile(y))
 
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
@@ -143,58 +123,11 @@ def _regressor_title(found: Mapping) -> str:
     return title[:1].upper() + title[1:]
 
 
-def residual_torque(row: Mapping, unit: str = "N m") -> Paint:
-    """The estimated unmodelled torque of one joint over time, two standard deviations about it."""
-    time, value, std = thin(row["time"], row["value"], row.get("std", np.zeros(len(row["value"]))))
-    factor, name = fmt.scaled(unit, _percentile(value))
-    limits = factor * value
-    time, value, std = _broken(time, value, std)
-
-    def paint(figure: Figure) -> None:
-        ax = figure.subplots()
-        ax.fill_between(
-            time,
-            factor * (value - 2 * std),
-            factor * (value + 2 * std),
-            color=BEFORE,
-            alpha=0.25,
-            linewidth=0,
-        )
-        ax.plot(time, factor * value, color=BEFORE, linewidth=1.2)
-        ax.axhline(0, color=MUTED, linewidth=0.7)
-        ax.set(title=f"unmodelled torque at {plain(row['joint'])}", xlabel="time, s", ylabel=name)
-        _robust_limits(ax, limits)
-        quiet(ax)
-
-    return paint
-
-
-def _broken(time: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+def broken(time: np.ndarray, *values: np.ndarray) -> tuple[np.ndarray, ...]:
     """NaN where stretches of time are left out, lest a line be drawn across."""
     step = np.diff(time)
     at = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else np.zeros(0, int)
     return tuple(np.insert(np.asarray(z, float), at, np.nan) for z in (time, *values))
-
-
-def spectrum(joint: str, row: Mapping) -> Paint:
-    """The residual's spectrum under both models."""
-
-    def paint(figure: Figure) -> None:
-        ax = figure.subplots()
-        for key, colour in (("before", BEFORE), ("after", AFTER)):
-            if row.get(key) is not None:
-                frequency, power = thin(row["frequency"], row[key])
-                if not np.any(power > 0):
-                    continue
-                ax.set_yscale("log")
-                ax.yaxis.set_major_formatter(lambda value, _: fmt.power_of_ten(value))
-                ax.plot(frequency[power > 0], power[power > 0], color=colour, linewidth=1.2)
-        ax.set(title=f"residual spectrum at {plain(joint)}", xlabel="frequency, Hz", ylabel="power")
-        ax.locator_params(axis="x", nbins=6)
-        ax.tick_params(length=3)
-        ax.minorticks_off()
-
-    return paint
 
 
 def next_experiment(plan: Mapping) -> Paint:
@@ -266,13 +199,14 @@ def _largest(*columns: np.ndarray) -> float:
     return max((float(c.max()) for c in finite if c.size), default=0.0)
 
 
-def _percentile(values: np.ndarray, q: float = 99.0) -> float:
+def percentile(values: np.ndarray, q: float = 99.0) -> float:
+    """How large values are, wild ones left aside; 0 where none is finite."""
     finite = np.abs(values[np.isfinite(values)])
     return float(np.percentile(finite, q)) if finite.size else 0.0
 
 
 def _robust_limits(ax: Axes, values: np.ndarray) -> None:
     """One wild estimate at a trial's edge must not flatten the rest."""
-    bound = 1.6 * _percentile(values)
+    bound = 1.6 * percentile(values)
     if 0 < bound < _largest(values):
         ax.set_ylim(-bound, bound)

@@ -43,11 +43,6 @@ def number(value: float | None, digits: int = 3) -> str:
     return fixed(value, max(0, digits - 1 - exponent))
 
 
-def power_of_ten(value: float) -> str:
-    """`10⁻⁶`: a tick of a logarithmic axis."""
-    return f"10{str(round(math.log10(value))).translate(_SUPERSCRIPT)}" if value > 0 else "0"
-
-
 def fixed(value: float, decimals: int) -> str:
     """`value` with so many decimals, a true minus sign, and no minus before a zero."""
     text = f"{value:.{max(0, decimals)}f}"

@@ -44,6 +44,8 @@ def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
             "where": words.plain(row["where"]),
             "status": words.status(row, report),
             "gain": fmt.percent(row["held_out_gain"]),
+            "gain_value": row["held_out_gain"],
+            "p_value": row["p_value"],
             "bar": max(0.0, 100 * (row["held_out_gain"] or 0.0) / largest) if largest > 0 else 0.0,
             "p": fmt.p_value(row["p_value"]),
             "why": row["why"],

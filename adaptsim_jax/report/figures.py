@@ -56,6 +56,11 @@ def reward_of(results, long: bool = False) -> str:
     return "Normalized reward (0 UDR, 1 best in Omega, not clipped)" if long else REWARD
 
 
+def least(results) -> float:
+    """Where axes of rewards begin: normalised ones go below 0, a task's own do not."""
+    return -0.02 if "reward" in results else -0.4
+
+
 def one_seed(rows) -> bool:
     """Whether no row of a comparison is of more than one seed, so that there is nothing to give an interval of."""
     return all(len(r["per_seed"]) < 2 for r in rows)

@@ -15,7 +15,7 @@ def reward_over_iterations(
     results: Mapping[str, Any], methods: Sequence[str] = (), bottom: float | None = None
 ) -> Figure:
     """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
-    bottom = _least(results) if bottom is None else bottom
+    bottom = look.least(results) if bottom is None else bottom
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     width = max(2.15 * len(settings) + 0.6, 4.6)
@@ -52,14 +52,9 @@ def _curve(ax, curve: Mapping[str, Any], style: dict, label: str, bottom: float)
     ax.plot(iterations, median, linewidth=1.7, label=label, **style)
 
 
-def _least(results: Mapping[str, Any]) -> float:
-    """Where axes of rewards begin: normalised ones go below 0, a task's own do not."""
-    return -0.02 if "reward" in results else -0.4
-
-
 def rewards(results: Mapping[str, Any], left: float | None = None) -> Figure:
     """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one seed none), and every seed."""
-    left = _least(results) if left is None else left
+    left = look.least(results) if left is None else left
     known = () if "reward" in results else ("udr", "best_in_omega")  # 0 and 1 by definition where normalised
     rows = [r for r in results["rows"] if r["method"] not in known]
     settings = list(dict.fromkeys(r["setting"] for r in rows))

@@ -80,7 +80,7 @@ def test_everything_is_written_and_again(results, tmp_path):
 def test_page_is_self_contained_and_escaped(results, chart, tmp_path):
     html = write_adaptation_page(results, tmp_path / "page.html", chart).read_text()
     assert "&lt;pendulum&gt; &amp; more" in html
-    assert html.count("<svg") == 2
+    assert html.count("<svg") == 1 and html.count('class="explore"') == 1 and html.count('class="plot"') == 2
     assert "src=" not in html and "href=" not in html.replace('href="data:,"', "").replace('xlink:href="#', "")
 
 
@@ -105,7 +105,8 @@ def test_one_seed_beside_rows_of_several_says_so(results):
 
 def test_section_without_a_map_or_curves(results):
     bounds = {**results, "rows": [r for r in results["rows"] if r["method"] == "udr"]}
-    assert "<svg" not in adaptation_section(bounds)
+    html = adaptation_section(bounds)
+    assert "<svg" not in html and "explore" not in html
 
 
 def test_headline_takes_the_better_sysid():

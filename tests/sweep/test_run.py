@@ -37,6 +37,8 @@ def test_it_leaves_a_table_and_figures(straight):
     assert line["over"] == "seeds" and line["count"] == 2 and line["members"] == 4
     names = {p.name for p in (straight / "out").glob("*.png")}
     assert names == {"reward_hyper_delta.png", "reward_hyper_learner_learning_rate.png", "curves.png"}
+    page = (straight / "out" / "report.html").read_text()
+    assert "8 of 8 members done" in page and page.count('class="explore"') == 2
 
 
 def test_a_member_is_the_run_that_train_makes_and_adapt_adapts(straight, tmp_path, capsys):

@@ -1,0 +1,188 @@
+"""What a diagnosis's page lets its reader explore: each trial measured and simulated, tracks, and what the declared model leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.report import diagnosis_figures as figures
+from adaptsim_jax.report import diagnosis_format as fmt
+from adaptsim_jax.report.diagnosis_svg import thin
+from adaptsim_jax.report.diagnosis_words import plain
+from adaptsim_jax.report.explore import Columns, Plot, View, explorer, points, shown
+
+COLOURS = {"measured": "--measured", "before": "--before", "after": "--after"}
+NAMES = {"measured": "measured", "before": "declared model", "after": "mended model"}
+
+
+def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
+    """Measured and simulated by trial and channel, with the residual beneath, and how many trials there was no room for."""
+    trials = [trial for trial in trials if len(trial["time"]) and trial["measured"]]
+    if not trials:
+        return "", 0
+    channels = list(dict.fromkeys(channel for trial in trials for channel in trial["measured"]))
+    models = 2 if trials[0].get("after") is None else 3
+    most, kept = points([len(trial["time"]) for trial in trials], 1 + models * len(channels))
+    columns, views = Columns(), {}
+    for i, trial in enumerate(trials[:kept]):
+        time = columns.add(thin(trial["time"], most=most)[0])
+        for j, channel in enumerate(channels):
+            if channel in trial["measured"]:
+                figure = _residual(trial, channel, columns, time, most)
+                views[i, j] = View([figure], _note(trial, channel, error, len(trial["time"]), most))
+    choices = {"trial": [str(trial["trial"]) for trial in trials[:kept]], _kind(channels): channels}
+    label = "measured and simulated over time, and beneath it the error, measured minus simulated"
+    return explorer(choices, views, [Plot(label, 460)], columns), len(trials) - kept
+
+
+def _kind(channels: Sequence[str]) -> str:
+    """What to call a channel: the double pendulum's are signals of a joint, a track's are coordinates."""
+    if all(figures.channel_unit(c) for c in channels):
+        return "signal"
+    return "coordinate" if {"x", "z"} & set(channels) else "joint"
+
+
+def _residual(trial: Mapping, channel: str, columns: Columns, time: str, most: int) -> dict[str, Any]:
+    stages = [stage for stage in ("before", "after") if channel in (trial.get(stage) or {})]
+    measured, *simulated = thin(trial["measured"][channel], *[trial[s][channel] for s in stages], most=most)
+    left = [measured - values for values in simulated]
+    unit = (trial.get("units") or {}).get(channel) or trial.get("unit") or figures.channel_unit(channel)
+    factor, name = fmt.scaled(unit, max((figures.percentile(rest) for rest in left), default=0.0))
+    sizes = [size for rest in left if (size := figures.percentile(rest)) > 0]
+    step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
+    seen = columns.add(measured, step)
+    hover = {"hovertemplate": f"%{{y:.5~g}} {fmt.unit_name(unit)}"}
+    data: list[dict[str, Any]] = [_line(time, seen, "measured", 5, opacity=0.6, **hover)]
+    for stage, values in zip(stages, simulated, strict=True):
+        drawn = columns.add(values, step)
+        data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
+        below = _line(time, {"minus": [seen, drawn], "times": factor}, stage, 1.4, legendgroup=stage)
+        below |= {"yaxis": "y2", "showlegend": False, "name": f"{NAMES[stage]}: error"}
+        below |= {"hovertemplate": f"%{{y:.4~g}} {name}"}
+        data.append(below)
+    layout = {
+        "xaxis": {"title": {"text": "time, s"}, "anchor": "y2", "unifiedhovertitle": {"text": "%{x} s"}},
+        "yaxis": {"title": {"text": _axis(channel, fmt.unit_name(unit))}, "domain": [0.42, 1.0], "nticks": 6},
+        "yaxis2": {"title": {"text": _axis("error", name)}, "domain": [0.0, 0.34], "nticks": 4, "zeroline": True},
+        "hovermode": "x unified",
+        "hoversubplots": "axis",
+        "legend": {"uirevision": "all"},  # what is hidden stays hidden from trial to trial
+        "title": {"text": ""},
+    }
+    return {"data": data, "layout": layout}
+
+
+def _line(x: Any, y: Any, stage: str, width: float, **more: Any) -> dict[str, Any]:
+    line = {"color": COLOURS[stage], "width": width}
+    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": NAMES[stage], "line": line, **more}
+
+
+def _axis(name: str, unit: str) -> str:
+    return shown(f"{plain(name)}, {unit}" if unit else plain(name))
+
+
+def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int) -> str:
+    """This trial's own error in the channel, as the report has it, and whether samples are passed over."""
+    own = next((row for row in error["per_trial"] if str(row["trial"]) == str(trial["trial"])), {})
+    pair = (own.get("per_channel") or {}).get(channel) or {}
+    unit = (error["per_channel"].get(channel) or {}).get("unit") or figures.channel_unit(channel)
+    parts, size_of = [], lambda value, like: fmt.quantity(value, unit, like=like).replace(" ", "\u00a0")
+    if pair.get("before") is not None:
+        size = max(pair["before"], pair.get("after") or 0.0)
+        parts.append(f"error: declared {size_of(pair['before'], size)}")
+        if pair.get("after") is not None and trial.get("after") is not None:
+            parts.append(f"mended {size_of(pair['after'], size)}")
+    stride = -(-samples // most)
+    if stride > 1:
+        parts.append(f"one in {stride} of {samples:,} samples is drawn")
+    return ", ".join(parts)
+
+
+def tracks(found: Mapping) -> str:
+    """Tracks of all trials seen from above (or the plane of their `axes`), measured and simulated, each to its end."""
+    x, y = found.get("axes") or ("x", "y")
+    all_of = {key: [np.asarray(t, float) for t in found.get(key) or []] for key in COLOURS}
+    most, kept = points([max(map(len, some)) for some in zip(*filter(None, all_of.values()), strict=False)], 6)
+    columns, data = Columns(), []
+    for key, some in all_of.items():
+        if not some:
+            continue
+        rows = [np.vstack([np.stack(thin(*t.T, most=most), 1), [[np.nan, np.nan]]]) for t in some[:kept]]
+        path, ends = np.vstack(rows), np.array([t[-1] for t in some[:kept]])
+        width, opacity = (5, 0.6) if key == "measured" else (1.4, 0.95)
+        step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None
+        along, up = (columns.add(path[:, k], step) for k in (0, 1))
+        data.append(_line(along, up, key, width, opacity=opacity, legendgroup=key))
+        marks = {"x": columns.add(ends[:, 0], step), "y": columns.add(ends[:, 1], step), "mode": "markers"}
+        marks |= {"marker": {"color": COLOURS[key], "size": 7 if key == "measured" else 5}, "hoverinfo": "skip"}
+        data.append({"type": "scatter", "legendgroup": key, "showlegend": False, "name": NAMES[key], **marks})
+    for trace in data:
+        trace["hovertemplate"] = "%{x:.4~g}, %{y:.4~g} m"
+    layout = {
+        "xaxis": {"title": {"text": f"{x}, m"}},
+        "yaxis": {"title": {"text": f"{y}, m"}, "scaleanchor": "x"},
+    }
+    trials = max(map(len, all_of.values()))
+    note = f"the first {kept} of {trials} trials" if kept < trials else ""
+    view = View([{"data": data, "layout": layout}], note)
+    return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns) if data else ""
+
+
+def unmodelled(evidence: Mapping) -> str:
+    """The torque that the declared model lacks over time, and the residual's spectrum, by joint."""
+    torque = {str(row["joint"]): row for row in evidence.get("residual_torque") or [] if len(row["time"])}
+    spectrum = {str(joint): row for joint, row in (evidence.get("spectrum") or {}).items()}
+    joints = list(dict.fromkeys([*torque, *spectrum]))
+    columns, views = Columns(), {}
+    for i, joint in enumerate(joints):
+        plots_of = [_torque(torque[joint], columns)] if joint in torque else [{}] * bool(torque)
+        plots_of += [_spectrum(spectrum[joint])] if joint in spectrum else [{}] * bool(spectrum)
+        views[(i,)] = View(plots_of)
+    plots = [Plot("unmodelled torque over time", 320)] * bool(torque)
+    plots += [Plot("spectrum of the residual", 320)] * bool(spectrum)
+    return explorer({"joint": [plain(j) for j in joints]}, views, plots, columns) if joints else ""
+
+
+def _torque(row: Mapping, columns: Columns) -> dict[str, Any]:
+    """The estimate, and a band of two standard deviations that is broken where windows are left out."""
+    given = np.asarray(row["value"], float)
+    time, value, std = thin(row["time"], given, row.get("std", np.zeros(len(given))), most=1500)
+    size = figures.percentile(value)
+    factor, name = fmt.scaled("N m", size)
+    time, value, std = figures.broken(time, factor * value, factor * std)
+    at = columns.add(time)
+    data: list[dict[str, Any]] = []
+    for sign, fill in ((-2, None), (2, "tonexty")):
+        edge = {"type": "scatter", "mode": "lines", "x": at, "y": columns.add(value + sign * std), "line": {"width": 0}}
+        edge |= {"hoverinfo": "skip", "showlegend": fill is not None, "name": "± 2 standard deviations"}
+        data.append(edge if fill is None else edge | {"fill": fill, "fillcolor": "--before/25"})
+    middle = _line(at, columns.add(value), "before", 1.5)
+    data.append(middle | {"name": "unmodelled torque", "hovertemplate": f"%{{y:.4~g}} {name}"})
+    bound = 1.6 * factor * size
+    axis: dict[str, Any] = {"title": {"text": name}, "zeroline": True}
+    if bound and bound < float(np.nanmax(np.abs(value), initial=0.0)):
+        axis["range"] = [-bound, bound]  # one wild estimate at a trial's edge must not flatten the rest
+    layout = {"xaxis": {"title": {"text": "time, s"}}, "yaxis": axis, "hovermode": "x"}
+    return {"data": data, "layout": layout | {"title": {"text": "unmodelled torque"}}}
+
+
+def _spectrum(row: Mapping) -> dict[str, Any]:
+    data = []
+    for stage in ("before", "after"):
+        if row.get(stage) is None:
+            continue
+        frequency, power = thin(row["frequency"], row[stage], most=1500)
+        with np.errstate(invalid="ignore"):
+            some = power > 0
+        rounded = lambda values, digits: [float(f"{v:.{digits}g}") for v in values]
+        data.append(_line(rounded(frequency[some], 5), rounded(power[some], 4), stage, 1.5))
+    return {
+        "data": data,
+        "layout": {
+            "xaxis": {"title": {"text": "frequency, Hz"}},
+            "yaxis": {"title": {"text": "power"}, "type": "log", "exponentformat": "power", "nticks": 6},
+            "title": {"text": "residual spectrum"},
+        },
+    }
