@@ -26,7 +26,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for results.json, table, figures and report.html")
+    parser.add_argument(
+        "--out", required=True, metavar="DIR", help="folder for results.json, table, figures and report.html"
+    )
     parser.add_argument("--seeds", type=positive, metavar="N", help="seeds of each method (pendulum 20, else 10)")
     parser.add_argument("--methods", metavar="A,B", help=f"default: all. {METHODS}")
     parser.add_argument("--settings", metavar="A,B", help="default: wd and ood-1 .. ood-4")
