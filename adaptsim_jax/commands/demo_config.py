@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,7 +38,8 @@ class ContactConfig:
         base = default_config(task)
         sizes = {"trajectories": self.trajectories, "parallel": self.parallel, "updates": self.updates}
         options = configs.over(base.task, self.options)
-        return replace(base, seed=seed, task=options, phase1=replace(base.phase1, **sizes))
+        reuse = replace(base.phase1.reuse, together=math.gcd(base.phase1.reuse.together, self.parallel))
+        return replace(base, seed=seed, task=options, phase1=replace(base.phase1, reuse=reuse, **sizes))
 
 
 @dataclass(frozen=True)
