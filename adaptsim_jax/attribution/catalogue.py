@@ -63,6 +63,33 @@ def dead_zone(p, m):
     return -jnp.clip(m.u, -p["width"], p["width"])
 
 
+def _before(z):
+    """Of the joint before each, [n, ...]; zero at the first."""
+    return jnp.concatenate([jnp.zeros_like(z[:1]), z[:-1]])
+
+
+def _after(z):
+    """Of the joint after each; zero at the last."""
+    return jnp.concatenate([z[1:], jnp.zeros_like(z[:1])])
+
+
+def torque_coupling(p, m):
+    return p["onto"] * _before(m.u) + _after(p["back"] * m.u)
+
+
+def friction_coupling(p, m):
+    return -p["damping"] * _before(m.v) - _after(p["damping"] * m.v)
+
+
+def drive_compliance(p, t, q, v, first, torque):
+    """The encoder is on the motor's side of a drive that winds up. Inertia of the motor beyond the spring is not modelled: below the
+    resonance of motor and spring."""
+    wound = p["compliance"] * torque
+    dt = t[2:] - t[:-2]
+    rate = (wound[2:] - wound[:-2]) / jnp.where(dt > 0, dt, 1.0)
+    return q + wound, v + jnp.concatenate([rate[:1], jnp.where(dt > 0, rate, 0.0), rate[-1:]])
+
+
 def sensor_delay(p, t, q, v, first):
     """Cubics between rows; before the first row the motion had gone on at its first acceleration."""
     shape = jnp.broadcast_shapes(jnp.shape(p["delay"]), q.shape, t.shape)
@@ -179,6 +206,20 @@ OWN: tuple[Effect, ...] = (
         ("position_gain", "load_friction", "inertia"), formula="(1 + gain) torque",
     ),
     Effect(
+        "torque_coupling", "force",
+        (Parameter("onto", "1", -1.0, 1.0, 0.0, meaning="share of the torque of the joint before that acts here"),
+         Parameter("back", "1", -1.0, 1.0, 0.0, meaning="share of this joint's torque that acts on the joint before")),
+        torque_coupling, "the drives of a joint and of the one before it act on both (a belt, a differential, a motor at the base)",
+        "torques at both joints that differ", ("torque_gain", "friction_coupling"), pair=True,
+        formula="onto torque(before); on the joint before: back torque",
+    ),
+    Effect(
+        "friction_coupling", "force", (Parameter("damping", "N m s/rad", -10.0, 10.0, 0.0),), friction_coupling,
+        "viscous friction in a drive that two joints share: of the sum or the difference of their speeds",
+        "fast motion of both joints, apart and together", ("torque_coupling", "viscous"), pair=True,
+        formula="-damping v(before); on the joint before: -damping v",
+    ),
+    Effect(
         "position_gain", "force", (Parameter("gain", "1", -0.9, 2.0, 0.0),), position_gain,
         "the stiffness of the position controller is off by a share", "large position errors", ("torque_gain", "spring"),
         formula="(1 + gain) kp (target - q)",
@@ -222,6 +263,11 @@ OWN: tuple[Effect, ...] = (
         "sensor_lag", "measurement", (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),), sensor_lag,
         "angle and speed come through a first-order filter", "fast motion", ("sensor_delay", "delay"), jump=True, grid=_lags,
         formula="lag reading' = q - reading",
+    ),
+    Effect(
+        "drive_compliance", "measurement", (Parameter("compliance", "rad/(N m)", 0.0, 0.5, 0.0, sign=1),), drive_compliance,
+        "a drive that winds up under torque, with the encoder on the motor's side", "high and low torque at like angles",
+        ("torque_gain", "encoder_scale", "position_gain"), carried=True, formula="reading = q + compliance torque",
     ),
     Effect(
         "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,

@@ -13,11 +13,12 @@ import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TILT, TILTS, Group, Problem, off_value
-from adaptsim_jax.attribution.simulate import Motion, Path, actuated, command_rows
+from adaptsim_jax.attribution.simulate import Motion, Path, actuated, carried, command_rows, wound
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
+SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance")
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
 
 Shapes = Mapping[str, float]
@@ -44,16 +45,15 @@ def _mean_sign(x, n):
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effect, parameter: str):
-    """Change of the force [n, L, W] per unit of a parameter at every joint; p {name: [n]}, direction: 1, or a jump's size [n]."""
+    """Change of the force [n, L, W] per unit of a parameter at every joint, or of a pair's [n, n, L, W], the parameter's joint first;
+    p {name: [n]}, direction: 1, or a jump's size [n]."""
     n = path.x.shape[1] // 2
     dt = jnp.diff(time, axis=0)
     q, v, a = _middle(path, dt)
     wide = lambda z: z[:, None, :]
     lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear))
-    if "encoder_offset" in values.effects:
-        lanes = lanes._replace(effects={"encoder_offset": jax.tree.map(wide, values.effects["encoder_offset"])})
-    else:
-        lanes = lanes._replace(effects={})
+    seen = {k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in SEEN_BY_CONTROLLERS}
+    lanes = lanes._replace(effects=seen)
     u = jnp.moveaxis(path.u, 0, 1)
     tau, pull = actuated(lanes, q, v, u)
     gravity = lambda q: dynamics.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
@@ -71,7 +71,8 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
         return (act(direction) - act(p[parameter])) / jnp.where(
             direction != p[parameter], direction - p[parameter], 1.0
         )[:, None, None]
-    return jax.jvp(act, (p[parameter],), (jnp.ones(n),))[1]
+    along = lambda way: jax.jvp(act, (p[parameter],), (way,))[1]
+    return jax.vmap(along)(jnp.eye(n)) if effect.pair else along(jnp.ones(n))
 
 
 @jax.jit
@@ -98,16 +99,28 @@ def _command(model, values, stamp, command, path: Path, p, size, past: int, effe
     return jnp.moveaxis((run(moved) - run(changed)) * by / size[None, :, None], 0, 1)
 
 
-@partial(jax.jit, static_argnames=("effect", "parameter"))
-def _sensed(time, x, p, size, effect: Effect, parameter: str):
-    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint."""
+_carried = jax.jit(carried)
+
+
+@jax.jit
+def _carried_between(values, x, u):
+    """Torque of the drives in the middle of the rows, [L, n, W] N m."""
     n = x.shape[1] // 2
+    return jax.vmap(lambda x, u: actuated(values, x[:n], x[n:], u)[0])(0.5 * (x[1:] + x[:-1]), u)
+
+
+@partial(jax.jit, static_argnames=("effect", "parameter"))
+def _sensed(time, x, torque, p, size, effect: Effect, parameter: str):
+    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; torque [L+1, n, W] of the drives."""
+    n = x.shape[1] // 2
+    also = (torque,) if effect.carried else ()
     run = lambda value: effect.apply(
         {k: z[None, :, None] for k, z in (p | {parameter: value}).items()},
         time[:, None, :],
         x[:, :n],
         x[:, n:],
         x[0, :n],
+        *also,
     )
     if effect.jump:
         on, off = run(p[parameter] + size), run(p[parameter])
@@ -164,7 +177,7 @@ class Columns:
             size = np.full(self.n, float(shape[parameter]))
         with jax.enable_x64(True):
             if effect.place == "force":
-                return "force", np.asarray(
+                return "pair" if effect.pair else "force", np.asarray(
                     _force(g.model.tree, self.values, self.path, self.time, self.rub, p, size, effect, parameter)
                 )
             if effect.place == "command":
@@ -173,8 +186,15 @@ class Columns:
                 return "force", np.asarray(
                     _command(g.model, self.values, s.stamp, s.command, self.path, p, step, s.past, effect, parameter)
                 )
-            dq, dv = _sensed(self.time, self.path.x, p, size - p[parameter], effect, parameter)
+            dq, dv = _sensed(self.time, self.path.x, self.torque(), p, size - p[parameter], effect, parameter)
             return "output", np.concatenate([np.asarray(dq), np.asarray(dv)], 1)
+
+    def torque(self) -> np.ndarray:
+        """Of the drives, [L+1, n, W] N m."""
+        if "torque" not in self._made:
+            with jax.enable_x64(True):
+                self._made["torque"] = np.asarray(_carried(self.values, self.path.x, self.path.u))
+        return self._made["torque"]
 
     def inertia(self, body: int, name: str) -> np.ndarray:
         """Force column [n, L, W] of an inertial entry of a body of the group."""
@@ -190,6 +210,13 @@ class Columns:
         y, slope = self._made["inertia"]
         part = y[:, 10 * body : 10 * body + 10]
         return -np.einsum("niLW,i->nLW", part, slope[body, :, ETA.index(name)])
+
+    def yielding(self, at: int) -> np.ndarray:
+        """Change of a controlled joint's angle on the motor's side [W, L] per unit of its drive's compliance."""
+        with jax.enable_x64(True):
+            tau = np.asarray(_carried_between(self.values, self.path.x, self.path.u))[:, at].T
+        law, gear = self.values.actuator, self.values.gear
+        return tau / (1.0 - float((wound(self.values) * gear**2 * law[2])[at, 0]))
 
     def tilt(self, name: str) -> np.ndarray:
         g = np.asarray(self.group.model.tree.gravity)
@@ -215,13 +242,14 @@ class Columns:
                     force[..., k] += self.inertia(at, e.name).transpose(2, 1, 0)
                     continue
                 place, z = self.all_joints(self.problem.effect(e.owner), e.name, shape)
-                if place == "force":
-                    force[:, :, at, k] += z[at].T
+                if place != "output":
+                    where = slice(None) if place == "pair" else at
+                    force[:, :, where, k] += np.moveaxis(z[at], -1, 0).swapaxes(1, -1)
                     continue
                 output = np.zeros((width, rows + 1, 2 * self.n, len(entries))) if output is None else output
                 for c in (at, self.n + at):
                     output[:, :, c, k] += z[:, c].T
-                if e.owner == "encoder_offset":  # the controller sees it too
-                    push = self.values.actuator[2, at] * self.values.gear[at] ** 2
-                    force[:, :, at, k] += float(push[0])
+                if e.owner in SEEN_BY_CONTROLLERS:
+                    push = float((self.values.actuator[2, at] * self.values.gear[at] ** 2)[0])
+                    force[:, :, at, k] += push * (1.0 if e.owner == "encoder_offset" else self.yielding(at))
         return force, output

@@ -13,6 +13,7 @@ from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, holdable
@@ -62,6 +63,7 @@ def diagnose(
     machine = scaled(machine, horizon)
     folder = None if out is None else output_folder(out)
     report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
+    report["notes"] += otherwise(report["declared"]["after"])
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 
 from adaptsim_jax.attribution.columns import Columns, Shapes
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.problem import Group, Problem, own_inertia, values_of
+from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start, simulate
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
@@ -62,7 +63,7 @@ class Linear:
 def substeps(problem: Problem, vector: Vector, group: Group) -> int:
     """Steps within a row such that Runge and Kutta's method is stable and good for drag and controllers."""
     v = values_of(problem, group, vector)
-    inertia = own_inertia(problem, vector)[0][list(group.joints)]
+    inertia = group_inertia(v, group)[0]
     damping = v.effects["viscous"]["damping"][:, 0] if "viscous" in v.effects else 0.0
     gain = group.gear**2
     rate = np.abs(damping - gain * group.actuator[3]) / inertia
@@ -271,7 +272,7 @@ def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: f
         held = ~free
         right = (slope - hess[:, held] @ step[held]) / size
         if free.any():
-            step[free] = np.linalg.lstsq(scaled[np.ix_(free, free)], right[free], rcond=1e-12)[0] / size[free]
+            step[free] = scipy.linalg.solve(scaled[np.ix_(free, free)], right[free], assume_a="pos") / size[free]
         out = free & ((step < low) | (step > high))
         if not out.any():
             break

@@ -26,11 +26,15 @@ OF_BODY = ("mass", "centre of mass x", "centre of mass y", "centre of mass z",
 UNITS = ("kg", "m", "m", "m", *["kg m^2"] * 6)
 STEP = 1e-4  # of a coordinate, for differences
 EXACT = 1e-9
+OTHERWISE = 0.05
+"""Share of its value in the model file by which a quantity that the data fix is said to be another; of what is near zero there, of
+the largest one of its unit times itself."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of all inertial coordinates: name, unit, value [1 + F] (the fit's, then of each fold), slope [P] by the vector."""
+    """A number of all inertial coordinates: name, unit, value [2 + F] (the fit's, of each fold, the model file's), slope [P] by the
+    vector."""
 
     name: str
     unit: str
@@ -51,12 +55,13 @@ def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str
         if alone == 0.0:
             continue
         both = float(np.sqrt(max(q.slope @ left @ q.slope, 0.0)))
-        folds = q.values[1:]
+        folds = q.values[1:-1]
         jackknife = float(np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean()).sum()))
         width, value = NINETY * max(jackknife, both), float(q.values[0])
         rows[q.name] = {
             "value": value, "low": value - width, "high": value + width, "unit": q.unit,
             "identifiable": bool(both < NARROW * alone), "combination": q.combined,
+            "file": float(q.values[-1]),
         }  # fmt: skip
     return rows
 
@@ -82,6 +87,26 @@ def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) ->
     ]
 
 
+def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
+    """Which combinations (or masses) the data fix at another value than the model file's, the three furthest off: a payload, another
+    part."""
+    wanted = lambda name, row: row.get("combination") or name.startswith("mass of ")
+    fixed = {name: row for name, row in rows.items() if row["identifiable"] and wanted(name, row)}
+    largest: dict[str, float] = {}
+    for row in fixed.values():
+        largest[row["unit"]] = max(largest.get(row["unit"], 0.0), abs(row["file"]))
+    off = {}
+    for name, row in fixed.items():
+        size = max(abs(row["file"]), OTHERWISE * largest[row["unit"]], 1e-12)
+        if abs(row["value"] - row["file"]) > OTHERWISE * size and not row["low"] <= row["file"] <= row["high"]:
+            off[name] = abs(row["value"] - row["file"]) / size
+    told = [
+        f"{name} {fixed[name]['value']:.3g} {fixed[name]['unit']} (file {fixed[name]['file']:.3g})"
+        for name in sorted(off, key=lambda n: -off[n])[:3]
+    ]
+    return [f"Unlike the model file, by these data: {', '.join(told)}."] if told else []
+
+
 def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Covariance [P, P] of the vector by data and prior together, and the prior's standard deviations [P] (0 where it has none)."""
     lin, vector = model.lin, model.fit.vector
@@ -96,11 +121,12 @@ def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
 def quantities(machine: Machine, problem: Problem, model: Model) -> list[Quantity]:
     """All that is told of inertias, joints first."""
     tree, vector = machine.tree, model.fit.vector
-    fits = np.stack([vector.values, *model.held.vectors])
+    file = np.where([e.owner == INERTIA for e in vector.entries], 0.0, vector.values)
+    fits = np.stack([vector.values, *model.held.vectors, file])
     place = {(e.joints[0], e.name): i for i, e in enumerate(vector.entries) if e.owner == INERTIA}
     found: dict[
         int, tuple[np.ndarray, np.ndarray]
-    ] = {}  # inertial parameters [1 + F, 10] of a body, their slope [10, P]
+    ] = {}  # inertial parameters [2 + F, 10] of a body, their slope [10, P]
     for g in problem.groups:
         by_fit = [_of_group(g, place, row) for row in fits]
         for k, j in enumerate(g.joints):

@@ -4,12 +4,13 @@ import numpy as np
 
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import TILT, Problem, values_of
 from adaptsim_jax.attribution.score import Candidate, candidates, table
 from adaptsim_jax.attribution.select import Model, Selection, attempted, modelled, refit, without
 from adaptsim_jax.mechanisms.mjcf_write import Changes
 
-HELD = ("viscous", "coulomb", "armature", "spring", TILT)
+HELD = ("viscous", "coulomb", "armature", "spring", TILT, INERTIA)
 """Effects that any MJCF holds."""
 ACTUATED = {
     "torque_gain": "gain",

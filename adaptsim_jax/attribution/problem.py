@@ -231,9 +231,9 @@ def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray |
                 eta[:, place[j], ETA.index(e.name)] = numbers[:, i]
             else:
                 effects[e.owner][e.name][place[j]] = numbers[:, i]
-    if width > 1 and np.all(eta == eta[:1]):
-        eta = eta[:1]
-    inertial = np.stack([group.inertias.at(z)[0] for z in eta], -1)
+    which, lane = np.unique(eta, axis=0, return_inverse=True)  # as many as there are folds, not stretches
+    inertial = np.stack([group.inertias.at(z)[0] for z in which], -1)
+    inertial = inertial if len(which) == 1 else inertial[..., lane.reshape(-1)]
     gravity = np.stack([tilted(np.asarray(group.model.tree.gravity), *z) for z in tilt], -1)
     wide = lambda z: np.asarray(z, float)[..., None]
     return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects)
@@ -251,16 +251,19 @@ def own_inertia(problem: Problem, vector: Vector) -> tuple[np.ndarray, np.ndarra
     """What each joint feels of inertia, 1 / diag(M^-1) [n], and the largest force of gravity [n], at middle and start angles."""
     inertia, weight = np.zeros(problem.joints), np.zeros(problem.joints)
     for g in problem.groups:
-        v = values_of(problem, g, vector)
-        with jax.enable_x64(True):
-            q = g.stretches.start[: len(g.joints)]
-            mass, force = (np.asarray(z) for z in _at_rest(g.model.tree, v.inertial, v.gravity, q))
-        mass = np.moveaxis(mass, -1, 0)
-        arm = v.effects["armature"]["inertia"][:, 0] if "armature" in v.effects else np.zeros(len(g.joints))
-        inverse = np.linalg.inv(mass + np.diag(arm))
-        inertia[list(g.joints)] = 1.0 / np.median(np.diagonal(inverse, axis1=1, axis2=2), 0)
-        weight[list(g.joints)] = np.abs(force).max(1)
+        inertia[list(g.joints)], weight[list(g.joints)] = group_inertia(values_of(problem, g, vector), g)
     return inertia, weight
+
+
+def group_inertia(values: Values, group: Group) -> tuple[np.ndarray, np.ndarray]:
+    """`own_inertia` of a group's joints at its values."""
+    with jax.enable_x64(True):
+        q = group.stretches.start[: len(group.joints)]
+        mass, force = (np.asarray(z) for z in _at_rest(group.model.tree, values.inertial, values.gravity, q))
+    mass = np.moveaxis(mass, -1, 0)
+    arm = values.effects["armature"]["inertia"][:, 0] if "armature" in values.effects else np.zeros(len(group.joints))
+    inverse = np.linalg.inv(mass + np.diag(arm))
+    return 1.0 / np.median(np.diagonal(inverse, axis1=1, axis2=2), 0), np.abs(force).max(1)
 
 
 @jax.jit

@@ -46,7 +46,7 @@ def reported(
     over = float(np.median(after / np.maximum(noise, 1e-12)))
     named = found.named
     kind = _kind(named, over, criteria)
-    effects = [_effect(problem, found, n) for n in named]
+    effects = [_effect(machine, problem, found, n) for n in named]
     log = machine.log
     data = {"trials": len(machine.tracks), "samples": log.samples, "held_out_trials": len(np.unique(problem.fold))}
     remaining = {
@@ -103,7 +103,13 @@ def message(problem: Problem, found: Selection, before: np.ndarray, after: np.nd
     return f"{told}. {rest}{where}."
 
 
-def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
+PHYSICS = {
+    TILT: "gravity pulls along another direction: the base is not level",
+    INERTIA: "a body of another mass, centre of mass or moments than declared: a payload, another part",
+}
+
+
+def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
     c, model = n.candidate, found.final
     spread = model.spread
     numbers = {}
@@ -114,11 +120,17 @@ def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
             key = f"{e.name}[{problem.joint_names[e.joints[0]]}]" if own else e.name
             low, high = max(value - width, min(e.low, value)), min(value + width, max(e.high, value))
             numbers[key] = {"value": value, "low": low, "high": high, "unit": e.unit}
-    tilt = c.effect == TILT
-    effect = None if tilt else problem.effect(c.effect)
+    if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
+        of = f" of {machine.tree.body_names[c.joints[0]]}"
+        rows = inertias_told.told(machine, problem, model)
+        numbers = {
+            key.removesuffix(of).replace(" ", "_"): {k: row[k] for k in ("value", "low", "high", "unit")}
+            for key, row in rows.items()
+            if key.endswith(of) and not row["combination"]
+        }
     return {
         "name": c.effect, "where": place(problem, c), "joints": [problem.joint_names[j] for j in c.joints], "parameters": numbers,
-        "physics": "gravity pulls along another direction: the base is not level" if effect is None else effect.physics,
+        "physics": PHYSICS[c.effect] if c.effect in PHYSICS else problem.effect(c.effect).physics,
         "alternatives": [f"{a.effect}@{place(problem, a)}" for a in n.alternatives],
         "held_out_gain": n.test.gain, "p_value": n.test.p, "better": n.test.better, "folds": n.test.folds,
         "size_over_scatter": min(n.steady, 1e3),

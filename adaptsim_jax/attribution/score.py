@@ -13,11 +13,12 @@ from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
-from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector, inertia_entries
 from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach
 
-PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction")
+PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
+           "drive_compliance")  # fmt: skip
 """Effects on the torque of an actuator: not of a joint that has none."""
 
 
@@ -70,7 +71,7 @@ def entries_of(
 
 def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple[Entry, ...]:
     """Entries of the shapes that are fitted once an effect is in the model, at the values it was scored with."""
-    if candidate.effect == TILT:
+    if candidate.effect in (TILT, INERTIA):
         return ()
     effect, given = problem.effect(candidate.effect), candidate.shaped()
     out = []
@@ -95,12 +96,15 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
     """All that may be added to the vector: each effect at each joint, at all of them, with one value for all; a tilted base."""
     taken = {(e.owner, j) for e in vector.entries for j in e.joints}
     driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
+    first = {g.joints[0] for g in problem.groups}
     out = []
     for effect in problem.effects:
         free = [
             j
             for j in range(problem.joints)
-            if (effect.name, j) not in taken and (j in driven or effect.name not in PASSIVE)
+            if (effect.name, j) not in taken
+            and (j in driven or effect.name not in PASSIVE)
+            and not (effect.pair and j in first)
         ]
         if effect.name == "viscous":
             continue
@@ -125,6 +129,11 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
         everywhere = tuple(range(problem.joints))
         entries = tuple(Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS)
         out.append(Candidate(TILT, everywhere, "common", entries))
+    for g in problem.groups:
+        for at, j in enumerate(g.joints):
+            if g.inertias.massive[at] and (INERTIA, j) not in taken:
+                own = inertia_entries(np.arange(j + 1) == j)
+                out.append(Candidate(INERTIA, (j,), "joint", own))
     return out
 
 
@@ -218,16 +227,26 @@ class _Sums:
         for k in folds:
             a = _solved(c, bend - curve[k], total - by_fold[k])
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
-        count = max(int(np.any(slope != 0.0, axis=1).sum()), 2)
-        mean = slope.sum(0) / count
-        spread = np.sqrt(np.maximum(np.square(slope).sum(0) / count - np.square(mean), 0.0) / (count - 1))
-        t = np.abs(mean) / np.maximum(spread, 1e-300)
-        z = stats.norm.isf(
-            np.maximum(stats.t.sf(t, count - 1), 1e-300)
-        )  # as far out as Student's t of so few stretches
-        on = amplitude != 0.0
-        p = float(stats.chi2.sf(np.square(z[on]).sum(), int(on.sum()))) if on.any() else 1.0
+        p = hotelling(slope[:, amplitude != 0.0])
         return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))
+
+
+def hotelling(slope: np.ndarray) -> float:
+    """p that scores [W, K] of stretches have mean zero, by Hotelling's T^2 (Student's t of one): of directions that are there.
+
+    A variance by cluster and not by sample, as of any score here; directions that the stretches cannot tell apart are left out."""
+    slope = slope[np.any(slope != 0.0, axis=1)]
+    count = len(slope)
+    if slope.size == 0 or count < 3:
+        return 1.0
+    unit = slope / np.sqrt(np.maximum(np.square(slope).sum(0), 1e-300))
+    mean = unit.mean(0)
+    value, vector = np.linalg.eigh((unit - mean).T @ (unit - mean) / (count - 1))
+    keep = value > 1e-9 * value[-1]
+    keep[: max(0, keep.size - (count - 1) // 2)] = False  # no more than the stretches can tell apart
+    k = int(keep.sum())
+    square = count * float(np.sum(np.square(mean @ vector[:, keep]) / np.maximum(value[keep], 1e-300)))
+    return float(stats.f.sf(square * (count - k) / (k * (count - 1)), k, count - k))
 
 
 def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray) -> np.ndarray:
@@ -235,6 +254,7 @@ def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray) -> np.ndarray:
     low = np.array([e.low - e.start for e in c.entries])
     high = np.array([e.high - e.start for e in c.entries])
     on = np.diagonal(bend) > 1e-12
+    bend = bend + np.diag([e.prior**-2.0 for e in c.entries])
     out = np.zeros(len(total))
     for _ in range(len(total) + 1):
         out[:] = 0.0

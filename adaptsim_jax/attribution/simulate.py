@@ -80,7 +80,21 @@ def actuated(values: Values, q, v, u):
     g = values.gear
     q = q + sensed_offset(values)
     pull = gain * u + bias + per_q * g * q
-    return g * jnp.clip(pull + per_v * g * v, low, high), g * pull
+    yields = (
+        1.0 - wound(values) * g * g * per_q
+    )  # a controller's encoder on the motor's side sees the drive's wind-up, too
+    return g * jnp.clip((pull + per_v * g * v) / yields, low, high), g * pull / yields
+
+
+def wound(values: Values):
+    """Wind-up of the drives under torque, [n, .] rad/(N m)."""
+    return values.effects["drive_compliance"]["compliance"] if "drive_compliance" in values.effects else 0.0
+
+
+def carried(values: Values, x, u):
+    """Torque of the drives [L+1, n, W] at states x [L+1, 2n, W] under commands u [L, n, W]."""
+    n = x.shape[1] // 2
+    return jax.vmap(lambda x, u: actuated(values, x[:n], x[n:], u)[0])(x, jnp.concatenate([u, u[-1:]]))
 
 
 class Forces(NamedTuple):
@@ -179,14 +193,15 @@ def command_rows(model: Model, values: Values, stamp, command, past: int, rows: 
     return u[past : past + rows]
 
 
-def measure(model: Model, values: Values, time, x):
-    """What the sensors say [L+1, 2n, W] of states x [L+1, 2n, W] at time [L+1, W] s."""
+def measure(model: Model, values: Values, time, x, u):
+    """What the sensors say [L+1, 2n, W] of states x [L+1, 2n, W] at time [L+1, W] s under commands u [L, n, W]."""
     n = x.shape[1] // 2
     q, v = x[:, :n], x[:, n:]
     for effect in model.effects:
         if effect.place == "measurement" and effect.name in values.effects:
             p = {k: z[None] for k, z in values.effects[effect.name].items()}
-            q, v = effect.apply(p, time[:, None, :], q, v, q[0])
+            also = (carried(values, x, u),) if effect.carried else ()
+            q, v = effect.apply(p, time[:, None, :], q, v, q[0], *also)
     return jnp.concatenate([q, v], 1)
 
 
@@ -210,7 +225,7 @@ def simulate(model: Model, values: Values, time, stamp, command, x0, substeps, r
 
     last, (x, rub) = jax.lax.scan(row, x0, drive)
     x = jnp.concatenate([x, last[None]])
-    return Path(x, measure(model, values, time, x), rub, drive.u)
+    return Path(x, measure(model, values, time, x, drive.u), rub, drive.u)
 
 
 @partial(jax.jit, static_argnames=("past",))
@@ -230,7 +245,7 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, substeps, 
 
     last, (x, rub, slopes) = jax.lax.scan(row, x0, drive)
     x = jnp.concatenate([x, last[None]])
-    return Path(x, measure(model, values, time, x), rub, drive.u), slopes[:, :, :states], slopes[:, :, states:]
+    return Path(x, measure(model, values, time, x, drive.u), rub, drive.u), slopes[:, :, :states], slopes[:, :, states:]
 
 
 def _drive(model, values, time, stamp, command, past) -> Rows:

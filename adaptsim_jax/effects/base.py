@@ -18,6 +18,7 @@ NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its end
 UNITS = {
     "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
     "N m": (1, 0), "N m/rad": (1, 0), "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
+    "rad/(N m)": (-1, 0),
 }  # fmt: skip
 """Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
 SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motion could do
@@ -134,6 +135,8 @@ class Effect:
     cosine; shape frequency) may have another phase in each trial.
     `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
     this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
+    `pair`: its force is on the joint and on the one before it, too. `carried`: a measurement effect that is also given the torque
+    [N m] which the joint's drive carries, `apply(p, t, q, v, first, torque)`.
     `formula`: the physics in a line, for people.
     """
 
@@ -150,6 +153,8 @@ class Effect:
     inertia: bool = False
     jump: bool = False
     clocked: bool = False
+    pair: bool = False
+    carried: bool = False
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = None
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None

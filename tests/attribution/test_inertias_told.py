@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.inertias_told import OF_BODY, _body, _carried
+from adaptsim_jax.attribution.inertias_told import OF_BODY, _body, _carried, otherwise
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1" euler="0.3 0 0">
@@ -59,3 +59,17 @@ def test_bodies_are_told_in_the_axes_of_their_file(machine, found):
     slope = rows["centre of mass x"].slope[:4]  # by m, m cx, m cy, m cz in the joint's axes
     assert slope[0] == pytest.approx(-0.02 / 1.5, rel=1e-4)
     assert np.linalg.norm(slope[1:]) == pytest.approx(1 / 1.5, rel=1e-4)
+
+
+def test_what_is_said_to_be_unlike_the_model_file():
+    row = lambda value, width, file, fixed=True: {
+        "value": value, "low": value - width, "high": value + width, "unit": "kg m^2", "identifiable": fixed, "combination": True, "file": file,
+    }  # fmt: skip
+    rows = {
+        "heavier": row(0.2, 0.01, 0.1),
+        "alike": row(0.102, 0.001, 0.1),
+        "wide": row(0.2, 0.2, 0.1),
+        "loose": row(0.9, 0.1, 0.1, False),
+    }
+    assert otherwise(rows) == ["Unlike the model file, by these data: heavier 0.2 kg m^2 (file 0.1)."]
+    assert otherwise({"alike": rows["alike"]}) == []

@@ -170,6 +170,10 @@ KINDS: dict[str, Kind] = {
     "coupling": Kind("pair", lambda r, s, j, k: {
         "size": 1.41 * k * s.torque[j], "ratio": _either(r, 0.5, 1.0), "order": np.pi / s.span(j), "rest": r.uniform(0,
         6.28)}, outside=True),
+    "torque_coupling": Kind("neighbours", lambda r, s, j, k: {
+        "onto": _either(r, 1, 1) * min(k * float(s.torque[j] / s.torque[j - 1]), 0.8), "back": 0.0}, family="coupled"),
+    "friction_coupling": Kind("neighbours", lambda r, s, j, k: {
+        "damping": _either(r, 1, 1) * k * float(min(s.torque[j] / s.speed[j - 1], s.torque[j - 1] / s.speed[j]))}, family="coupled"),
 }  # fmt: skip
 INSIDE = tuple(k for k, v in KINDS.items() if not v.outside)
 OUTSIDE = tuple(k for k, v in KINDS.items() if v.outside)
@@ -184,11 +188,21 @@ def joints_of(rng: np.random.Generator, machine: Machine, kind: str) -> tuple[in
     return {
         "all": every, "all_driven": driven, "base": (), "one": (int(rng.choice(every)),), "driven": (int(rng.choice(driven)),),
         "pair": tuple(int(j) for j in rng.permutation(machine.n)[:2]),
+        "neighbours": _neighbours(rng, machine, kind),
     }[KINDS[kind].at]  # fmt: skip
 
 
+def _neighbours(rng: np.random.Generator, machine: Machine, kind: str) -> tuple[int, ...]:
+    """A joint and the one before it; of a torque, one whose motor turns."""
+    if KINDS[kind].at != "neighbours":
+        return ()
+    first = [j for j in range(machine.n - 1) if kind != "torque_coupling" or j in machine.driven]
+    j = int(rng.choice(first))
+    return j, j + 1
+
+
 def fits(machine: Machine, mode: str, kind: str) -> bool:
-    return mode in KINDS[kind].modes and not (KINDS[kind].at == "pair" and machine.n < 2)
+    return mode in KINDS[kind].modes and not (KINDS[kind].at in ("pair", "neighbours") and machine.n < 2)
 
 
 def plan(rng: np.random.Generator, machine: Machine, mode: str, suite: str, effect: str | None) -> list[Plan]:
@@ -234,6 +248,8 @@ def draw_effects(
         params = [k.size(rng, s, j, share) for j in joints or (machine.n - 1,)]
         if k.at == "pair":
             params = params[:1]
+        elif k.at == "neighbours":
+            params = params[1:]
         if k.family == "late":  # one computer: one lateness
             share_of = [j for j in joints if j in machine.driven]
             params = [params[joints.index(max(share_of, key=lambda j: s.torque[j]))]] * len(joints)

@@ -96,7 +96,21 @@ def _coupling(e: Effect, x: Motion) -> np.ndarray:
     return out
 
 
-WHOLE: dict[str, Callable[[Effect, Motion], np.ndarray]] = {"coupling": _coupling}
+def _torque_coupling(e: Effect, x: Motion) -> np.ndarray:
+    (a, b), p, out = e.joints, e.params[0], np.zeros(x.q.shape)
+    out[:, b], out[:, a] = p["onto"] * x.u[:, a], p["back"] * x.u[:, b]
+    return out
+
+
+def _friction_coupling(e: Effect, x: Motion) -> np.ndarray:
+    (a, b), p, out = e.joints, e.params[0], np.zeros(x.q.shape)
+    out[:, b], out[:, a] = -p["damping"] * x.v[:, a], -p["damping"] * x.v[:, b]
+    return out
+
+
+WHOLE: dict[str, Callable[[Effect, Motion], np.ndarray]] = {
+    "coupling": _coupling, "torque_coupling": _torque_coupling, "friction_coupling": _friction_coupling,
+}  # fmt: skip
 """Of several joints at once."""
 
 

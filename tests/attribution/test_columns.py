@@ -1,0 +1,95 @@
+"""First-order columns of effects beside differences of the simulation itself, and the score test on them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.estimate import Fit, linear, run, starts_of, weigh
+from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
+from adaptsim_jax.attribution.score import candidates, hotelling
+from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.mechanisms.mjcf import read_mechanism
+
+XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>
+<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/><body name="lower" pos="0 0 -0.4"><joint name="b" axis="0 1 0"/>
+<inertial pos="0 0 -0.15" mass="0.7" diaginertia="0.006 0.006 0.001"/></body></body></worldbody></mujoco>"""
+LAWS = {
+    "torque": None,
+    "position": np.array([[40.0] * 2, [0.0] * 2, [-40.0] * 2, [-1.0] * 2, [-np.inf] * 2, [np.inf] * 2]),
+}
+NAMES = ("torque_gain", "torque_coupling", "friction_coupling", "drive_compliance", "encoder_offset")
+
+
+@pytest.fixture(scope="module", params=LAWS)
+def fitted(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(XML)
+    time = np.arange(500) / 250.0
+    q = np.stack([0.4 * np.sin(3.0 * time), 0.5 * np.cos(4.0 * time)], 1)
+    tracks = [Track(str(k), time, q, None, q[:, ::-1] + 0.1 * k) for k in range(5)]
+    effects = tuple(e for e in MACHINE if e.name in ("viscous", *NAMES))
+    problem = prepare(read_mechanism(path).tree, tracks, effects, LAWS[request.param])
+    vector, starts = nuisances(problem, inertia=False), starts_of(problem)
+    paths = run(problem, vector, starts)
+    return problem, Fit(
+        vector, starts, weigh(problem, paths), np.zeros(problem.groups[0].stretches.count), "stopped", 0
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_columns_are_those_of_differences(fitted, name):
+    problem, fit = fitted
+    reach = scaled_reach(problem, *own_inertia(problem, fit.vector))
+    found = [c for c in candidates(problem, fit.vector, reach) if c.effect == name and c.sharing == "joint"]
+    assert found
+    for entry in (e for c in found for e in c.entries):
+        one = fit.vector.with_entries([entry])
+        at = lambda value, one=one: run(problem, one.at(np.append(fit.vector.values, value)), fit.starts)[0].sensed
+        lin = linear(problem, replace(fit, vector=one))
+        weight = fit.weights.channel * np.sqrt(fit.weights.stretch)[:, None, None]
+        s = problem.groups[0].stretches
+        seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)[:, lin.picked]
+        differences = ((at(1e-5) - at(-1e-5)) / 2e-5).transpose(2, 0, 1)[:, lin.picked] * weight * seen
+        flat = differences.reshape(len(differences), -1)
+        assert np.linalg.norm(flat) > 0.0
+        # a force is taken as held over a row, which makes a per cent under a stiff controller
+        assert np.linalg.norm(lin.shared[0][:, :, -1] - flat) < 0.03 * np.linalg.norm(flat)
+
+
+def test_a_body_whose_inertia_is_not_fitted_is_a_candidate_and_no_other(fitted):
+    problem, fit = fitted
+    reach = scaled_reach(problem, *own_inertia(problem, fit.vector))
+    kept = candidates(problem, fit.vector, reach)
+    assert [c.joints for c in kept if c.effect == INERTIA] == [(0,), (1,)]
+    assert all(len(c.entries) == 10 for c in kept if c.effect == INERTIA)
+    free = nuisances(problem)
+    assert not [c for c in candidates(problem, free, reach) if c.effect == INERTIA]
+
+
+def test_values_of_many_stretches_are_those_of_each(fitted):
+    problem, _ = fitted
+    vector = nuisances(problem)
+    rows = vector.values + np.array([[0.0], [0.05], [0.0]])
+    rows[:, -2:] = vector.values[-2:]
+    many = values_of(problem, problem.groups[0], vector, rows).inertial
+    for k in range(3):
+        one = values_of(problem, problem.groups[0], vector.at(rows[k])).inertial
+        np.testing.assert_allclose(many[..., k], one[..., 0], rtol=1e-12)
+
+
+def test_hotelling_of_one_direction_is_students_t():
+    scores = np.random.default_rng(0).normal(0.3, 1.0, (40, 1))
+    assert hotelling(scores) == pytest.approx(stats.ttest_1samp(scores[:, 0], 0.0).pvalue)
+
+
+def test_hotelling_holds_its_level_on_directions_that_say_the_same():
+    rng = np.random.default_rng(1)
+    low = []
+    for _ in range(400):
+        one = rng.normal(size=(60, 1))
+        low.append(hotelling(one + 1e-3 * rng.normal(size=(60, 10))) < 0.05)
+    assert 0.02 < np.mean(low) < 0.09
