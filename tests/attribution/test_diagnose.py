@@ -10,6 +10,7 @@ from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.sysid.report.schema import read_report
 from tests.attribution.pendulum import record
+from tests.generators.mechanism_worlds import write_world
 
 
 @pytest.mark.slow
@@ -36,6 +37,31 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
     assert not fixed & {"mass of link", "centre of mass z of link", "inertia yy of link"}
     assert set(report["fit_coordinates"]["after"]) >= {"size of hinge", "shift_z of hinge"}
     assert any("inertia about hinge" in note for note in report["notes"])
+
+
+@pytest.mark.slow
+def test_a_body_that_is_lighter_than_the_file_says_is_named_where_inertias_are_kept_and_noted_where_fitted(tmp_path):
+    data = record(tmp_path / "light", friction=0.0, seed=4)
+    fitted = diagnose(data)
+    assert fitted["effects"] == [] and any(n.startswith("Unlike the model file") for n in fitted["notes"])
+    (data / "meta.toml").write_text((data / "meta.toml").read_text() + "[fit]\ninertias = false\n")
+    report = diagnose(data, out=tmp_path / "out")
+    assert ["inertia"] == [e["name"] for e in report["effects"]]
+    moment = lambda numbers: numbers["mass"] * numbers["centre_of_mass_z"]
+    assert moment({k: v["value"] for k, v in report["effects"][0]["parameters"].items()}) == pytest.approx(
+        -0.25, rel=0.02
+    )
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
+    assert model.body_mass[1] * model.body_ipos[1, 2] == pytest.approx(-0.25, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_torque_that_acts_on_two_joints_is_named(tmp_path):
+    world = write_world(tmp_path / "world", "single", 802, effect="torque_coupling", machine="furuta", mode="torque")
+    (effect,) = diagnose(world / "recording")["effects"]
+    truth = json.loads((world / "truth.json").read_text())["effects"][0]["size"]["arm+free"]
+    assert (effect["name"], effect["joints"]) == ("torque_coupling", ["free"])
+    assert effect["parameters"]["onto"]["value"] == pytest.approx(truth["onto"], rel=0.05)
 
 
 @pytest.mark.slow
