@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import Fit, linear, run, starts_of, weigh
 from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
-from adaptsim_jax.attribution.score import candidates, hotelling
+from adaptsim_jax.attribution.score import candidates, score_p
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
@@ -81,15 +81,24 @@ def test_values_of_many_stretches_are_those_of_each(fitted):
         np.testing.assert_allclose(many[..., k], one[..., 0], rtol=1e-12)
 
 
-def test_hotelling_of_one_direction_is_students_t():
+def test_the_score_test_of_one_direction_is_students_t():
     scores = np.random.default_rng(0).normal(0.3, 1.0, (40, 1))
-    assert hotelling(scores) == pytest.approx(stats.ttest_1samp(scores[:, 0], 0.0).pvalue)
+    assert score_p(scores, np.eye(1)) == pytest.approx(stats.ttest_1samp(scores[:, 0], 0.0).pvalue)
 
 
-def test_hotelling_holds_its_level_on_directions_that_say_the_same():
+@pytest.mark.parametrize("mix", ["apart", "alike", "uneven"])
+def test_the_score_test_holds_its_level(mix):
     rng = np.random.default_rng(1)
-    low = []
-    for _ in range(400):
-        one = rng.normal(size=(60, 1))
-        low.append(hotelling(one + 1e-3 * rng.normal(size=(60, 10))) < 0.05)
-    assert 0.02 < np.mean(low) < 0.09
+    root = {
+        "apart": np.eye(10),
+        "alike": np.ones((10, 10)) + 0.03 * rng.normal(size=(10, 10)),
+        "uneven": rng.normal(size=(10, 10)),
+    }[mix]
+    low = [score_p(rng.normal(size=(30, 10)) @ root, root.T @ root) < 0.05 for _ in range(600)]
+    assert 0.02 < np.mean(low) < 0.08
+
+
+def test_the_score_test_sees_many_small_effects_in_few_stretches():
+    rng = np.random.default_rng(2)
+    seen = [score_p(0.5 + rng.normal(size=(23, 12)), np.eye(12)) < 1e-3 for _ in range(100)]
+    assert np.mean(seen) > 0.9

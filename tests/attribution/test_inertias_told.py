@@ -62,14 +62,10 @@ def test_bodies_are_told_in_the_axes_of_their_file(machine, found):
 
 
 def test_what_is_said_to_be_unlike_the_model_file():
-    row = lambda value, width, file, fixed=True: {
-        "value": value, "low": value - width, "high": value + width, "unit": "kg m^2", "identifiable": fixed, "combination": True, "file": file,
-    }  # fmt: skip
-    rows = {
-        "heavier": row(0.2, 0.01, 0.1),
-        "alike": row(0.102, 0.001, 0.1),
-        "wide": row(0.2, 0.2, 0.1),
-        "loose": row(0.9, 0.1, 0.1, False),
-    }
+    def row(value, width, fixed=True):
+        rest = {"unit": "kg m^2", "identifiable": fixed, "combination": True, "file": 0.1}
+        return {"value": value, "low": value - width, "high": value + width} | rest
+
+    rows = {"heavier": row(0.2, 0.01), "alike": row(0.102, 0.001), "wide": row(0.2, 0.2), "loose": row(0.9, 0.1, False)}
     assert otherwise(rows) == ["Unlike the model file, by these data: heavier 0.2 kg m^2 (file 0.1)."]
     assert otherwise({"alike": rows["alike"]}) == []
