@@ -21,8 +21,6 @@ PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "
            "drive_compliance")  # fmt: skip
 """Effects on the torque of an actuator: not of a joint that has none."""
 
-ALIKE = 1e-6  # of the largest eigenvalue: columns that differ by less in some direction say the same there
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -229,29 +227,27 @@ class _Sums:
         for k in folds:
             a = _solved(c, bend - curve[k], total - by_fold[k])
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
-        on = amplitude != 0.0
-        p = score_p(slope[:, on], bend[np.ix_(on, on)])
+        p = score_p(slope[:, amplitude != 0.0])
         return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))
 
 
-def score_p(slope: np.ndarray, bend: np.ndarray) -> float:
-    """p that scores [W, K] of stretches have mean zero: Student's t of each, as a normal deviate, in a quadratic form by the correlation
-    of the columns (from their curvature `bend` [K, K]; that of the scores themselves takes more stretches than there may be), which
-    their true correlation makes a sum of scaled chi squares (Rao and Scott, 1981). Of one: Student's t."""
+def score_p(slope: np.ndarray) -> float:
+    """p that scores [W, K] of stretches have mean zero: the sum of squares of Student's t of each, as normal deviates, which their
+    correlation makes a scaled chi square of fewer degrees of freedom (Satterthwaite's approximation; Rao and Scott, 1981)."""
     slope = slope[np.any(slope != 0.0, axis=1)]
     count = len(slope)
     if slope.size == 0 or count < 3:
         return 1.0
     spread = np.maximum(slope.std(0, ddof=1), 1e-300)
     t = np.sqrt(count) * slope.mean(0) / spread
-    z = np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), count - 1), 1e-300))
-    unit = 1.0 / np.sqrt(np.maximum(np.diagonal(bend), 1e-300))
-    inverse = np.linalg.pinv(bend * unit * unit[:, None], rcond=ALIKE, hermitian=True)
-    true = inverse @ np.atleast_2d(np.corrcoef(slope.T))
-    first = float(np.trace(true))
-    second = (float(np.trace(true @ true)) - first**2 / (count - 1)) * (count - 1) ** 2 / ((count - 2) * (count + 1))
-    freedom = first**2 / max(second, first**2 / len(z))
-    return float(stats.chi2.sf(float(z @ inverse @ z) * freedom / first, freedom))
+    z = stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), count - 1), 1e-300))
+    k = len(z)
+    found = float(
+        np.square(np.atleast_2d(np.corrcoef(slope.T))).sum()
+    )  # of correlations: too large by chance, by so much
+    alike = (found - k**2 / (count - 1)) * (count - 1) ** 2 / ((count - 2) * (count + 1))
+    freedom = k**2 / max(alike, k)
+    return float(stats.chi2.sf(float(z @ z) * freedom / k, freedom))
 
 
 def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray) -> np.ndarray:
