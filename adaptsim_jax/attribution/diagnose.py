@@ -1,13 +1,11 @@
 """Diagnose a recording of any mechanism: which effects its model file lacks, what is left, and a better model file."""
 
-import shlex
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import adaptsim_jax
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
@@ -22,12 +20,12 @@ from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Selection, select
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_folder, write_bytes, write_json
+from adaptsim_jax.core.files import output_folder, write_bytes
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
 from adaptsim_jax.sysid.quality.trial_words import add_trials
+from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
 from adaptsim_jax.sysid.report.schema import check
 
-Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
@@ -69,10 +67,8 @@ def diagnose(
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
         "audit"
     ]
-    report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__, "seed": 0, "command": command_of(data, model, exclude, without, out, as_declared),
-        "seconds": round(time.monotonic() - began, 1),
-    }  # fmt: skip
+    command = command_of(data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared)
+    report["run"] = evidence["run"] = Run(command, began).told()
     report = check(report)
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
@@ -82,23 +78,6 @@ def diagnose(
     return report
 
 
-def command_of(
-    data: str | Path,
-    model: str | Path | None,
-    exclude: Sequence[str],
-    without: Sequence[str],
-    out: str | Path | None = None,
-    as_declared: bool = False,
-) -> str:
-    """The command that gives the same answer."""
-    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again")]
-    words += ["--model", str(model)] if model is not None else []
-    words += ["--as-declared"] if as_declared else []
-    for flag, names in (("--exclude", exclude), ("--without", without)):
-        words += [flag, *names] if names else []
-    return shlex.join(words)
-
-
 def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:
     """`declared.xml` and `model.xml` into the folder; what an earlier run of another kind left there goes."""
     for name in (*OTHERS, MODEL):
@@ -106,11 +85,6 @@ def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selectio
     made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
     write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
     write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
-
-
-def plain(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
-    """`report.json` alone."""
-    write_json(folder / "report.json", report)
 
 
 def examined(

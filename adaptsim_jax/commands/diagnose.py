@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
-    from adaptsim_jax.attribution.diagnose import Page
     from adaptsim_jax.core.progress import Report
+    from adaptsim_jax.sysid.report.run import Page
     from adaptsim_jax.sysid.types import Recording
 
 BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)

@@ -1,14 +1,12 @@
 """Diagnose measured data: read, audit, fit, search, judge, report."""
 
-import shlex
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import adaptsim_jax
-from adaptsim_jax.core.files import output_folder, write_bytes, write_json
+from adaptsim_jax.core.files import output_folder, write_bytes
 from adaptsim_jax.effects.base import Effect, Parameter
 from adaptsim_jax.effects.registry import catalogue, effect_named
 from adaptsim_jax.sysid.criteria import Criteria
@@ -24,12 +22,12 @@ from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, check_conventio
 from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
+from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
 from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.sysid.select.trace import Trace
 from adaptsim_jax.sysid.types import Recording
 
 Reward = Callable[[Problem, Trace], dict[str, Any] | None]
-Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 
 
 def diagnose(
@@ -62,16 +60,13 @@ def diagnose(
     recording = without_trials(read, without)
     known = tuple(effects or catalogue(recording.task))
     left_out = [effect_named(name, known).name for name in exclude]
-    run = {
-        "version": adaptsim_jax.__version__,
-        "seed": seed,
-        "command": command_of(recording, seed, left_out, without, as_declared),
-    }
+    command = command_of(recording.path, seed=seed, exclude=left_out, without=without, as_declared=as_declared)
+    run = Run(command, began, seed)
     say(1, STAGES, "audit")
     checked = audit(recording)
     if checked.fault:
         report = faulty(recording, checked) | told_in_short(recording, checked)
-        return finish(report, {"audit": findings(checked)}, out, recording, run, began, None, page)
+        return finish(report, {"audit": findings(checked)}, out, recording, run, None, page)
     chosen = tuple(e for e in known if e.name not in exclude) + useless(irrelevant)
     recording = usable(recording, checked)
     checked = checked if as_declared else replace(checked, findings=checked.findings + check_conventions(recording))
@@ -82,7 +77,7 @@ def diagnose(
     result.evidence["audit"] += [{"severity": "info", "where": "", "message": note} for note in recording.notes]
     if follow_up:
         add_follow_up(result, seed, say, reward)
-    return finish(result.report, result.evidence, out, recording, run, began, result, page)
+    return finish(result.report, result.evidence, out, recording, run, result, page)
 
 
 def add_follow_up(result: Diagnosis, seed: int, say: Progress, reward: Reward | None = None) -> None:
@@ -141,29 +136,17 @@ def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:
     return new_report(recording.task, recording.model, "data_fault", checked.message, data)
 
 
-def command_of(
-    recording: Recording, seed: int, exclude: Sequence[str], without: Sequence[str] = (), as_declared: bool = False
-) -> str:
-    """The command that gives the same answer."""
-    words = ["adaptsim", "diagnose", str(recording.path), "--out", "again", *(["--seed", str(seed)] if seed else [])]
-    words += ["--as-declared"] if as_declared else []
-    for option, names in (("--exclude", exclude), ("--without", without)):
-        words += [option, *names] if names else []
-    return shlex.join(words)
-
-
 def finish(
     report,
     evidence,
     out,
     recording: Recording,
-    run: dict[str, Any],
-    began: float,
+    run: Run,
     result: Diagnosis | None,
     page: Page | None,
 ) -> dict[str, Any]:
     """Add how it was run, and write what was asked for."""
-    report["run"] = evidence["run"] = run | {"seconds": round(time.monotonic() - began, 1)}
+    report["run"] = evidence["run"] = run.told()
     report = check(report)
     if out is not None:
         folder = output_folder(out)
@@ -175,11 +158,6 @@ def finish(
             write_bytes(folder / plan["csv"], csv_of(plan["time"], plan["torque"]))
         (page or plain)(folder, report, evidence)
     return report
-
-
-def plain(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
-    """`report.json` alone."""
-    write_json(folder / "report.json", report)
 
 
 def write_models(folder: Path, result: Diagnosis | None, report: dict[str, Any], data: str | Path) -> None:

@@ -1,6 +1,5 @@
 """The whole of `diagnose`, with the whole catalogue, on files: one hidden effect, and none."""
 
-import shlex
 import shutil
 from pathlib import Path
 
@@ -8,10 +7,7 @@ import numpy as np
 import pytest
 
 import adaptsim_jax.sysid
-from adaptsim_jax import cli
 from adaptsim_jax.commands.diagnose import diagnose
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.pipeline import command_of
 from tests.generators import Spec, make_datasets, write_dataset
 
 SAMPLE = Path(adaptsim_jax.sysid.__file__).parent / "sample" / "recording"
@@ -45,14 +41,6 @@ def test_of_two_effects_that_hide_each_other_both_are_named(tmp_path):
     for effect in report["effects"]:
         assert effect["parameters"][sizes[effect["name"]]]["value"] == pytest.approx(true[effect["name"]], rel=0.05)
     assert report["error"]["after"] < 2.0 * report["error"]["noise_floor"]
-
-
-def test_the_report_names_the_command_that_repeats_it():
-    recording = read_recording(SAMPLE)
-    again = cli.parse(shlex.split(command_of(recording, 0, []))[1:])
-    assert (again.data, again.seed, again.exclude) == (str(SAMPLE), 0, [])
-    again = cli.parse(shlex.split(command_of(recording, 3, ["spring", "bias"]))[1:])
-    assert (again.data, again.seed, again.exclude) == (str(SAMPLE), 3, ["spring", "bias"])
 
 
 def test_what_an_earlier_run_left_in_the_folder_goes(tmp_path):

@@ -1,6 +1,5 @@
 """What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
 
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-import adaptsim_jax
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
 from adaptsim_jax.attribution.trials.select import TrialModel, TrialNamed, TrialSelection, spread
@@ -16,18 +14,13 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.sysid.report.run import Run
 from adaptsim_jax.sysid.report.schema import check
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
 OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
-
-
-def command_of(data: str | Path, out: str | Path | None, exclude: Sequence[str] = ()) -> str:
-    """The command that gives the same answer."""
-    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again")]
-    return shlex.join([*words, *(["--exclude", *exclude] if exclude else [])])
 
 
 @dataclass(frozen=True)
@@ -291,8 +284,7 @@ def plane_tracks(
 def finished(
     report: dict[str, Any],
     evidence: dict[str, Any],
-    command: str,
-    seconds: float,
+    run: Run,
     plan: Mapping[str, Any] | None,
     folder: Path | None,
     model: dict[str, Any],
@@ -304,12 +296,7 @@ def finished(
         report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
             {"csv": NEXT} if plan["rows"] else {}
         )
-    report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__,
-        "seed": 0,
-        "command": command,
-        "seconds": round(seconds, 1),
-    }
+    report["run"] = evidence["run"] = run.told()
     report = check(report)
     if folder is not None:
         for name in (*OTHERS, MODEL, NEXT):

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-import adaptsim_jax
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials import report as parts
 from adaptsim_jax.attribution.trials.problem import TrialProblem
 from adaptsim_jax.attribution.trials.select import TrialModel, TrialSelection, select
 from adaptsim_jax.core import config
 from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.sysid.report.run import Page, Run, command_of
 from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -23,7 +23,6 @@ from adaptsim_jax.tasks.toss.predict import whole_tosses
 from adaptsim_jax.tasks.toss.problem import Follow, prepare
 from adaptsim_jax.tasks.toss.read import Tossed, read
 
-Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 TOML, XML = "model.toml", "model.xml"
 OTHERS = ("next_experiment.csv", "leading.toml")  # of an earlier run of another kind into the same folder
 CRITERIA = Criteria(rounds=3, glance=1)  # a simulation of strikes is rough: fits gain little after a few rounds
@@ -69,12 +68,8 @@ def diagnose(
     step = parts.stepping(progress, 0.05)
     found = select(problem, criteria, step)
     report, evidence = reported(tossed, problem, follow, found, criteria)
-    report["run"] = evidence["run"] = {
-        "version": adaptsim_jax.__version__,
-        "seed": 0,
-        "command": parts.command_of(named if isinstance(data, Tossed) else data, out, exclude),
-        "seconds": round(time.monotonic() - began, 1),
-    }
+    command = command_of(named if isinstance(data, Tossed) else data, out=out, exclude=exclude)
+    report["run"] = evidence["run"] = Run(command, began).told()
     report = check(report)
     if folder is not None:
         for name in (*OTHERS, TOML, XML):

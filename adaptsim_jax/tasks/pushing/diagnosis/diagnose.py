@@ -11,14 +11,13 @@ from adaptsim_jax.attribution.trials.problem import TrialProblem
 from adaptsim_jax.attribution.trials.report import Seen
 from adaptsim_jax.attribution.trials.select import TrialNamed, TrialSelection, select
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.sysid.report.run import Page, Run, command_of
 from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import EFFECTS, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
 from adaptsim_jax.tasks.pushing.diagnosis.problem import prepare, simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import KIND, Pushed, read
 from adaptsim_jax.tasks.pushing.planar import DRAKE
-
-Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 
 
 def diagnose(
@@ -43,10 +42,9 @@ def diagnose(
     step = trials.stepping(progress, 0.05)
     found = select(problem, criteria, step)
     report, evidence = reported(pushed, problem, found, criteria)
-    command = trials.command_of(named if isinstance(data, Pushed) else data, out, exclude)
+    run = Run(command_of(named if isinstance(data, Pushed) else data, out=out, exclude=exclude), began)
     plan, model = telling(pushed, found), model_table(pushed, problem, found)
-    seconds = time.monotonic() - began
-    return trials.finished(report, evidence, command, seconds, plan, folder, model, ("speed", "angle"), page)
+    return trials.finished(report, evidence, run, plan, folder, model, ("speed", "angle"), page)
 
 
 def reported(

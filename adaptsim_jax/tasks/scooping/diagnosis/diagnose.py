@@ -11,13 +11,13 @@ from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials import report as trials
 from adaptsim_jax.attribution.trials.report import Seen
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.sysid.report.run import Page, Run, command_of
 from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.tasks.scooping.diagnosis.experiment import telling
 from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
 from adaptsim_jax.tasks.scooping.diagnosis.read import KIND, Scooped, read
 from adaptsim_jax.tasks.scooping.model import SHAPES
 
-Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
 COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")
 
 
@@ -42,9 +42,9 @@ def diagnose(
     step = trials.stepping(progress, 0.02)
     found = diagnosed(scooped, effects, criteria, step)
     report, evidence = reported(scooped, found, criteria)
-    command = trials.command_of(named if isinstance(data, Scooped) else data, out, exclude)
+    run = Run(command_of(named if isinstance(data, Scooped) else data, out=out, exclude=exclude), began)
     plan, model = telling(scooped, found), model_table(scooped, found)
-    return trials.finished(report, evidence, command, time.monotonic() - began, plan, folder, model, COLUMNS, page)
+    return trials.finished(report, evidence, run, plan, folder, model, COLUMNS, page)
 
 
 def reported(scooped: Scooped, found: Found, criteria: Criteria) -> tuple[dict[str, Any], dict[str, Any]]:
