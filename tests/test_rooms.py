@@ -17,7 +17,7 @@ ROOMS = (
 )  # fmt: skip
 WITHIN = {
     "core": (
-        "lazy", "errors", "given", "files", "lock", "surroundings", "progress", "progress_parts", "beside", "config", "registry",
+        "lazy", "errors", "given", "files", "lock", "surroundings", "progress", "beside", "config", "registry",
         "constants", "once", "trig", "parallel", "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store",
         "store",
     ),

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     """The tour, on small sizes unless `--full`."""
     from adaptsim_jax.core.files import output_folder
     from adaptsim_jax.core.parallel import cores
-    from adaptsim_jax.core.progress_parts import parts_progress
+    from adaptsim_jax.core.progress import parts_progress
 
     out = output_folder(args.out)
     again = f"adaptsim demo{' --full' * args.full} --out {shlex.quote(args.out)} --seed {args.seed}"

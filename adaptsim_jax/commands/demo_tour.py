@@ -17,8 +17,7 @@ from adaptsim_jax.commands.demo_diagnosis import Diagnosed, double_part, hinge_p
 from adaptsim_jax.commands.demo_pendulum import Adapted, Pendulum, pendulum_part
 from adaptsim_jax.core.beside import beside
 from adaptsim_jax.core.files import output_folder
-from adaptsim_jax.core.progress import Report
-from adaptsim_jax.core.progress_parts import Parts, silent
+from adaptsim_jax.core.progress import Parts, Report, silent_parts
 
 
 class Tour(NamedTuple):
@@ -36,7 +35,7 @@ class Tour(NamedTuple):
 
 
 def demo(
-    out: str | Path, seed: int = 0, progress: Parts = silent, config: DemoConfig = SHORT, apart: bool = False
+    out: str | Path, seed: int = 0, progress: Parts = silent_parts, config: DemoConfig = SHORT, apart: bool = False
 ) -> Tour:
     """Run the tour into the folder `out`; returns what it found after writing `out/index.html`.
 
@@ -49,13 +48,13 @@ def demo(
     if apart:
         with beside(contact_parts, out, seed, config, told=progress) as other:
             first = own_parts(out, seed, config, progress)
-            contact = other.result()
+            push, scoop = other.result()
     else:
         first = own_parts(out, seed, config, progress)
-        contact = contact_parts(out, seed, config, progress)
+        push, scoop = contact_parts(out, seed, config, progress)
     pendulum, diagnosis, double = first
     progress("page", 0, 1)
-    tour = Tour(*pendulum, *contact, diagnosis, double, commands(out, seed, config))
+    tour = Tour(*pendulum, push, scoop, diagnosis, double, commands(out, seed, config))
     write_demo(tour, out)
     progress("page", 1, 1)
     return tour

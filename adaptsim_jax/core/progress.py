@@ -1,4 +1,5 @@
-"""Progress of long work, told by the caller between chunks: a bar on a terminal, plain lines elsewhere.
+"""Progress of long work, told by the caller between chunks: a bar on a terminal, plain lines elsewhere; and of work in parts, some of
+them at once, with a bar or lines for each.
 
 Library code takes a `Report`, a function of (done, total, note), and knows nothing of terminals.
 """
@@ -7,19 +8,28 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TextIO
 
 Report = Callable[..., None]
 """`report(done, total, note="")`: `done` of `total` are done; `note` is a few words such as 'reward 0.93'."""
 
+Parts = Callable[..., None]
+"""`report(part, done, total, note="")`: `done` of `total` of the part are done; 0 when it begins, all when it is over."""
+
 SHOW_AFTER = 2.0  # s; shorter work says nothing
 LINE_EVERY = 10.0  # s between plain lines
+PART_LINE_EVERY = 20.0  # s between plain lines of one part
 
 
 def silent(done: float, total: float, note: str = "") -> None:
     """A `Report` that says nothing."""
+
+
+def silent_parts(part: str, done: float, total: float, note: str = "") -> None:
+    """`Parts` that say nothing."""
 
 
 @contextlib.contextmanager
@@ -27,6 +37,18 @@ def progress(label: str, stream: Any = None) -> Iterator[Report]:
     """A `Report` that shows `label` with the time left, once the work has taken more than two seconds."""
     stream = stream or sys.stderr
     show = _Bar(label) if stream.isatty() else _Lines(label, stream)
+    try:
+        yield show.report
+    finally:
+        show.close()
+
+
+@contextlib.contextmanager
+def parts_progress(titles: Mapping[str, str], stream: Any = None) -> Iterator[Parts]:
+    """`Parts` that show each of `titles` (by part) when it begins and when it is over, with the time that it took. May be called
+    from several threads."""
+    stream = stream or sys.stderr
+    show = _PartBars(titles) if stream.isatty() else _PartLines(titles, stream)
     try:
         yield show.report
     finally:
@@ -77,37 +99,94 @@ class _Lines:
         pass
 
 
-class _Bar:
-    """A rich bar; the library is loaded only when there is something to show."""
+class _PartLines:
+    """A line when a part begins, one each twenty seconds, and one at its end."""
 
-    def __init__(self, label: str):
-        self.label = label
-        self.start = time.monotonic()
-        self.bar = None
-        self.task = None
+    def __init__(self, titles: Mapping[str, str], stream: Any):
+        self.titles, self.stream, self.width = titles, stream, max(map(len, titles.values()))
+        self.began: dict[str, float] = {}
+        self.next: dict[str, float] = {}
+        self.over: set[str] = set()
+        self.lock = threading.Lock()
 
-    def report(self, done: float, total: float, note: str = "") -> None:
-        if self.bar is None:
-            if time.monotonic() - self.start < SHOW_AFTER or done >= total:
+    def report(self, part: str, done: float, total: float, note: str = "") -> None:
+        with self.lock:
+            now = time.monotonic()
+            first = part not in self.began
+            if first:
+                self.began[part] = now
+            if done >= total and part not in self.over:
+                self.over.add(part)
+                self._say(part, f"done in {clock(now - self.began[part])}" + (f", {note}" if note else ""))
+            elif done < total and (first or now >= self.next[part]):
+                self._say(part, f"{100 * done / total:.0f} %, {note}" if done > 0 and note else note or "begun")
+            else:
                 return
-            self._open()
-        self.bar.update(self.task, completed=done, total=total, note=note)  # type: ignore[union-attr]
+            self.next[part] = now + PART_LINE_EVERY
 
-    def _open(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
-        )
-        self.bar = Progress(*columns, console=Console(stderr=True))
-        self.task = self.bar.add_task(self.label, note="")
-        self.bar.start()
+    def _say(self, part: str, words: str) -> None:
+        print(f"{self.titles[part]:{self.width}}  {words}", file=self.stream, flush=True)
 
     def close(self) -> None:
-        if self.bar is not None:
-            self.bar.stop()
+        pass
+
+
+class _Bars:
+    """Rich bars, open from the first row on; the library is loaded only when there is something to show.
+
+    time: the name of rich's column that tells it; width: of a bar."""
+
+    def __init__(self, time: str, width: int = 40):
+        self.time, self.width = time, width
+        self.bars: Any = None
+        self.rows: dict[str, Any] = {}
+
+    def update(self, title: str, done: float, total: float, note: str) -> None:
+        if self.bars is None:
+            self._open()
+        if title not in self.rows:
+            self.rows[title] = self.bars.add_task(title, note="")
+        self.bars.update(self.rows[title], completed=done, total=total, note=note)
+
+    def _open(self) -> None:
+        from rich import progress
+        from rich.console import Console
+
+        self.bars = progress.Progress(
+            progress.TextColumn("{task.description}"),
+            progress.BarColumn(bar_width=self.width),
+            progress.TaskProgressColumn(),
+            getattr(progress, self.time)(),
+            progress.TextColumn("{task.fields[note]}"),
+            console=Console(stderr=True),
+        )
+        self.bars.start()
+
+    def close(self) -> None:
+        if self.bars is not None:
+            self.bars.stop()
+
+
+class _Bar(_Bars):
+    """One bar with the time left, once the work has taken a while."""
+
+    def __init__(self, label: str):
+        super().__init__("TimeRemainingColumn")
+        self.label, self.start = label, time.monotonic()
+
+    def report(self, done: float, total: float, note: str = "") -> None:
+        if self.bars is None and (time.monotonic() - self.start < SHOW_AFTER or done >= total):
+            return
+        self.update(self.label, done, total, note)
+
+
+class _PartBars(_Bars):
+    """A bar for each part with the time that it has taken, from its beginning."""
+
+    def __init__(self, titles: Mapping[str, str]):
+        super().__init__("TimeElapsedColumn", width=24)
+        self.titles, self.lock = titles, threading.Lock()
+
+    def report(self, part: str, done: float, total: float, note: str = "") -> None:
+        with self.lock:
+            self.update(self.titles[part], done / max(total, 1e-9), 1.0, note)
