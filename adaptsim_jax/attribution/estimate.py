@@ -167,7 +167,8 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, substeps(problem, fit.vector, group),
                                    rough(fit.vector, values), past=s.past)  # fmt: skip
             path = Path(*(np.asarray(z) for z in path))
-            slope = tuple(np.asarray(z).transpose(3, 0, 1, 2) for z in (a, f))
+            by_state, by_force = (np.asarray(z).transpose(3, 0, 1, 2) for z in (a, f))
+            slope = (by_state, by_force)
             made = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
             weight = _own(fit.weights, group, problem.joints) * np.sqrt(fit.weights.stretch)[:, None, None]
             seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
@@ -181,7 +182,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
     return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), at)
 
 
-def _output(made: Columns, slope, entries, flat) -> np.ndarray:
+def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, flat) -> np.ndarray:
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
     own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
     parts = [

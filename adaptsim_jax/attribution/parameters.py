@@ -170,4 +170,6 @@ def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
     """Ten entries for each body that has a mass."""
     make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR)
     wide = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
-    return tuple(make(name, (b,), low=-wide[name], high=wide[name]) for b in np.flatnonzero(massive) for name in ETA)
+    return tuple(
+        make(name, (int(b),), low=-wide[name], high=wide[name]) for b in np.flatnonzero(massive) for name in ETA
+    )

@@ -213,7 +213,7 @@ class _Sums:
         for first, curve in self.cross.items():
             mine = np.flatnonzero((cols >= first) & (cols < first + curve.shape[1]))
             if len(mine):
-                out[np.ix_(range(len(out)), mine, mine)] = curve[:, cols[mine] - first][:, :, cols[mine] - first]
+                out[np.ix_(np.arange(len(out)), mine, mine)] = curve[:, cols[mine] - first][:, :, cols[mine] - first]
         return out
 
     def score(self, c: Candidate, cols: np.ndarray) -> Score:

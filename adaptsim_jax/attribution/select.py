@@ -192,7 +192,9 @@ def refit(
     return replace(local, vector=whole, starts=tuple(starts), loss=loss)
 
 
-def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> tuple[Vector, list[np.ndarray], float]:
+def attempted(
+    problem: Problem, base: Model, reach: Reach, score: Score
+) -> tuple[Vector, tuple[np.ndarray, ...], float]:
     """The base with a candidate added, one step on: vector, starts, and loss of the best of a few lengths of the step."""
     c = score.candidate
     columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])

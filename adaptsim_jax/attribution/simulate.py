@@ -220,7 +220,8 @@ def simulate(model: Model, values: Values, time, stamp, command, x0, substeps, r
     drive = _drive(model, values, time, stamp, command, past)
 
     def row(x, now):
-        new, rub = row_step(model, values, x, *now, jnp.zeros_like(x[: x.shape[0] // 2]), substeps, rough)
+        u, t, dt = now
+        new, rub = row_step(model, values, x, u, t, dt, jnp.zeros_like(x[: x.shape[0] // 2]), substeps, rough)
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, x0, drive)
@@ -238,7 +239,8 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, substeps, 
     ways = jnp.eye(states + n, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
 
     def row(x, now):
-        end = lambda x, extra: row_step(model, values, x, *now, extra, substeps, rough)
+        u, t, dt = now
+        end = lambda x, extra: row_step(model, values, x, u, t, dt, extra, substeps, rough)
         along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
         (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))

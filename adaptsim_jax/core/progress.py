@@ -142,17 +142,16 @@ class _Bars:
         self.rows: dict[str, Any] = {}
 
     def update(self, title: str, done: float, total: float, note: str) -> None:
-        if self.bars is None:
-            self._open()
+        self.bars = self.bars or self._opened()
         if title not in self.rows:
             self.rows[title] = self.bars.add_task(title, note="")
         self.bars.update(self.rows[title], completed=done, total=total, note=note)
 
-    def _open(self) -> None:
+    def _opened(self) -> Any:
         from rich import progress
         from rich.console import Console
 
-        self.bars = progress.Progress(
+        bars = progress.Progress(
             progress.TextColumn("{task.description}"),
             progress.BarColumn(bar_width=self.width),
             progress.TaskProgressColumn(),
@@ -160,7 +159,8 @@ class _Bars:
             progress.TextColumn("{task.fields[note]}"),
             console=Console(stderr=True),
         )
-        self.bars.start()
+        bars.start()
+        return bars
 
     def close(self) -> None:
         if self.bars is not None:

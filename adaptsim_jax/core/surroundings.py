@@ -43,7 +43,7 @@ def computing() -> list[str]:
     if "jax" in sys.modules:
         import jax
 
-        if jax.config.jax_enable_x64:
+        if jax.config.read("jax_enable_x64"):
             raise BadInput("JAX computes in double precision here (jax_enable_x64), adaptsim in single: turn it off")
         return []
     told = []
@@ -58,5 +58,6 @@ def legible_streams() -> None:
     """Write what a terminal or pipe cannot encode as escapes, in the place of failing."""
     for stream in (sys.stdout, sys.stderr):
         encoding = (getattr(stream, "encoding", None) or "").lower().replace("-", "")
-        if encoding not in ("utf8", "") and hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+        reconfigure = getattr(stream, "reconfigure", None)
+        if encoding not in ("utf8", "") and reconfigure is not None:
+            reconfigure(errors="backslashreplace")

@@ -140,8 +140,8 @@ def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: A
     linear = plus(linear, cross(omega, u))  # of the point of the body, where the spatial one is of the place
     pair = lambda x: tuple(y if known(y) else y[None] for y in x)  # of body j, for each joint i
     axes = tuple(pair(row) for row in rotation)
-    screw = tuple(tuple(y if known(y) else y[:, None] for y in x) for x in still.screw)
-    turn, push = (apply_transposed(axes, x) for x in _about(screw, pair(origin)))
+    angular, along = (tuple(y if known(y) else y[:, None] for y in x) for x in still.screw)
+    turn, push = (apply_transposed(axes, x) for x in _about((angular, along), pair(origin)))
     columns = []
     for force, moment in _body_regressor(pair(omega), pair(alpha), pair(linear)):
         columns.append(_table(add(dot(push, force), dot(turn, moment)), tree.n, like))
@@ -498,7 +498,10 @@ def _inverse_mass_jvp(primals, tangents):
         change = change + mass_matrix(tree, d_inertial, q)
     if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
         change = change + jax.jvp(lambda tree: mass_matrix(tree, inertial, q), (tree,), (_made(d_tree),))[1]
-    product = lambda a, b: sum(a[:, k][:, None] * b[k][None] for k in range(tree.n))
+
+    def product(a: Array, b: Array) -> Array:
+        return sum(a[:, k][:, None] * b[k][None] for k in range(tree.n))
+
     return inverse, -product(inverse, product(change, inverse))
 
 

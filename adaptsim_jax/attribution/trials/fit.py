@@ -40,7 +40,7 @@ def jacobian(problem: TrialProblem, values: np.ndarray, names: Sequence[str]) ->
 
 def fitted(problem: TrialProblem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
     """`names` fitted from `values [P]` for at most so many rounds: values and the loss."""
-    values, loss = values.copy(), None
+    values, loss = values.copy(), np.inf
     for _ in range(rounds):
         residual = problem.residuals(np.tile(values, (len(problem.trials), 1)))
         loss = float(np.square(residual).sum())

@@ -56,13 +56,13 @@ def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
     motion, means, trial, piece, origin = [], [], [], [], []
     for t, part in enumerate(parts):
         *own, number = (z[:most] for z in part)
-        mean = _windows(number)
-        if mean.shape[0] < LEAST_WINDOWS or not all(np.all(np.isfinite(z)) for z in own):
+        count, mean = _windows(number)
+        if count < LEAST_WINDOWS or not all(np.all(np.isfinite(z)) for z in own):
             continue
         motion.append(own)
         means.append(mean)
-        trial.append(np.full(mean.shape[0], t))
-        piece.append(np.arange(mean.shape[0]) * PIECES // mean.shape[0])
+        trial.append(np.full(count, t))
+        piece.append(np.arange(count) * PIECES // count)
         origin.append(np.full(len(number), t))
     if len(motion) < LEAST_TRIALS:
         return None
@@ -77,15 +77,17 @@ def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
     return replace(of_motion(made, m), tau=made.averaged(m.tau))
 
 
-def _windows(number: np.ndarray) -> sparse.csr_array:
-    """`[K, N]`: means over `WINDOW` neighbouring blocks, by Hann's weights, which take the noise of accelerations out."""
+def _windows(number: np.ndarray) -> tuple[int, sparse.csr_array]:
+    """How many, and `[K, N]` their means over `WINDOW` neighbouring blocks, by Hann's weights, which take the noise of
+    accelerations out."""
     begins = np.arange(0, max(0, len(number) - WINDOW + 1), STRIDE)
     begins = begins[number[begins + WINDOW - 1] - number[begins] == WINDOW - 1] if len(begins) else begins
     hann = np.hanning(WINDOW + 2)[1:-1]
     column = begins[:, None] + np.arange(WINDOW)
     data = np.broadcast_to(hann / hann.sum(), column.shape)
     row = np.broadcast_to(np.arange(len(begins))[:, None], column.shape)
-    return sparse.csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=(len(begins), len(number)))
+    mean = sparse.csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=(len(begins), len(number)))
+    return len(begins), mean
 
 
 def _smooth(m: Motion) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Recordings of scoops: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is refused with its row."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +106,7 @@ def assemble(
     if not more:
         notes.append("no heights were seen (column z): a blade's lift and a piece's height show less")
     shape, height = _piece(meta, where)
-    options = ScoopOptions(**{k: float(meta[k]) for k in ("clearance", "press") if k in meta})
+    options = replace(ScoopOptions(), **{k: float(meta[k]) for k in ("clearance", "press") if k in meta})
     return Scooped(
         tuple(f"{n:g}" for n in names), acts, starts, aside, time, places, mask, noise, source, check_options(options),
         shape, height, _repeats(meta, where), tuple(notes),

@@ -1,0 +1,5 @@
+"""MuJoCo is a compiled module without types: whatever it is asked for is `Any`."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
