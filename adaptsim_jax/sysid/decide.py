@@ -131,7 +131,7 @@ def _stand_in(e: Evidence, verdict: Verdict, criteria: Criteria) -> Verdict | No
     left, error = e.after, e.error_after.rmse()
     remains = error / e.error_before.rmse()
     much = remains > criteria.much_remains and left.p_value < (
-        criteria.no_chance if left.share < criteria.follows else criteria.much_p
+        criteria.no_chance if left.share < criteria.follows else criteria.sure_p
     )
     clear = much or (left.share > criteria.clear_share and left.p_value < criteria.clear_p)
     beyond = error > (criteria.beyond_floor_still if much else criteria.beyond_floor) * e.floor

@@ -170,7 +170,7 @@ def _pick(
     for _ in range(criteria.flexible_groups):
         tried = {(*groups, g): held_out((*groups, g)) for g in dict.fromkeys(names) if g not in groups}
         new = min(tried, key=lambda g: tried[g])
-        if tried[new] > (1.0 - criteria.flexible_fall) * best:
+        if tried[new] > (1.0 - criteria.follows) * best:
             break
         groups, best = new, tried[new]
     return groups

@@ -59,9 +59,7 @@ def line(problem: Problem, view: ScoreTable, parts: variance.VarianceComponents)
 
 def _sure(found: list[Line | None], criteria: Criteria) -> Line | None:
     """The one that accounts for most of those that are no chance."""
-    sure = [
-        one for one in found if one is not None and one.p_value < criteria.line_p and one.share > criteria.line_share
-    ]
+    sure = [one for one in found if one is not None and one.p_value < criteria.sure_p and one.share > criteria.follows]
     return max(sure, key=lambda one: one.share, default=None)
 
 

@@ -42,7 +42,7 @@ def clocks(windows: Windows, scorer: Scorer, atoms: list[Atom], criteria: Criter
     gain, amplitude = tried[best]
     common = max(scorer.gain(a.columns)[0] for a in atoms)
     chance = min(1.0, float(chi2.sf(gain, 2 * len(trials))) * len(atoms))
-    if chance > criteria.alpha or gain - common < criteria.phase_price * (len(trials) - 1) + 12.0:
+    if chance > criteria.alpha or gain - common < 2.0 * criteria.price * (len(trials) - 1) + 12.0:
         return None
     speed = 2.0 * np.pi * atoms[best].shape["frequency"]
     clock = np.zeros_like(windows.clock)

@@ -27,7 +27,7 @@ def matters(problem: Problem, new: Fit, old: Fit, base: Fit, strict: float = 1.0
     share = felt(problem, new, old)
     astray = np.any(base.moving > np.square(problem.torque_scale))
     beside = np.sqrt(own.sum() / max((old if astray else base).moving.sum(), 1e-300))
-    return bool(share > strict * problem.criteria.least_share and beside > strict * problem.criteria.least_beside)
+    return bool(share > strict * problem.criteria.least_share and beside > strict * problem.criteria.least_fall)
 
 
 def felt(problem: Problem, new: Fit, old: Fit) -> float:

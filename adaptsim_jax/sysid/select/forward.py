@@ -123,8 +123,8 @@ def _best(problem: Problem, found: Trace, trials: list[Fit]) -> Fit | None:
 
 def _blatant(problem: Problem, model: Fit, seen: ScoreTable) -> bool:
     """Whether what is left moves a joint and follows the motion in all trials."""
-    moves = np.any(model.parts.force_std() > problem.criteria.blatant * problem.torque_scale)
-    return bool(moves) and generic_p_value(seen) < problem.criteria.left_follows
+    moves = np.any(model.parts.force_std() > problem.criteria.next_to_none * problem.torque_scale)
+    return bool(moves) and generic_p_value(seen) < problem.criteria.sure_p
 
 
 def _paired(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, say):

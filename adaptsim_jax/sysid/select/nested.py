@@ -50,7 +50,7 @@ def _with_late(problem: Problem, model: Fit, effect: Instance, response: Respons
     for k in late:
         eff[instance.at.start + k] = _start(instance.effect.parameters[k])
     new = fit(problem, model.start(eff=eff), response, rounds=1)
-    worth = new.ok and gain(new, model) > problem.criteria.wider_gain
+    worth = new.ok and gain(new, model) > problem.criteria.round_gain
     return fit(problem, new, response, rounds=3) if worth else None
 
 
