@@ -11,8 +11,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.dynamics import regressor
 from adaptsim_jax.mechanisms.tree import Tree
 from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, POOR, Words, contradiction, late_finding, lateness
+from adaptsim_jax.sysid.quality.findings import Finding
 from adaptsim_jax.sysid.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
-from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.quality.trial_words import Channels
 from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
 

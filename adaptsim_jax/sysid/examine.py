@@ -20,7 +20,7 @@ from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_dia
 from adaptsim_jax.sysid.noise.floor import NoiseFloor
 from adaptsim_jax.sysid.nuisance.null_model import timed
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, told
-from adaptsim_jax.sysid.quality.audit import Audit
+from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.report.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.sysid.rivals.kinematics import remeasured
 from adaptsim_jax.sysid.rivals.known_parameters import freed

@@ -17,9 +17,9 @@ from adaptsim_jax.sysid.examine import STAGES, Diagnosis, Progress, examine, fin
 from adaptsim_jax.sysid.io.model_file import write_model
 from adaptsim_jax.sysid.io.recording import read_recording, without_trials
 from adaptsim_jax.sysid.noise.floor import noise_floor
-from adaptsim_jax.sysid.quality.audit import Audit, audit, usable
+from adaptsim_jax.sysid.quality.audit import audit, usable
+from adaptsim_jax.sysid.quality.findings import Audit, Finding
 from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
-from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain

@@ -17,7 +17,7 @@ from adaptsim_jax.sysid.forward import Model, make_model
 from adaptsim_jax.sysid.io.meta import check_known
 from adaptsim_jax.sysid.io.model_file import declared_model
 from adaptsim_jax.sysid.noise.floor import NoiseFloor, smooth
-from adaptsim_jax.sysid.quality.audit import Audit
+from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.segments import Windows, cut_windows
 from adaptsim_jax.sysid.types import Recording, Trial
 

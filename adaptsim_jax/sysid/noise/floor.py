@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.sysid.noise import smoother
-from adaptsim_jax.sysid.quality.audit import Audit
+from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.types import Recording, Trial
 
 WINDOW = 300

@@ -27,7 +27,7 @@ from adaptsim_jax.sysid.noise.floor import NoiseFloor
 from adaptsim_jax.sysid.nuisance.frequency import frequency_of
 from adaptsim_jax.sysid.nuisance.phase import clocks
 from adaptsim_jax.sysid.nuisance.stepsize import stepped
-from adaptsim_jax.sysid.quality.audit import Audit
+from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.score.table import ScoreTable, view
 from adaptsim_jax.sysid.types import Atom, Recording
 

@@ -21,7 +21,7 @@ from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
-from adaptsim_jax.sysid.quality.audit import Audit
+from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import ScoreTable
 from adaptsim_jax.sysid.types import Recording, Trial

@@ -5,47 +5,16 @@ cannot be used while the others can are listed in `exclude`, single rows in `val
 """
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from adaptsim_jax.sysid.quality import signals, timing
 from adaptsim_jax.sysid.quality.consistency import lattice_step
 from adaptsim_jax.sysid.quality.conventions import check_angle_zero
-from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.findings import Audit, Finding
 from adaptsim_jax.sysid.quality.turns import without_turns
 from adaptsim_jax.sysid.types import Recording, Trial
-
-
-@dataclass(frozen=True)
-class Audit:
-    """Findings of all trials; `valid[name]: [T]` bool, the rows to use; `exclude`: trials not to use at all.
-
-    `quantisation`: channel -> step (rad, rad/s, N m; 0 where none is seen).
-    """
-
-    findings: tuple[Finding, ...]
-    quantisation: dict[str, float] = field(default_factory=dict)
-    valid: dict[str, np.ndarray] = field(default_factory=dict)
-    exclude: tuple[str, ...] = ()
-
-    @property
-    def fault(self) -> bool:
-        """Whether the data contradict themselves so far that no diagnosis should be made."""
-        return any(f.severity == "fault" for f in self.findings)
-
-    @property
-    def message(self) -> str:
-        """The faults, or the number of warnings, in one line."""
-        faults = [f.message for f in self.findings if f.severity == "fault"]
-        if faults:
-            return "; ".join(faults)
-        warnings = sum(f.severity == "warn" for f in self.findings)
-        return f"{warnings} warning(s), no fault" if warnings else "no fault found"
-
-    def of(self, kind: str) -> tuple[Finding, ...]:
-        """Findings of one kind."""
-        return tuple(f for f in self.findings if f.kind == kind)
 
 
 def audit(recording: Recording) -> Audit:

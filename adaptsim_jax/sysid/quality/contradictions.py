@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.quality.findings import Finding
 from adaptsim_jax.sysid.quality.hypotheses import (
     LEAST,
     SHIFTS,
@@ -21,7 +22,6 @@ from adaptsim_jax.sysid.quality.hypotheses import (
     motion_of,
     unexplained,
 )
-from adaptsim_jax.sysid.quality.signals import Finding
 
 AS_DECLARED = "if all is as declared, add --as-declared"
 POOR = 0.15

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY
-from adaptsim_jax.sysid.quality.signals import Finding
+from adaptsim_jax.sysid.quality.findings import Finding
 from adaptsim_jax.sysid.types import Recording, Trial
 
 MOST_ROWS = 4000

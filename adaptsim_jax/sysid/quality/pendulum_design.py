@@ -13,8 +13,8 @@ from adaptsim_jax.sysid.quality.contradictions import (
     late_finding,
     lateness,
 )
+from adaptsim_jax.sysid.quality.findings import Finding
 from adaptsim_jax.sysid.quality.hypotheses import Design, Hypothesis, Motion, Track
-from adaptsim_jax.sysid.quality.signals import Finding
 from adaptsim_jax.sysid.quality.trial_words import Channels
 from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
 from adaptsim_jax.sysid.types import Recording

@@ -1,31 +1,13 @@
 """The single checks of the audit: each takes one trial and returns findings; some mark rows to leave out."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from adaptsim_jax.sysid.quality.consistency import command_agreement, velocity_agreement
+from adaptsim_jax.sysid.quality.findings import Finding, Findings
 from adaptsim_jax.sysid.quality.turns import TURN, without_turns
 from adaptsim_jax.sysid.types import Trial
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing the audit saw. `severity`: `info`, `warn`, or `fault` (no diagnosis should be made of it).
-
-    `where` names a channel, joint or time; `value` is the number that `message` explains.
-    """
-
-    kind: str
-    severity: str
-    trial: str
-    where: str
-    message: str
-    value: float
-
-
-Findings = list[Finding]
 
 
 def check_sampling(trial: Trial) -> Findings:

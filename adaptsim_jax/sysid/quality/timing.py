@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adaptsim_jax.sysid.quality.signals import Finding, Findings
+from adaptsim_jax.sysid.quality.findings import Finding, Findings
 from adaptsim_jax.sysid.types import Trial
 
 
