@@ -1,11 +1,17 @@
 """Selection over independent trials, on a linear problem whose truth is known."""
 
+import json
+import time
+
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
+from adaptsim_jax.attribution.trials.report import finished
 from adaptsim_jax.attribution.trials.select import select
+from adaptsim_jax.sysid.report.run import Run
+from adaptsim_jax.sysid.report.schema import new_report
 
 TRIALS, ROWS = 14, 60
 
@@ -45,3 +51,15 @@ def test_two_effects_that_do_the_same_are_told_as_a_class():
     found = select(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
     (named,) = found.named
     assert {named.effect.name, *[e.name for e, _ in named.alternatives]} == {"b", "d"}
+
+
+def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_earlier_run(tmp_path):
+    (tmp_path / "leading.toml").write_text("")
+    counts = {"trials": 3, "samples": 3, "held_out_trials": 3}
+    report = new_report("pushing", "the push", "within_noise", "Nothing.", counts)
+    plan = {"message": "push fast", "separates": ["b", "d"], "rows": [[0.5, 0.1]]}
+    model, columns = {"schema": 1}, ("speed", "angle")
+    told = finished(report, {}, Run("adaptsim diagnose logs", time.monotonic()), plan, tmp_path, model, columns, None)
+    assert json.loads((tmp_path / "report.json").read_text())["run"] == told["run"]
+    assert (tmp_path / "next_experiment.csv").read_text() == "trial,speed,angle\n1,0.500000,0.100000\n"
+    assert (tmp_path / "model.toml").read_text() == "schema = 1\n" and not (tmp_path / "leading.toml").exists()

@@ -14,7 +14,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.report.run import Run
+from adaptsim_jax.sysid.report.run import Page, Run, plain
 from adaptsim_jax.sysid.report.schema import check
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
@@ -289,7 +289,7 @@ def finished(
     folder: Path | None,
     model: dict[str, Any],
     columns: tuple[str, ...],
-    page: Any,
+    page: Page | None,
 ) -> dict[str, Any]:
     """The checked report; where there is a folder, it, its page, `model.toml` and `next_experiment.csv` with `columns` are written."""
     if plan is not None:
@@ -305,6 +305,5 @@ def finished(
         if plan is not None and plan["rows"]:
             rows = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
             write_bytes(folder / NEXT, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())
-        if page is not None:
-            page(folder, report, evidence)
+        (page or plain)(folder, report, evidence)
     return report

@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.trials.problem import TrialProblem
 from adaptsim_jax.attribution.trials.select import TrialModel, TrialSelection, select
 from adaptsim_jax.core import config
 from adaptsim_jax.core.files import output_folder, write_bytes
-from adaptsim_jax.sysid.report.run import Page, Run, command_of
+from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
 from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -77,8 +77,7 @@ def diagnose(
         values = fitted(problem, found.final)
         write_bytes(folder / TOML, config.dumps(model_table(found, values)).encode())
         write_bytes(folder / XML, mended_xml(tossed.body, values, beside(found, values)).encode())
-        if page is not None:
-            page(folder, report, evidence)
+        (page or plain)(folder, report, evidence)
     return report
 
 
