@@ -75,12 +75,18 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
 
 def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the scoops that were asked for."""
+    import numpy as np
+
     from adaptsim_jax.sysid.io.table import read_table
     from adaptsim_jax.tasks.scooping import measured
 
     table = read_table(path, measured.COLUMNS, least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
-    return measured.measured_trajectory(table.columns, at, str(path), _scoops(session, state))
+    scoops = _scoops(session, state)
+    found = measured.measured_trajectory(table.columns, at, str(path), scoops)
+    if not session.as_declared:
+        measured.check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers)
+    return found
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:

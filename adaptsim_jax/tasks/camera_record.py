@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.table_checks import lost_digits
 
 
 def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:
@@ -29,5 +30,35 @@ def check_unit(columns: Mapping[str, np.ndarray], at: Callable[[int], str], far:
 def check_increasing(time: np.ndarray, told: Callable[[int], str]) -> None:
     """BadInput at the first row of one trial's `time [T]` s that is not after the one before."""
     for k in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:
+        if lost := lost_digits(time):
+            raise BadInput(f"{told(0)}: {lost}")
         word = "repeats" if time[k] == time[k - 1] else "runs backwards"
         raise BadInput(f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such rows")
+
+
+HOLE = 0.1  # s without a row that is told
+STOOD = 0.03  # m that a body must have gone within a hole, by its speeds before and after, for its standing still to say anything
+
+
+def holes(time: np.ndarray) -> list[str]:
+    """What to say of the parts of one trial's `time [T]` s in which nothing was recorded."""
+    return [
+        f"nothing was recorded from {time[k]:.4g} to {time[k + 1]:.4g} s" for k in np.flatnonzero(np.diff(time) > HOLE)
+    ]
+
+
+def check_clock_set(time: np.ndarray, places: np.ndarray, told: Callable[[int], str], body: str) -> None:
+    """BadInput where a body moves before and after a hole and stood still in it: the clock was set. `time [T]` s, `places
+    [T, C]` m."""
+    for k in np.flatnonzero(np.diff(time) > HOLE) + 1:
+        sides = [slice(max(k - 4, 0), k), slice(k, k + 4)]
+        if min(len(time[s]) for s in sides) < 3:
+            continue
+        speeds = [np.linalg.norm(places[s][-1] - places[s][0]) / np.ptp(time[s]) for s in sides]
+        gap = time[k] - time[k - 1]
+        went = float(np.linalg.norm(places[k] - places[k - 1]))
+        if gap * min(speeds) > STOOD and went < 0.3 * gap * min(speeds):
+            raise BadInput(
+                f"{told(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole of {gap:.3g} s, and by {went:.2g} m "
+                "in it: was the clock set? mend the times after it, or cut the trial there"
+            )

@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.table import Table, read_table
-from adaptsim_jax.tasks.camera_record import check_increasing, check_unit
+from adaptsim_jax.tasks.camera_record import check_clock_set, check_increasing, check_unit, holes
 
 LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 LEAST_NOISE = 1e-4  # m
@@ -106,8 +106,14 @@ def _read_tracks(
             raise BadInput(f"{told(0)}: has a track in {found[n][2]} already; keep one")
         t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
         check_increasing(t, told)
-        if t[-1] > 60.0:
-            raise BadInput(f"{told(-1)}: lasts {t[-1]:.6g} s; is time in ms? write seconds since the arm's start")
+        if t[-1] - t[0] > 60.0:
+            raise BadInput(
+                f"{told(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the arm's start"
+            )
+        if np.sum((t >= 0.0) & (t <= kind.ends)) < LEAST_ROWS and t[0] > kind.ends / 2:
+            raise BadInput(
+                f"{told(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract that of each trial"
+            )
         if len(t) < LEAST_ROWS or np.median(np.diff(t)) > SLOWEST:
             raise BadInput(
                 f"{told(0)}: {len(t)} rows {np.median(np.diff(t)) if len(t) > 1 else 0:.2g} s apart; 20 Hz at least are needed"
@@ -123,7 +129,12 @@ def _read_tracks(
             raise BadInput(
                 f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {n:g}) or make it again"
             )
+        check_clock_set(t, p[:, :2], told, kind.body)
         keep = (t >= 0.0) & (t <= kind.ends)
+        if keep.sum() < LEAST_ROWS:
+            raise BadInput(
+                f"{told(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; write seconds since that start"
+            )
         found[n] = t[keep], p[keep], path.name
 
 
@@ -134,7 +145,18 @@ def tracked(numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: 
         raise BadInput(
             f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are needed, {serve} serve"
         )
-    return names, [f"trial {n:g} has no track and is left out" for n in numbers if n not in found]
+    gaps = [f"trial {n:g}: {hole}" for n in names for hole in holes(found[n][0])]
+    return names, [f"trial {n:g} has no track and is left out" for n in numbers if n not in found] + gaps
+
+
+def check_starts(names: Sequence[float], aside: np.ndarray, most: float, body: str, where: Path) -> None:
+    """BadInput at the first trial whose body stands farther than `most` m from where the others do, beside what is declared."""
+    apart = np.linalg.norm(aside - np.median(aside, 0), axis=1)
+    for k in np.flatnonzero(apart > most)[:1]:
+        raise BadInput(
+            f"{where}: trial {names[k]:g}: {body} stands {100 * apart[k]:.0f} cm from where it is declared, beside the other trials: "
+            f"of another frame, or of another trial? mend it, or leave it out (--without {names[k]:g})"
+        )
 
 
 def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

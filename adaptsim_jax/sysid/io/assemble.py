@@ -122,6 +122,10 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs) -
             raise BadInput(
                 f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {hint}{mend}"
             )
+        if not np.isfinite(here[j]).any():
+            raise BadInput(
+                f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, or take a model without it"
+            )
     speeds = columns.by_joint.get("v", {})
     if speeds and len(speeds) < n:
         lacks = next(joint for j, joint in enumerate(names.joints) if j not in speeds)

@@ -15,6 +15,10 @@ LATE = 10
 """Rows of its own, as a multiple of their median spacing, after which a series has a gap."""
 
 
+DENSE = 1.5
+"""Rows in a stretch of time, as a multiple of what the usual spacing leaves, from which on two stretches lie over each other."""
+
+
 @dataclass(frozen=True)
 class Series:
     """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names changed their order."""
@@ -32,11 +36,13 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
     command rows are cut off. A joint's gap of more than 10 of its intervals is NaN.
     """
     notes: list[str] = []
-    states = [_sorted(series, notes) for series in states]
-    commands = [_sorted(series, notes) for series in commands]
+    states = [_sorted(path, series, notes) for series in states]
+    commands = [_sorted(path, series, notes) for series in commands]
     if any(series.reordered for series in (*states, *commands)):
         notes.append("the order of joint names changes between messages: sorted by name")
     main = max(states, key=lambda series: len(series.time))
+    # what names no joint beside those of the main series: its rows lack joints that the others have
+    states = [series for series in states if series is main or not set(series.columns) <= set(main.columns)]
     start = max(series.time[0] for series in (*states, *commands))
     stop = min(series.time[-1] for series in states)
     rows = (main.time >= start) & (main.time <= stop)
@@ -68,8 +74,9 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
     return out, tuple(dict.fromkeys(notes))
 
 
-def _sorted(series: Series, notes: list[str]) -> Series:
-    """By time, of rows with the same time the first."""
+def _sorted(path: str, series: Series, notes: list[str]) -> Series:
+    """By time, of rows with the same time the first. BadInput where the clock was set back on the way."""
+    _check_set_back(path, series.time)
     order = np.argsort(series.time, kind="stable")
     if np.any(np.diff(series.time) < 0):
         notes.append("messages out of order: sorted by their stamps")
@@ -79,6 +86,21 @@ def _sorted(series: Series, notes: list[str]) -> Series:
         notes.append(f"{int((~keep).sum())} messages repeat a stamp: left out")
     columns = {name: values[order][keep] for name, values in series.columns.items()}
     return Series(time[keep], columns, series.reordered)
+
+
+def _check_set_back(path: str, time: np.ndarray) -> None:
+    """BadInput where `time [K]` s steps back over a stretch that it had passed already: rows lie twice as dense there, two
+    parts of the motion over each other. Messages that are only out of order leave no such stretch."""
+    steps = np.diff(time)
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    for k in np.flatnonzero(steps < -2.0 * usual):
+        low, high = time[k + 1], time[k]
+        there = int(np.sum((time >= low) & (time <= high)))
+        if there > 4 and there > DENSE * ((high - low) / usual + 1.0):
+            raise BadInput(
+                f"{path}: message {k + 2}: the clock was set back by {high - low:.4g} s; cut the bag there, and take the parts for "
+                "two trials"
+            )
 
 
 def _onto(clock: np.ndarray, time: np.ndarray, values: np.ndarray, *, hold: bool) -> np.ndarray:

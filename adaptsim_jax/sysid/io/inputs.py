@@ -54,6 +54,11 @@ class Inputs:
 
 def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
     bad = np.argwhere(np.isnan(u))
+    for k in np.flatnonzero(np.isnan(u).all(0))[:1]:
+        raise BadInput(
+            f"{columns.raw.path}: no {kind} of {names[k]} in any {columns.raw.row_word}; record it, or write "
+            f'ignore = ["{STEM[kind]}_{names[k]}"] in meta.toml where it has none'
+        )
     if bad.size:
         row, k = bad[0]
         where = f"{columns.raw.row_word} {columns.raw.lines[row]}"

@@ -236,8 +236,12 @@ def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> lis
             for i, (_, order, given) in enumerate(group):
                 if len(row := given.get(stem, ())) == len(names):
                     table[i] = row if order == names else [row[order.index(name)] for name in names]
+            # efforts of one joint alone that are NaN throughout are no column that is not there: said where torques are chosen
+            some = np.isfinite(table).any()
             values |= {
-                _column(stem, name): table[:, j] for j, name in enumerate(names) if np.isfinite(table[:, j]).any()
+                _column(stem, name): table[:, j]
+                for j, name in enumerate(names)
+                if np.isfinite(table[:, j]).any() or (some and stem == "tau")
             }
         reordered = any(order != names for _, order, _ in group)
         out.append(Series(np.array([time for time, _, _ in group]), values, reordered))

@@ -98,12 +98,8 @@ def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word:
     bad = np.flatnonzero(np.diff(time) <= 0)
     if not bad.size:
         return
-    lost = single_precision(time)
-    if lost:
-        raise BadInput(
-            f"{path}: time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it as float64, or "
-            "take the first time off before saving"
-        )
+    if lost := lost_digits(time):
+        raise BadInput(f"{path}: {lost}")
     i = int(bad[0]) + 1
     where = f"{path}: {row_word} {lines[i]}"
     pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
@@ -111,6 +107,17 @@ def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word:
         raise BadInput(f"{where}: time repeats ({pair}); sort or remove such rows")
     raise BadInput(
         f"{where}: time runs backwards ({pair}); sort or remove such rows, or cut the file there if the clock was set"
+    )
+
+
+def lost_digits(time: np.ndarray) -> str:
+    """What to say of times `[T]` that float32 cannot hold; nothing where it can."""
+    lost = single_precision(time)
+    if not lost:
+        return ""
+    return (
+        f"time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it as float64, or "
+        "take the first time off before saving"
     )
 
 

@@ -4,6 +4,7 @@ A bottle slides along its push's angle, whatever the frictions are, in every eng
 camera that is not level adds some degrees, which the task adapts to and `diagnose` names.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ BETTER = 3.0
 """Times by which they must miss less in another frame."""
 SLIGHT, TURNED = 0.05, 0.35
 """rad by which all may be turned without a word; from which on that is refused."""
+ODD = 0.6
+"""rad by which one bottle may go elsewhere than the others, beside its push."""
 LEAST = 0.02
 """m that a bottle must have gone for its direction to say anything."""
 TURN_MEND = "give tracks in the arm's base frame (x ahead, y to the left)"
@@ -85,6 +88,22 @@ def check_frame(angles: np.ndarray, way: np.ndarray, where: str) -> str | None:
     if told.slight:
         return f"{told.says}; {told.mend}"
     raise BadInput(f"{where}: {told.says}; {told.mend}; if all is as declared, add --as-declared")
+
+
+def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, where: str) -> None:
+    """BadInput at the first push `[N]` whose bottle went elsewhere by far than the others did, beside the angles of their pushes."""
+    off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - np.asarray(angles, float))))
+    far = np.linalg.norm(way, axis=1) > LEAST
+    if np.sum(far) < 3:
+        return
+    off = off - np.median(off[far])
+    alike = float(np.median(np.abs(off[far]))) < SURE
+    for k in np.flatnonzero(far & alike & (np.abs(off) > ODD))[:1]:
+        raise BadInput(
+            f"{where}: trial {names[k]:g}: the bottle went {abs(np.degrees(off[k])):.0f} degrees to the "
+            f"{'left' if off[k] > 0 else 'right'} of its push, the others did not: the track of another push, or of another frame? "
+            f"mend it, or leave it out (--without {names[k]:g}); if all is as declared, add --as-declared"
+        )
 
 
 def _rms(off: np.ndarray) -> float:

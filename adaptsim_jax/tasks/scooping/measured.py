@@ -5,7 +5,7 @@ the table with x along the spatula's way, and whether it lies on the spatula (1 
 Whatever the task cannot take is refused with the row.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +27,10 @@ GAP = 0.1  # s without a row that can be filled
 LATE = 0.2  # s; the spatula cannot touch the piece before
 FAR = 2.0  # m; no piece goes so far, so it is another unit
 FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the piece
+LEAST, AHEAD = (
+    0.03,
+    0.5,
+)  # m that a piece must have gone for its way to say anything; cosine of that way and the spatula's
 _PLACES = 0x5C00  # tells the places' keys from those that policies are trained with
 
 
@@ -115,6 +119,25 @@ def measured_trajectory(
         lies.append(columns["on"][rows[-1]])
     success = jnp.asarray(lies, jnp.float32)
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
+
+
+def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
+    """BadInput where pieces that went `went [N, 2 or more]` m did not go along the spatula's way: all, or one of them."""
+    far = np.linalg.norm(went[:, :2], axis=1) > LEAST
+    if not far.any():
+        return
+    ahead = np.cos(np.arctan2(went[:, 1], went[:, 0]))
+    middle = float(np.median(ahead[far]))
+    if middle < AHEAD:
+        raise BadInput(
+            f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off the spatula's way: another frame? "
+            "give tracks with x along it"
+        )
+    for k in np.flatnonzero(far & (ahead < -AHEAD))[:1]:
+        raise BadInput(
+            f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go along it: the track of another "
+            "frame? mend it, or leave that trial out"
+        )
 
 
 def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]) -> None:

@@ -11,9 +11,10 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.sysid.io.table import read_table
-from adaptsim_jax.tasks.camera_record import check_increasing, check_unit
+from adaptsim_jax.tasks.camera_record import check_clock_set, check_increasing, check_unit, holes
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import Body, read_body
+from adaptsim_jax.tasks.toss.frame import check_blows
 
 PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 COLUMNS = ("time", *PLACE, *TURN)
@@ -23,6 +24,7 @@ FAR = 20.0  # m
 FASTEST, SPIN = 20.0, 100.0  # m/s, rad/s between two rows
 LEAST_NOISE, LEAST_TURN = 1e-5, 1e-4  # m, rad
 NORM = 0.02  # by which a quaternion may miss unit length
+STRUCK = 0.1  # of the body's size, by which a flight that strikes nothing leaves no parabola
 SUNK = 0.25  # of the body's size, below the plane
 
 
@@ -81,7 +83,8 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     names = tuple(found)
     time, place, turn = (tuple(found[n][k] for n in names) for k in range(3))
     if not as_declared:
-        _check_frame(body, names, place, turn, where)
+        _check_frame(body, names, time, place, turn, where)
+        check_blows(body, time, place, turn, str(where))
     noise, noise_turn, source = _noise(meta, where, place, turn)
     return Tossed(names, time, place, turn, noise, noise_turn, source, body, tuple(dict.fromkeys(notes))).without(
         without
@@ -117,6 +120,7 @@ def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list
             np.stack([c[n][i] for n in TURN], 1) / norm[i, None],
             told,
         )
+        notes += [f"toss {name}: {hole}" for hole in holes(found[name][0])]
 
 
 def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told) -> tuple[np.ndarray, ...]:
@@ -130,6 +134,7 @@ def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told) -> tuple[n
     leap = np.linalg.norm(np.diff(place, axis=0), axis=1)
     for k in np.flatnonzero(leap > FASTEST * gaps)[:1] + 1:
         raise BadInput(f"{told(k)}: the body jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it")
+    check_clock_set(time, place, told, "the body")
     turn = turns.continuous(turn)
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
     for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
@@ -137,7 +142,7 @@ def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told) -> tuple[n
     return time - time[0], place, turn
 
 
-def _check_frame(body: Body, names, place, turn, where: Path) -> None:
+def _check_frame(body: Body, names, time, place, turn, where: Path) -> None:
     """Another frame, another body, another order of the quaternion: told before anything is fitted."""
     corners = body.corners()
     low = [lowest(p, q, corners) for p, q in zip(place, turn, strict=True)]
@@ -158,6 +163,19 @@ def _check_frame(body: Body, names, place, turn, where: Path) -> None:
             f"{where}: bodies never come nearer to the plane z = 0 than {1e3 * min(floats, sunk):.3g} mm; give poses in a frame "
             "whose z is upwards from the plane"
         )
+
+    for name, t, p, z in zip(names, time, place, low, strict=True):
+        fall = np.polynomial.polynomial.Polynomial.fit(t, p[:, 2], 2)
+        if z.min() > body.size and np.abs(p[:, 2] - fall(t)).max() > STRUCK * body.size:
+            raise BadInput(
+                f"{where}: toss {name}: the body strikes something {1e3 * z.min():.3g} mm above the plane z = 0, the others come down "
+                f"to it: of another frame? mend it, or leave it out (--without {name})"
+            )
+        if z.min() < -2.0 * SUNK * body.size:
+            raise BadInput(
+                f"{where}: toss {name}: the body goes {-1e3 * z.min():.3g} mm below the plane z = 0, the others do not: of another "
+                f"frame? mend it, or leave it out (--without {name})"
+            )
 
 
 def lowest(place: np.ndarray, turn: np.ndarray, corners: np.ndarray) -> np.ndarray:

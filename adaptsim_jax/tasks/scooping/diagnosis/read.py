@@ -11,7 +11,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.measured import FAR, FASTEST, SLIP
+from adaptsim_jax.tasks.scooping.measured import FAR, FASTEST, SLIP, check_way
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
 
 QUIET = 0.05  # s; no blade within the bounds touches the piece so early
@@ -98,7 +98,7 @@ def assemble(
     acts = np.stack([c[name] for name in _LIMITS], 1)[at]
     aside = trial_record.aside(names, found, starts, QUIET)
     if not as_declared:
-        _check_frame(starts, aside, places, mask, where)
+        _check_frame(names, starts, aside, places, mask, where)
     noise, source = trial_record.noise_of(meta, time, places, mask, QUIET, "blade came")
     quantum = trial_record.rounded(places[mask > 0])
     if quantum > 0.5 * noise:
@@ -129,7 +129,7 @@ def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
     return tuple(map(float, given))
 
 
-def _check_frame(starts, aside, places, mask, where: Path) -> None:
+def _check_frame(names, starts, aside, places, mask, where: Path) -> None:
     """Another frame, a mirrored camera: told before anything is fitted."""
     off = float(np.linalg.norm(np.median(aside, 0)))
     if off > ASIDE:
@@ -138,13 +138,8 @@ def _check_frame(starts, aside, places, mask, where: Path) -> None:
             f"{where}: pieces lie ({x:.3g}, {y:.3g}) m from where they are declared: another frame? give tracks from the middle of "
             "the box that place_x, place_y count from, x along the spatula's way"
         )
-    ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)])
-    back = float(np.median(np.cos(np.arctan2(ends[:, 1], ends[:, 0]))))
-    if back < 0.5:
-        raise BadInput(
-            f"{where}: pieces go {np.degrees(np.arccos(np.clip(back, -1, 1))):.0f} degrees off the spatula's way: another frame? give "
-            "tracks with x along it"
-        )
+    trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
+    check_way(np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)]), str(where), names)
     wide = np.ptp(starts[:, 1]) > 0.02
     y = aside[:, 1] + starts[:, 1]
     spread = lambda v: float(np.median(np.abs(v - np.median(v))))
