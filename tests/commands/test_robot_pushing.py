@@ -59,14 +59,14 @@ def pushed(folder, out):
     return out
 
 
-def straight(folder, out, length=0.2):
-    """Tracks of bottles that slide `length` m along their pushes, whatever speed was asked."""
+def straight(folder, out, length=0.2, turn=1.0):
+    """Tracks of bottles that slide `length` m along `turn` times their pushes' angles, whatever speed was asked."""
     time = np.arange(0, 1.34, 1 / 30)
     with open(folder / "actions.csv", newline="") as file:
         asked = [(row["trial"], float(row["angle"])) for row in csv.DictReader(file)]
     far = length * np.clip(time - 0.25, 0, 1)
     rows = [
-        f"{n},{t:.4f},{0.56 + s * np.cos(a):.5f},{s * np.sin(a):.5f}"
+        f"{n},{t:.4f},{0.56 + s * np.cos(turn * a):.5f},{s * np.sin(turn * a):.5f}"
         for n, a in asked
         for t, s in zip(time, far, strict=True)
     ]
@@ -150,6 +150,8 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
     refuse("mm.csv", "is it in mm or cm? write metres")
     refuse("torn.csv", "trial 2: ends at 1 s")
     refuse("none.csv", "check the path")
+    straight(folder, tmp_path / "mirrored.csv", turn=-1.0)
+    refuse("mirrored.csv", "the tracks look mirrored")
     # a disk that fills, or a process that dies, between the push and its last byte: told again, it comes to the same
     with monkeypatch.context() as patch:
         full = lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))

@@ -49,7 +49,13 @@ def test_a_session_from_start_to_best_policy(run, tmp_path, capsys):
     first = (folder / "actions.csv").read_text()
     assert first.startswith("trial,place_x,place_y,pitch,rate,distance\n1,") and len(first.splitlines()) == 3
     assert "a probe)" in capsys.readouterr().out
-    assert main(["robot", "record", str(scooped(folder, tmp_path / "a.csv", False)), "--dir", str(folder)]) == 0
+    record = scooped(folder, tmp_path / "a.csv", False)
+    mirrored = [line.split(",") for line in record.read_text().splitlines()]
+    rows = [",".join([*c[:2], c[2] if k == 0 else str(-float(c[2])), *c[3:]]) for k, c in enumerate(mirrored)]
+    (tmp_path / "mirrored.csv").write_text("\n".join([*rows, ""]))
+    assert main(["robot", "record", str(tmp_path / "mirrored.csv"), "--dir", str(folder)]) == 2
+    assert "off the spatula's way: another frame?" in capsys.readouterr().err
+    assert main(["robot", "record", str(record), "--dir", str(folder)]) == 0
     assert main(["robot", "record", str(tmp_path / "a.csv"), "--dir", str(folder)]) == 2
     assert "was told already" in capsys.readouterr().err
     assert main(["robot", "next", "--dir", str(folder)]) == 0

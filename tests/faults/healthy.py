@@ -83,7 +83,9 @@ def of_pendulum(source: Path) -> list[str]:
 
     recording = read_recording(source)
     checked = audit(recording)
-    said = [checked.message] if checked.fault else told_in_short(recording, checked)["warnings"]
+    if checked.fault:
+        return [checked.message]
+    said = told_in_short(recording, checked)["warnings"]
     kept = usable(recording, checked)
     said += [f.message for f in check_conventions(kept)]
     found = pendulum_trials(kept)

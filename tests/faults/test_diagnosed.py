@@ -1,12 +1,15 @@
 """What real data do to a diagnosis, from the command line to report.json: slow, for each is a whole diagnosis."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from tests.sysid.arm_files import arm, write
+from tests.sysid.arm_files import arm, wrapped, write
 
 pytestmark = pytest.mark.slow
 
@@ -18,8 +21,42 @@ def diagnosed(tmp_path, trials, *more):
     return json.loads((out / "report.json").read_text()), (out / "report.html").read_text()
 
 
-def test_blank_velocities_are_left_out_with_a_note(tmp_path):
-    nothing = lambda c: {k: [""] * len(c["time"]) for k in ("v1", "v2")}
+COULOMB = 0.06
+
+
+def names_the_friction(report):
+    """Coulomb friction at joint 2 by its size, and nothing else."""
+    assert report["verdict"] == "explained", report["message"]
+    ((joint, level),) = [(e["joints"], e["parameters"]["level"]["value"]) for e in report["effects"]]
+    assert joint == ["joint2"] and level == pytest.approx(COULOMB, rel=0.05)
+
+
+def test_friction_is_named_whatever_files_are_called_and_the_terminal_takes(tmp_path):
+    """Names with brackets, quotes and spaces, and a pipe that takes ASCII alone."""
+    data = write(tmp_path / "data", arm(count=6, coulomb=COULOMB))
+    names = ["1 Versuch, schräg [red].csv", "2 'σ' & %s {0}.csv", "3 -rf #a.csv", "4 <b>x.CSV", "5.csv", "6.a.csv"]
+    for path, name in zip(sorted(data.glob("*.csv")), names, strict=True):
+        path.rename(data / name)
+    out = tmp_path / "öut [x]"
+    env = os.environ | {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONPATH": os.pathsep.join(sys.path)}
+    words = [sys.executable, "-m", "adaptsim_jax", "diagnose", str(data), "--out", str(out)]
+    done = subprocess.run(words, capture_output=True, env=env, timeout=900)
+    assert done.returncode == 0 and b"Traceback" not in done.stderr and b"explained" in done.stdout, done.stderr
+    names_the_friction(json.loads((out / "report.json").read_text()))
+    page = (out / "report.html").read_text()
+    assert "4 &lt;b&gt;x" in page and "4 <b>x" not in page
+
+
+@pytest.mark.parametrize("lost", [0, 4])
+def test_friction_is_named_where_angles_wrap_and_rows_are_lost_just_there(tmp_path, lost):
+    trials = [wrapped(c, lost) for c in arm(count=6, scale=3.0, coulomb=COULOMB)]
+    assert sum(len(c["time"]) < 250 for c in trials) >= 2 or not lost
+    names_the_friction(diagnosed(tmp_path, trials)[0])
+
+
+@pytest.mark.parametrize("cell", ["", "nan"])
+def test_blank_velocities_are_left_out_with_a_note(tmp_path, cell):
+    nothing = lambda c: {k: [cell] * len(c["time"]) for k in ("v1", "v2")}
     report, _ = diagnosed(tmp_path, [c | nothing(c) for c in arm()])
     assert any("v1, v2 held no number in 00.csv" in note for note in report["notes"]) and report["warnings"] == []
 
@@ -61,11 +98,12 @@ def late(c, share):
     return out
 
 
-def test_readings_that_are_late_are_told_by_how_much(tmp_path):
-    """8 ms of rows of 10: a delay of the sensors or of the command, or the class of both."""
-    report, _ = diagnosed(tmp_path, [late(c, 0.8) for c in arm()])
+@pytest.mark.parametrize("ms", [8.0, 2.0])
+def test_readings_that_are_late_are_told_by_how_much(tmp_path, ms):
+    """8 or 2 ms of rows of 10: a delay of the sensors or of the command, or the class of both."""
+    report, _ = diagnosed(tmp_path, [late(c, ms / 10.0) for c in arm()])
     assert {e["name"] for e in report["effects"]} <= {"delay", "sensor_delay"} and report["effects"], report["message"]
     assert [1e3 * e["parameters"]["delay"]["value"] for e in report["effects"]] == pytest.approx(
-        [8.0] * len(report["effects"]), rel=0.1
+        [ms] * len(report["effects"]), rel=0.1
     )
-    assert any("late" in w for w in report["warnings"])
+    assert ms < 5.0 or any("late" in w for w in report["warnings"])

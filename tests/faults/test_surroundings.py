@@ -11,6 +11,7 @@ import pytest
 from adaptsim_jax.cli import main
 from adaptsim_jax.core import files, store
 from adaptsim_jax.core.errors import BadInput
+from tests.commands.test_train import SET
 from tests.sysid.arm_files import arm, write
 
 
@@ -55,6 +56,16 @@ def test_a_search_for_numbers_that_do_not_exist_is_put_off(switch):
     done = said(code, **{switch: "True"})
     assert done.returncode == 0 and done.stdout.splitlines()[-1] == "False False"
     assert f"{switch} is set and is not heeded" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("switch", ["JAX_ENABLE_X64", "JAX_DEBUG_NANS"])
+def test_a_run_is_trained_and_adapted_whatever_switches_are_set(tmp_path, switch):
+    env = os.environ | {switch: "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    for words in (["train", "pendulum", "--run", "r", *SET], ["adapt", "r", "--target", "ood-1"]):
+        command = [sys.executable, "-m", "adaptsim_jax", *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=env)
+        assert done.returncode == 0, done.stderr
 
 
 def test_without_a_home_the_cache_is_elsewhere(tmp_path):

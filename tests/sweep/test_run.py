@@ -91,10 +91,12 @@ def test_batches_that_raise_are_halved_down_to_the_member_that_does():
 
 
 def test_killed_at_random_moments_it_ends_with_the_same_bits(straight, tmp_path):
-    """SIGKILL, five times (SWEEP_KILLS says otherwise): within 4 s of the start, and every fourth time after a checkpoint."""
+    """SIGKILL, five times (SWEEP_KILLS and SWEEP_SEED say otherwise): within 4 s of the start, and every fourth time after a
+    checkpoint."""
     spec, out = write(tmp_path, "keep = true\n" + SPEC), tmp_path / "out"
     words = [spec, "--out", out, "--at-once", "4", "--resume", "--save-every", "0"]
-    rng, kills, midway, wanted = random.Random(7), 0, 0, int(os.environ.get("SWEEP_KILLS", "5"))
+    rng, wanted = random.Random(int(os.environ.get("SWEEP_SEED", "7"))), int(os.environ.get("SWEEP_KILLS", "5"))
+    kills, midway = 0, 0
     saved = lambda: sum(p.stat().st_mtime_ns for p in (out / "work").glob("*/manifest.json"))
     for _ in range(3 * wanted):
         before, process = saved(), start(words)

@@ -148,20 +148,42 @@ def hypotheses_of(words: Words, chain: Sequence[int] = ()) -> list[Hypothesis]:
                 lambda m, sign=sign: replace(_scaled(m, sign), tau=m.tau * sign),
             )
         )
+        if n > 1:
+            small = np.where(np.arange(n) == j, 1e-3, 1.0)
+            unit = f'write {words.tau[j]} = "mNm" under [units] in meta.toml'
+            out.append(
+                Hypothesis("torque_unit", f"{words.tau[j]} looks to be in mN m", unit,
+                           lambda m, small=small: replace(m, tau=m.tau * small))
+            )  # fmt: skip
         if words.hinges[j]:
             deg = np.where(np.arange(n) == j, np.pi / 180.0, 1.0)
             out.append(
                 Hypothesis("degrees", f"{words.q[j]} looks to be in degrees", f'write {words.q[j]} = "deg" under [units] in meta.toml',
                            lambda m, deg=deg: _scaled(m, deg))
             )  # fmt: skip
+            rev = np.where(np.arange(n) == j, 2 * np.pi, 1.0)
+            unit = f'write {words.q[j]} = "rev" under [units] in meta.toml'
+            out.append(
+                Hypothesis("revolutions", f"{words.q[j]} looks to be in revolutions", unit,
+                           lambda m, rev=rev: _scaled(m, rev))
+            )  # fmt: skip
     if n > 1 and all(words.hinges):
         out.append(
             Hypothesis("degrees", "all angles look to be in degrees", 'write angle = "deg" under [units] in meta.toml',
                        lambda m: _scaled(m, np.full(n, np.pi / 180.0)))
         )  # fmt: skip
+        out.append(
+            Hypothesis("revolutions", "all angles look to be in revolutions", 'write angle = "rev" under [units] in meta.toml',
+                       lambda m: _scaled(m, np.full(n, 2 * np.pi)))
+        )  # fmt: skip
     for j, parent in enumerate(chain):
         if parent < 0:
             continue
+        for turn, word in ((np.pi, "half a turn"), (np.pi / 2, "a quarter turn"), (-np.pi / 2, "a quarter turn")):
+            said = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
+            own = np.where(np.arange(n) == j, turn, 0.0)
+            mend = f"add {turn:.5g} rad to column {words.q[j]}"
+            out.append(Hypothesis("zero", said, mend, lambda m, own=own: replace(m, q=m.q + own)))
         said = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
         mend = (
             f"write {words.q[j]} - {words.q[parent]} into column {words.q[j]}, and so {words.v[j]} - {words.v[parent]}"

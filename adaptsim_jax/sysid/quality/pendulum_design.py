@@ -81,6 +81,10 @@ def pendulum_contradiction(recording: Recording) -> Told | None:
                 design=design(factor * l1, g, down),
             )
         )
+    if abs(g - GRAVITY) > 0.3 * GRAVITY:
+        says = f"g = {g:g} m/s^2 is not the gravity of this motion, {GRAVITY:g} is"
+        mend = f"write g = {GRAVITY:g} under [geometry] in meta.toml"
+        more.append(Hypothesis("gravity", says, mend, design=design(l1, GRAVITY, down)))
     other = "upright" if down > 0 else "hanging"
     mend = f'write angle_zero = "{other}" in meta.toml'
     more.append(Hypothesis("angle_zero", f"angles look to be zero when {other}", mend, design=design(l1, g, -down)))

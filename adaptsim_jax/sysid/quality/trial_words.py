@@ -129,7 +129,7 @@ def _amount(kind: str, size: float, hinge: bool) -> str:
 
 
 def _odd(o: Odd, channels: Channels) -> str:
-    why = "nothing simple explains it: did a drive trip, or a sensor drop out?"
+    why = "nothing simple explains it: did a drive trip, a sensor drop out, or are its columns or units other?"
     if o.kind == "load":
         why = f"it looks to carry another load ({100 * o.size[0]:+.2g} % of the torque)"
     elif o.kind:

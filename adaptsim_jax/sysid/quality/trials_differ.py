@@ -43,6 +43,8 @@ SMALL = 1e-3
 """rad by which a zero is moved to see what that does."""
 APART, TIMES, SHARE = 4.0, 3.0, 0.02
 """An odd trial: robust standard deviations and times that its error is above the others', and least share of its torque's square."""
+LIGHTEST = -0.5
+"""Share of a mechanism's torque that a load may take off it: what looks lighter is no load."""
 OWN = 0.8
 """Share of an odd trial's error that a difference of its own must take away to be told for its reason."""
 
@@ -266,5 +268,7 @@ def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> Odd:
             size = np.full((t + 1, own.shape[2]), np.nan)
             size[t] = fit(np.ones(len(left), bool))
             shown = _told(kind, mine, columns(mine, x), x, size)[t]
+            if (kind == "load" and np.min(shown) < LIGHTEST) or (kind == "zero" and np.max(np.abs(shown)) > np.pi):
+                continue
             best, most = Odd(name, times, kind, tuple(float(z) for z in shown)), takes
     return best

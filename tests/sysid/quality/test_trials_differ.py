@@ -54,6 +54,18 @@ def test_a_trial_apart_is_named_and_offered_to_be_left_out(tmp_path):
     assert headline(found) == "03, 06 are apart from the other trials"
 
 
+@pytest.mark.parametrize("kind", ["degrees", "joints"])
+def test_a_trial_of_other_columns_is_no_load_and_no_zero(tmp_path, kind):
+    trials = arm(count=COUNT, seed=55)
+    swap = {"1": "2", "2": "1"}
+    trials[3] = {
+        "degrees": {k: np.degrees(x) if k[0] in "qv" else x for k, x in trials[3].items()},
+        "joints": {k if k == "time" else k[:-1] + swap[k[-1]]: x for k, x in trials[3].items()},
+    }[kind]
+    (odd,) = differ_of(tmp_path, trials).odd
+    assert odd.trial == "03" and odd.kind == ""
+
+
 def test_what_the_mended_model_explains_is_not_told(tmp_path):
     trials = arm(count=COUNT, seed=5)
     trials[3] = tripped(trials[3])
