@@ -46,7 +46,9 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
         asked = f" (was it written in {unit}?)" if unit else ""
         says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion{asked}"
         more.append(Hypothesis("length", says, "write it in metres", design=_design(_resized(tree, factor), program)))
-    if told := contradiction(tracks, declared, _words(tree, log.input_kind), more, _chain(tree)):
+    words = _words(tree, log.input_kind)
+    zeros = [j for j, turns in enumerate(words.hinges) if turns]
+    if told := contradiction(tracks, declared, words, more, _chain(tree), zeros):
         raise BadInput(f"{log.path}: {told.message}; {AS_DECLARED}")
     warned = () if machine.gain_unknown else _weighed(machine, tracks, declared)
     late = lateness(tracks, declared)

@@ -59,9 +59,12 @@ def read(session: Session, state: Any, path: Path) -> Any:
     from adaptsim_jax.tasks.pendulum import measured
 
     table = read_table(path, measured.COLUMNS)
-    return measured.measured_trajectory(
+    found = measured.measured_trajectory(
         table.columns, str(path), session.options.get("observation", "full"), lines=table.lines, row_word=table.row_word
     )
+    if not session.as_declared:
+        measured.check_columns(table.columns, str(path))
+    return found
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:

@@ -35,6 +35,12 @@ def times(j, factor):
     return lambda x: x * np.where(np.arange(x.shape[1]) == j, factor, 1.0)
 
 
+def moved(machine, q):
+    """The last angle a quarter turn on; speeds as they are."""
+    own = next((t for t in machine.tracks if t.q is q), None)
+    return q if own is None else q + np.where(np.arange(q.shape[1]) == q.shape[1] - 1, np.pi / 2, 0.0)
+
+
 def model(machine, length=1.0, mass=1.0):
     """The machine whose file has lengths and masses otherwise."""
     tree = machine.tree
@@ -49,6 +55,8 @@ WRONG = {
     "signs": (lambda m: spoiled(m, u=lambda u: -u), "all torques have the other sign"),
     "angle": (lambda m: spoiled(m, times(1, -1.0)), "turn the signs of columns q_"),
     "degrees": (lambda m: spoiled(m, times(1, 180 / np.pi)), '= "deg" under'),
+    "turns": (lambda m: spoiled(m, times(1, 0.5 / np.pi)), '= "rev" under'),
+    "zero": (lambda m: spoiled(m, lambda q: moved(m, q)), "a quarter turn from where the model has its zero"),
     "mm": (lambda m: model(m, length=1e3), "lengths 0.001 times those"),
     "short": (lambda m: model(m, length=0.1), "lengths 10 times those"),
     "grams": (lambda m: model(m, mass=1e3), "masses in grams"),

@@ -104,6 +104,8 @@ SPOILED = {
     "hole": (lambda t: t[(t[:, 0] < 0.4) | (t[:, 0] > 1.2)], "nothing was recorded from"),
     "degrees": (lambda t: t * [1, 57.29578, 57.29578, 57.29578, 57.29578, 1, 1], "degrees"),
     "speeds": (lambda t: t * [1, 1, 1, 57.29578, 57.29578, 1, 1], "column v1"),
+    "exchanged": (lambda t: t[:, [0, 1, 2, 3, 4, 6, 5]], "the torques of joint 1 and joint 2 look swapped"),
+    "mNm": (lambda t: t * [1, 1, 1, 1, 1, 1e3, 1e3], "those of links of 1 m and 1 kg; write N m"),
     "nan": (lambda t: np.where(np.arange(len(t))[:, None] == 30, np.nan, t), "nan"),
 }
 

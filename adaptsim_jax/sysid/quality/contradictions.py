@@ -72,12 +72,17 @@ class Told:
 
 
 def contradiction(
-    tracks: Sequence[Track], design: Design, words: Words, more: Sequence[Hypothesis] = (), chain: Sequence[int] = ()
+    tracks: Sequence[Track],
+    design: Design,
+    words: Words,
+    more: Sequence[Hypothesis] = (),
+    chain: Sequence[int] = (),
+    zeros: Sequence[int] = (),
 ) -> Told | None:
     """The convention that the motion follows in place of the declared one; None where that does, or where none explains it.
 
     more: hypotheses of the mechanism itself (lengths, zeros); chain [n]: the joint whose angle a joint's may have been added to, -1
-    for none.
+    for none; zeros: joints whose zero may be a quarter or half a turn off.
     """
     motion = motion_of(tracks)
     if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or not _moves(motion):
@@ -86,7 +91,7 @@ def contradiction(
     if left < HARDLY:
         return None
     best: tuple[float, Hypothesis] | None = None
-    for h in (*hypotheses_of(words, chain), *more):
+    for h in (*hypotheses_of(words, chain, zeros), *more):
         other = unexplained(h.motion(motion), h.design or design, h.gravity)
         # of two that do alike the first, which is the simpler, stands
         if best is None or other < 0.8 * best[0]:
@@ -100,7 +105,7 @@ def _moves(motion: Motion) -> bool:
     return bool(np.all(np.std(motion.q, axis=0) > 1e-3) and np.any(np.std(motion.tau, axis=0) > 1e-9))
 
 
-def hypotheses_of(words: Words, chain: Sequence[int] = ()) -> list[Hypothesis]:
+def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] = ()) -> list[Hypothesis]:
     """Those of the columns, for `n` joints."""
     n = len(words.joints)
     out = []
@@ -179,16 +184,17 @@ def hypotheses_of(words: Words, chain: Sequence[int] = ()) -> list[Hypothesis]:
     for j, parent in enumerate(chain):
         if parent < 0:
             continue
-        for turn, word in ((np.pi, "half a turn"), (np.pi / 2, "a quarter turn"), (-np.pi / 2, "a quarter turn")):
-            said = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
-            own = np.where(np.arange(n) == j, turn, 0.0)
-            mend = f"add {turn:.5g} rad to column {words.q[j]}"
-            out.append(Hypothesis("zero", said, mend, lambda m, own=own: replace(m, q=m.q + own)))
         said = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
         mend = (
             f"write {words.q[j]} - {words.q[parent]} into column {words.q[j]}, and so {words.v[j]} - {words.v[parent]}"
         )
         out.append(Hypothesis("absolute_angle", said, mend, lambda m, j=j, parent=parent: _relative(m, j, parent)))
+    for j in zeros:
+        for turn, word in ((np.pi, "half a turn"), (np.pi / 2, "a quarter turn"), (-np.pi / 2, "a quarter turn")):
+            said = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
+            own = np.where(np.arange(n) == j, turn, 0.0)
+            mend = f"add {turn:.5g} rad to column {words.q[j]}"
+            out.append(Hypothesis("zero", said, mend, lambda m, own=own: replace(m, q=m.q + own)))
     out.append(
         Hypothesis(
             "gravity_missing", "gravity is missing from the torques",

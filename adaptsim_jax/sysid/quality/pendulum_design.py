@@ -88,7 +88,7 @@ def pendulum_contradiction(recording: Recording) -> Told | None:
     other = "upright" if down > 0 else "hanging"
     mend = f'write angle_zero = "{other}" in meta.toml'
     more.append(Hypothesis("angle_zero", f"angles look to be zero when {other}", mend, design=design(l1, g, -down)))
-    return contradiction(tracks, declared, WORDS, more, chain=(-1, 0))
+    return contradiction(tracks, declared, WORDS, more, chain=(-1, 0), zeros=(1,))
 
 
 def pendulum_lateness(recording: Recording) -> Late | None:

@@ -6,10 +6,14 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, LATE_SNAPSHOTS, SAMPLES, SNAPSHOTS
 from adaptsim_jax.sysid.io.table_checks import check_clock, check_time_unit
 from adaptsim_jax.sysid.quality.consistency import velocity_agreement
+from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, POOR, contradiction
+from adaptsim_jax.sysid.quality.hypotheses import LEAST, Track, linear_fit, motion_of
+from adaptsim_jax.sysid.quality.pendulum_design import WORDS, design
 from adaptsim_jax.sysid.quality.turns import TURN, without_turns
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
@@ -23,6 +27,8 @@ REST = 0.3
 """s that the arm may rest after it was let go: the task's policies move it at once."""
 MOST_TURNS = 3
 """Whole turns that an encoder may have counted before the start."""
+USUAL, WILD = np.array([3.0, 1.0, 2.0, 1.0]), 30.0
+"""p1, p3 (kg m^2), h1, h2 (kg m) of links of 1 m and 1 kg; times that the torques of a trial may be off from theirs."""
 STILL = 0.01
 """rad within which it rests, beside the readings' noise."""
 
@@ -68,6 +74,27 @@ def measured_trajectory(
     indices = SNAPSHOTS if observation == "full" else LATE_SNAPSHOTS
     points = jnp.asarray(angles[np.asarray(indices)], jnp.float32)
     return PendulumTrajectory(points, jnp.float32(cost), jnp.zeros((), jnp.int32))
+
+
+def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
+    """BadInput where the motion of a trial that `measured_trajectory` took contradicts its columns: joints or torques exchanged, signs
+    turned, one angle in another unit, torques of no such pendulum. Links of 1 m, whatever their masses."""
+    time = np.asarray(columns["time"], float)
+    whole = _whole_angles(time, columns)
+    pair = lambda stem, table: np.stack([np.asarray(table[f"{stem}{j}"], float) for j in (1, 2)], 1)
+    v = pair("v", columns) if "v1" in columns and "v2" in columns else None
+    track = Track(time - time[0], pair("q", whole), v, pair("tau", columns))
+    plain = design(1.0, GRAVITY, -1.0)
+    if told := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
+        raise BadInput(
+            f"{where}: the columns contradict a double pendulum: {told.says}; mend the file (rad, N m, zero upright); {AS_DECLARED}"
+        )
+    motion = motion_of([track])
+    found = linear_fit(motion, lambda m, gravity: plain(m, gravity) * USUAL, first=len(USUAL))
+    if len(motion.q) >= LEAST and found.left < POOR and not 1.0 / WILD < found.scale < WILD:
+        raise BadInput(
+            f"{where}: the torques are {float(f'{found.scale:.2g}'):g} times those of links of 1 m and 1 kg; write N m; {AS_DECLARED}"
+        )
 
 
 def _velocities(columns: Mapping[str, np.ndarray], time: np.ndarray, grid: np.ndarray) -> np.ndarray:
