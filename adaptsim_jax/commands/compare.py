@@ -25,7 +25,7 @@ ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx o
 def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
+    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, or one of your own")
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="folder for results.json, table, figures and report.html"
     )

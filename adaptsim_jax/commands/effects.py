@@ -143,7 +143,8 @@ def _show(effect: dict[str, Any]) -> None:
         else f"{effect['name']}: a force {where}"
     )
     print(f"  physics      {effect['physics']}")
-    print(f"  formula      {effect['formula']}")
+    if effect["formula"]:
+        print(f"  formula      {effect['formula']}")
     for p in effect["parameters"]:
         torques, times = UNITS[p["unit"]]
         scaled = " times the torque scale" if torques else ""

@@ -8,14 +8,27 @@ from pathlib import Path
 
 KINDS = {"effect": ".py", "mechanism": ".xml", "task": ".py", "engine": ".py", "baseline": ".py"}
 NEXT = {
-    "effect": "python {file}    its torque; then fill in the physics, and let it compete (docs/howto/extend.md)",
+    "effect": "python {file}    its torque; then fill in the physics (docs/your-own-effect.md)",
     "mechanism": "adaptsim init LOGS --model {file}",
-    "task": "python {file}    trains a small Phase 1 on it; an entry point makes it one of `adaptsim compare` (docs/howto/extend.md)",
-    "engine": "python {file}    moves the pendulum in it; an entry point makes it one of `adaptsim parity` (docs/howto/extend.md)",
-    "baseline": "python {file}    tries it in one target; an entry point makes it a row of `adaptsim compare` (docs/howto/extend.md)",
+    "task": "python {file}    trains a small Phase 1 on it",
+    "engine": "python {file}    moves the pendulum in it",
+    "baseline": "python {file}    tries it in one target",
 }
+KNOWN = {  # entry points: group, name, object, and where it then stands
+    "effect": ("effects", ("{name}", "machine.{name}"), "EFFECT", "`adaptsim effects`, `adaptsim diagnose`"),
+    "task": ("tasks", ("{name}",), "TASK", "`adaptsim train {name}`, `adaptsim compare {name}`"),
+    "engine": ("backends", ("pendulum.{name}",), "ENGINE", "`adaptsim parity pendulum`"),
+    "baseline": ("baselines", ("exact.{name}",), "{name}", "`adaptsim compare pendulum --methods {name}`"),
+}
+PYPROJECT = """[project]
+name = "my-{dashed}"
+version = "0.1"
+
+[tool.setuptools]
+py-modules = ["{name}"]   # one word a file beside this one
+"""
 EXAMPLES = """
-  adaptsim new effect cable_drag             writes cable_drag.py
+  adaptsim new effect cable_drag             writes cable_drag.py, and pyproject.toml where there is none
   adaptsim new mechanism arm --dir robots    writes robots/arm.xml, an MJCF to fill in
   adaptsim new task puck                     writes puck.py
   adaptsim new engine late                   writes late.py, the pendulum in other physics
@@ -30,7 +43,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write one file that runs as it stands; nothing is overwritten."""
+    """Write one file that runs as it stands, and how it is installed; nothing is overwritten."""
     from importlib import resources
 
     from adaptsim_jax.core.errors import BadInput
@@ -46,5 +59,24 @@ def run(args: argparse.Namespace) -> int:
     output_folder(args.dir)
     write_bytes(path, text.encode())
     print(f"written: {path}")
+    if args.kind in KNOWN:
+        _make_known(args.kind, args.name, args.dir)
     print(f"next: {NEXT[args.kind].format(file=path)}")
     return 0
+
+
+def _make_known(kind: str, name: str, folder: Path) -> None:
+    """A pyproject.toml whose entry points make the object one of ours; the lines for it where there is a file already."""
+    from adaptsim_jax.core.files import write_bytes
+
+    group, names, thing, where = KNOWN[kind]
+    lines = "".join(f'"{each}" = "{name}:{thing}"\n' for each in names).format(name=name)
+    lines = f'[project.entry-points."adaptsim.{group}"]\n{lines}'
+    file = folder / "pyproject.toml"
+    if file.exists():
+        print(f"add to {file}, and '{name}' to its py-modules or packages:\n\n{lines}")
+    else:
+        text = PYPROJECT.format(name=name, dashed=name.replace("_", "-"))
+        write_bytes(file, f"{text}\n{lines}".encode())
+        print(f"written: {file}")
+    print(f"once installed (pip install -e {folder}) it is known to {where.format(name=name)}")

@@ -21,7 +21,7 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
+    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, or one of your own")
     parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
     parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")

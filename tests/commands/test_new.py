@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import mujoco
@@ -88,6 +90,27 @@ def test_what_was_begun_is_installed_and_compared(tmp_path):
     assert run("-c", code).strip() == "weak"
     protocols = str(ROOT / "tests" / "test_protocols.py")
     assert "failed" not in run("-m", "pytest", "-q", protocols, "-k", "puck or weak or test_baselines")
+
+
+@pytest.mark.parametrize(
+    "kind, group, name, names",
+    [("effect", "effects", "worm", ["worm", "machine.worm"]), ("task", "tasks", "walk", ["walk"])],
+)
+def test_the_first_file_comes_with_a_pyproject(kind, group, name, names, tmp_path, monkeypatch, capsys):
+    """Its entry points load what they name; a second file leaves it alone, and tells the lines to add."""
+    assert main(["new", kind, name, "--dir", str(tmp_path)]) == 0
+    text = (tmp_path / "pyproject.toml").read_text()
+    table = tomllib.loads(text)
+    assert table["tool"]["setuptools"]["py-modules"] == [name]
+    points = table["project"]["entry-points"][f"adaptsim.{group}"]
+    assert list(points) == names
+    monkeypatch.syspath_prepend(tmp_path)
+    for point, value in points.items():
+        assert EntryPoint(point, value, f"adaptsim.{group}").load() is not None
+    capsys.readouterr()
+    assert main(["new", "baseline", "hill", "--dir", str(tmp_path)]) == 0
+    assert (tmp_path / "pyproject.toml").read_text() == text
+    assert '[project.entry-points."adaptsim.baselines"]\n"exact.hill" = "hill:hill"' in capsys.readouterr().out
 
 
 def test_a_mechanism_is_one_that_logs_can_be_read_with(tmp_path):
