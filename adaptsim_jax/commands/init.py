@@ -43,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     print(f"wrote {begun.path}")
     print(f"{len(_guesses(begun.text))} guesses in it: check each line marked 'guess'")
+    if begun.unused:
+        print(f"columns that are not used: {', '.join(begun.unused)}; name those that matter under [columns]")
     if begun.log is None:
         print(f"to mend before it reads: {begun.to_mend}")
         return 0
@@ -72,6 +74,7 @@ def _told(begun: Any) -> dict[str, Any]:
     return {
         "written": str(begun.path),
         "guesses": _guesses(begun.text),
+        "unused": list(begun.unused),
         "reads": reads,
         "to_mend": None if log else begun.to_mend,
     }

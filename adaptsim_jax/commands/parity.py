@@ -41,6 +41,10 @@ def run(args: argparse.Namespace) -> int:
         _show_scooping(found)
     else:
         _show(found)
+    if not args.json:
+        from adaptsim_jax.commands.common import next_step
+
+        next_step(f"train {args.task} --run runs/a")
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import sys
 
 EXAMPLES = """
@@ -58,17 +59,22 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(told, indent=2))
     else:
+        from adaptsim_jax.commands.common import next_step
+
         _print(told)
+        next_step(f"diagnose {shlex.quote(args.data)} --out out    what the model that the data name lacks")
     return 0
 
 
 def _print(told: dict) -> None:
+    from rich.box import HEAVY_HEAD
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(
-        "", "median", "rms", "ran away", title=f"error over {told['horizon']:g} s, {told['stretches']} stretches"
-    )
+    console = Console()
+    title = f"error over {told['horizon']:g} s, {told['stretches']} stretches"
+    box = HEAVY_HEAD if console.is_terminal else None  # a program or a file gets columns without a frame
+    table = Table("", "median", "rms", "ran away", title=title, box=box, title_justify="left")
     size = lambda row, unit: (
         f"{row['median']:.4g} {unit}",
         f"{row['rms']:.4g} {unit}",
@@ -79,6 +85,6 @@ def _print(told: dict) -> None:
         table.add_row(name, *size(row, row["unit"]))
     for name, row in told["trials"].items():
         table.add_row(f"trial {name}", *size(row, told["unit"]))
-    Console().print(table)
+    console.print(table)
     for note in told["notes"]:
         print(f"note: {note}")

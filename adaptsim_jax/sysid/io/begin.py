@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.sysid.io import lerobot, ros
 from adaptsim_jax.sysid.io.columns import role
-from adaptsim_jax.sysid.io.guess import Guess, guess, meta_text
+from adaptsim_jax.sysid.io.guess import Guess, array_name, guess, meta_text
 from adaptsim_jax.sysid.io.inputs import PREFERRED, STEM
 from adaptsim_jax.sysid.io.log import Log, ModelNames
 from adaptsim_jax.sysid.io.read import META, read_log
@@ -25,12 +25,15 @@ MODELS = (".xml", ".mjcf", ".urdf")
 
 @dataclass(frozen=True)
 class Begun:
-    """What was written where: `path` of meta.toml, its `text`; the `log` as it reads now, or what is `to_mend` before it does."""
+    """What was written where: `path` of meta.toml, its `text`; the `log` as it reads now, or what is `to_mend` before it does.
+
+    `unused`: columns that nothing was made of."""
 
     path: Path
     text: str
     log: Log | None
     to_mend: str
+    unused: tuple[str, ...] = ()
 
 
 def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
@@ -39,6 +42,11 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     names = _model_names(model)
     columns, ros_topics, chosen = _columns(data, topics)
     found = guess(columns, names)
+    arrays = _arrays(data)
+    found = replace(
+        found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
+        ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
+    )  # fmt: skip
     told = model or _only_model(data)
     here = folder.resolve()
     text = meta_text(
@@ -55,9 +63,9 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     path = folder / META
     write_bytes(path, text.encode())
     try:
-        return Begun(path, text, read_log(folder, names), "")
+        return Begun(path, text, read_log(folder, names), "", found.ignored)
     except BadInput as error:
-        return Begun(path, text, None, str(error))
+        return Begun(path, text, None, str(error), found.ignored)
 
 
 def _folder(data: Path, out: Path | None) -> Path:
@@ -112,15 +120,29 @@ def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray],
     return ros.read_bag(bags[0], topics).columns, lines, chosen
 
 
+def _arrays(data: Path) -> dict[str, str | None]:
+    """Arrays `[T, n]` of the first file, by name: what each seems to be to us (`q` gives q1 to qn), None where nothing."""
+    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    if not files or files[0].suffix.lower() != ".npz":
+        return {}
+    found: dict[str, str | None] = {}
+    for name, array in read_archive(files[0]).items():
+        if array.dtype.kind in "fiu" and array.ndim == 2:
+            ours = array_name(name)
+            found[name] = None if ours in found.values() else ours
+    return found
+
+
 def _table_columns(path: Path) -> dict[str, np.ndarray]:
-    """Every column of numbers; others are left out."""
+    """Every column of numbers; others are left out. An array `[T, n]` of joints is n columns by our name of it."""
     if path.suffix.lower() == ".npz":
         out: dict[str, np.ndarray] = {}
+        named = _arrays(path)
         for name, array in read_archive(path).items():
             if array.dtype.kind in "fiu" and array.ndim == 1:
                 out[name] = array.astype(np.float64)
-            elif array.dtype.kind in "fiu" and array.ndim == 2:
-                out |= {f"{name}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
+            elif ours := named.get(name):
+                out |= {f"{ours}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
         return out
     names = tuple(dict.fromkeys(column_names(path)))
     try:

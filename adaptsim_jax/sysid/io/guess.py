@@ -27,7 +27,7 @@ WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
 }  # fmt: skip
 TARGETS = ("target", "command", "cmd", "desired", "des", "goal", "reference", "ref", "setpoint", "action")
-CLOCKS = ("time", "timestamp", "stamp", "t", "seconds", "clock")
+CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,13 @@ def guess(columns: dict[str, np.ndarray], model: ModelNames | None) -> Guess:
     )
 
 
+def array_name(name: str) -> str | None:
+    """Our name of an array `[T, n]` such as `joint_positions`, whose columns are joints in order; None where it is none of ours."""
+    ours = name if role(name) else _ours(name, ())
+    told = role(ours) if ours else None
+    return ours if told and told.joint is None and told.stem not in ("time", "trial") else None
+
+
 def _tokens(name: str) -> list[str]:
     return [token.lower() for token in re.split(r"[^A-Za-z0-9]+", name) if token]
 
@@ -96,7 +103,7 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     rest = [
         token
         for token in tokens
-        if token not in WORDS and token not in ("joint", "states", "joints", "measured", "actual")
+        if token not in WORDS and token not in ("joint", "state", "states", "joints", "measured", "actual")
     ]
     if not joints:
         return f"{stem}_{'_'.join(rest)}" if rest else stem

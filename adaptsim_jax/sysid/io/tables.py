@@ -69,19 +69,26 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     told = {column for column in named if role(named[column]) is not None and not is_ignored(named[column], ignore)}
     wanted = tuple(dict.fromkeys(column for column in header if column in told))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
+    if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
+        raise _no_time(path, header)
     table = _read(path, {column: named[column] for column in wanted if column != labels})
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
-        raise BadInput(
-            f"{path}: column 'time' is missing; add it (s), or name it by [columns] time = \"...\" in meta.toml"
-        )
+        raise _no_time(path, header)
     by_label = _labelled(path, labels, table) if labels else [(name, table)]
     trials = []
     for label, part in by_label:
         check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
         trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, part.notes))
     return trials
+
+
+def _no_time(path: Path, header: list[str]) -> BadInput:
+    some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})" if header else ""
+    return BadInput(
+        f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = \"...\" in meta.toml"
+    )
 
 
 def column_names(path: Path) -> list[str]:

@@ -64,6 +64,30 @@ def test_a_folder_of_odd_columns_reads_after_init(tmp_path, capsys):
     )
 
 
+def test_arrays_of_joints_by_other_names(tmp_path, capsys):
+    """An archive of `[T, n]` arrays in the words of robots' loggers; what no joint can be read from is told."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    arrays = {"timestamps": M["time"], "joint_positions": M["q"], "joint_velocities": M["v"], "efforts": M["tau"]}
+    np.savez(logs / "run.npz", **arrays, torque_raw=M["tau"], contact=M["time"] > 1)
+    assert init(logs, "--model", model(tmp_path / "arm.urdf")) == 0
+    out = capsys.readouterr().out
+    assert "columns that are not used: torque_raw; name those that matter" in out and "input: torque" in out
+    table = tomllib.loads((logs / "meta.toml").read_text())
+    assert table["columns"] == {"time": "timestamps", "q": "joint_positions", "v": "joint_velocities", "tau": "efforts"}
+    (trial,) = read_log(logs).trials
+    np.testing.assert_array_equal(trial.q, M["q"])
+    np.testing.assert_array_equal(trial.u, M["tau"])
+
+
+def test_an_archive_without_a_clock_says_what_it_has(tmp_path, capsys):
+    np.savez(tmp_path / "run.npz", stamps=M["time"], q=M["q"])
+    np.savez(tmp_path / "none.npz", stamps=M["time"])
+    for name, there in (("run", "stamps, q"), ("none", "stamps")):
+        assert main(["replay", str(model(tmp_path / "arm.urdf")), str(tmp_path / f"{name}.npz")]) == 2
+        assert f"column 'time' is missing (there are {there}); add it" in capsys.readouterr().err
+
+
 def test_a_file_needs_out_and_is_named_by_the_new_meta(tmp_path, capsys):
     run = write_csv(tmp_path / "run.csv", numbered(M, "q", "tau"))
     assert init(run) == 2
