@@ -16,6 +16,7 @@ from adaptsim_jax.sysid.io.columns import role
 from adaptsim_jax.sysid.io.guess import Guess, array_name, guess, meta_text
 from adaptsim_jax.sysid.io.inputs import PREFERRED, STEM
 from adaptsim_jax.sysid.io.log import Log, ModelNames
+from adaptsim_jax.sysid.io.meta import SHORT_TRIALS
 from adaptsim_jax.sysid.io.read import META, read_log
 from adaptsim_jax.sysid.io.table import read_table
 from adaptsim_jax.sysid.io.tables import ENDINGS, column_names, read_archive, table_files
@@ -72,6 +73,8 @@ def _folder(data: Path, out: Path | None) -> Path:
     """The folder that meta.toml goes to; never one that has it, nor the data's own unless nothing else is named."""
     if not data.exists():
         raise BadInput(f"{data}: does not exist; give a folder or a file of recordings")
+    if (data / "actions.csv").exists() and not (data / META).exists():
+        raise BadInput(f"{data / META}: {SHORT_TRIALS}")
     if out is None and not data.is_dir():
         raise BadInput(f"{data}: is a file; name a folder for meta.toml by --out")
     if out is not None and data.is_dir() and data.resolve() in (out.resolve(), *out.resolve().parents):

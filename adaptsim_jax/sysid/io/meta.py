@@ -41,6 +41,12 @@ SPELLED = {
 }
 """Units written out, as people do; `degrees/s` is read too."""
 
+TASKS = ("pendulum", "mechanism", "pushing", "scooping", "toss")
+MISSING = "missing; `adaptsim init DATA --model FILE` writes one of a mechanism, that of a double pendulum has task, model, angle_zero"
+SHORT_TRIALS = (
+    "missing; with an actions.csv these look like measured pushes or scoops: "
+    'it needs one line, task = "pushing" or task = "scooping"'
+)
 TEXT_KEYS = ("name", "description", "note", "source", "license")
 REQUIRED = ("task", "model", "angle_zero")
 TABLES = ("geometry", "known", "noise", "units")
@@ -68,18 +74,18 @@ class Meta:
 def declared_task(folder: str | Path) -> str | None:
     """The task that a folder's meta.toml declares; None where there is none, or none that can be read (its own reader says why)."""
     try:
-        return tomllib.loads((Path(folder) / "meta.toml").read_text(encoding="utf-8")).get("task")
+        task = tomllib.loads((Path(folder) / "meta.toml").read_text(encoding="utf-8")).get("task")
     except (OSError, ValueError):
         return None
+    return task if isinstance(task, str) else None
 
 
 def read_meta(path: str | Path) -> Meta:
     """Read and check a `meta.toml`. Raises `BadInput` naming the file and the key."""
     path = Path(path)
-    raw = read(
-        path,
-        "missing; `adaptsim init DATA --model FILE` writes one of a mechanism, that of a double pendulum has task, model, angle_zero",
-    )
+    raw = read(path, SHORT_TRIALS if (path.parent / "actions.csv").exists() else MISSING)
+    if raw.get("task") not in ("pendulum", None):
+        _choice(path, raw, "task", TASKS)
     for key in raw:
         if key not in KEYS:
             raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")

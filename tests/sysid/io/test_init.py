@@ -112,6 +112,19 @@ def test_it_never_overwrites(tmp_path, capsys):
         assert line.startswith("adaptsim: ")
 
 
+def test_measured_pushes_need_no_init(tmp_path, capsys):
+    (tmp_path / "actions.csv").write_text("trial,speed,angle\n1,0.6,0\n")
+    assert init(tmp_path) == 2
+    assert 'it needs one line, task = "pushing" or' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("task", ["[1]", "{a = 1}", "3"])
+def test_a_task_that_is_no_word(task, tmp_path, capsys):
+    (tmp_path / "meta.toml").write_text(f"task = {task}\n")
+    assert main(["diagnose", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert "task must be text in quotes" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("what", ["nothing", "empty", "bad model"])
 def test_nothing_is_left_where_it_fails(tmp_path, what, capsys):
     data = tmp_path / "logs"

@@ -137,6 +137,8 @@ META_FAULTS = [
     (META.replace('model = "rigid_body"\n', ""), "'model' is missing"),
     (META.replace("rigid_body", "rigid-body"), "did you mean 'rigid_body'"),
     (META.replace("pendulum", "scooping"), "task = 'scooping' is unknown"),
+    ('task = "push"\n', "task = 'push' is unknown; did you mean 'pushing'?"),
+    ("task = [1]\n", "task must be text in quotes"),
     (META.replace("hanging", "down"), "angle_zero = 'down' is unknown"),
     (META.replace('"hanging"', "0.0"), "angle_zero must be text"),
     (META.replace("l1 = 0.3", "l1 = -0.3"), "geometry.l1 = -0.3"),
@@ -168,6 +170,8 @@ def test_a_folder_without_meta_or_trials_is_refused(tmp_path):
     assert "holds no .csv or .npz" in refusal(tmp_path)
     (tmp_path / "meta.toml").unlink()
     assert "meta.toml: missing" in refusal(tmp_path)
+    (tmp_path / "actions.csv").write_text("trial,speed,angle\n1,0.6,0\n")
+    assert 'it needs one line, task = "pushing" or' in refusal(tmp_path)
     (tmp_path / "file").write_text("")
     assert "is a file" in refusal(tmp_path / "file")
 
