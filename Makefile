@@ -48,7 +48,7 @@ bench: $(VENV)/.core
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
-	@echo "open build/site/index.html"
+	@echo "open build/site/index.html; with a search box: $(BIN)/python -m http.server -d build/site"
 
 tutorials: $(VENV)/.core
 	$(BIN)/python docs/run_blocks.py
