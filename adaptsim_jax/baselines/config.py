@@ -44,7 +44,7 @@ class CompareConfig:
             if getattr(self, name) < 1:
                 raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
         for method in self.methods:
-            configs.pick("method", method, (*exact_methods(), *learned_methods()))
+            configs.pick("method", method, dict.fromkeys((*exact_methods(), *learned_methods())))
 
 
 def default_comparison(task: str) -> CompareConfig:

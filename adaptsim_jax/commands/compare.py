@@ -85,6 +85,7 @@ def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
     from adaptsim_jax.adaptation.phase1 import make_phase1
     from adaptsim_jax.baselines.config import CompareConfig, default_comparison
+    from adaptsim_jax.baselines.registry import PROBLEMS, exact_methods, learned_methods
     from adaptsim_jax.core import config
     from adaptsim_jax.tasks.registry import make_task
 
@@ -95,10 +96,13 @@ def config_of(args: argparse.Namespace) -> Any:
     )
     given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None, "target": args.target}
     settings = [f"{name}={value}" for name, value in given.items() if value is not None]
-    for name in ("methods", "settings"):
-        if (text := getattr(args, name)) is not None:
-            words = [word.strip() for word in text.split(",")]
-            settings.append(f"{name}={[w.replace('-', '_') for w in words] if name == 'methods' else words}")
+    if args.methods is not None:
+        methods = [word.strip().replace("-", "_") for word in args.methods.split(",")]
+        for method in methods:
+            config.pick("method", method, exact_methods() if args.task in PROBLEMS else learned_methods())
+        settings.append(f"methods={methods}")
+    if args.settings is not None:
+        settings.append(f"settings={[word.strip() for word in args.settings.split(',')]}")
     asked = config.with_settings(start, [*args.set, *settings])
     task = make_task(args.task, asked.train.task, where)
     for setting in asked.settings:

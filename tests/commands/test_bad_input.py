@@ -136,6 +136,7 @@ def test_an_unwritable_output_folder(data, tmp_path, capsys):
     "more, says",
     [
         (("--settings", "odd-1"), "unknown setting 'odd-1'; did you mean 'ood-1'?"),
+        (("--methods", "oracle"), "unknown method 'oracle'; known: adaptsim, adaptsim_state"),
         (("--methods", "adaptsin"), "unknown method 'adaptsin'; did you mean 'adaptsim'?"),
         (("--seeds", "0"), "'0' is not a whole number"),
         (("--set", "train.phase1.trajectoris=5"), "unknown key"),
