@@ -220,9 +220,10 @@ def _unused(machine: Machine) -> list[str]:
 def _doubts(problem: Problem, found: Selection) -> list[str]:
     out = []
     for s in found.trace:
-        if s.action == "dropped" and s.candidate is not None:
+        if s.action == "dropped" and s.candidate is not None and s.test is not None:
             name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
-            out.append(f"{name} helped at first, but does not hold out beside the others ({s.why}).")
+            shown = f"held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}, {s.why}"
+            out.append(f"{name} helped at first, but does not hold out beside the others ({shown}).")
     return out
 
 

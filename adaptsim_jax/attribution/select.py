@@ -315,9 +315,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         if not failing:
             break
         _, c, less, test, steady = min(failing, key=lambda f: f[0])
-        trace.append(
-            Step("dropped", c, None, test, f"gain {test.gain:.3f}, p {test.p:.3f}, size over scatter {steady:.1f}")
-        )
+        trace.append(Step("dropped", c, None, test, f"size over scatter {steady:.1f}"))
         own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
     named = tuple(
