@@ -144,6 +144,16 @@ def _fields(kind: Any) -> dict[str, bool]:
     }
 
 
+def _deeper(kind: Any, name: str, prefix: str) -> str | None:
+    """The dotted key of that very name in a table within `kind`: people leave out the table."""
+    for field, hint in typing.get_type_hints(kind).items():
+        if _is_record(hint):
+            path = f"{prefix}{field}."
+            if found := f"{path}{name}" if name in _fields(hint) else _deeper(hint, name, path):
+                return found
+    return None
+
+
 def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "") -> T:
     """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key. What a nested table leaves out is
     as it is in that field's default."""
@@ -151,7 +161,9 @@ def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "
     fields = _fields(kind)
     for name in table:
         if name not in fields:
-            raise BadInput(f"{where}: unknown key '{prefix}{name}'; {suggest(name, fields)}")
+            deeper = _deeper(kind, name, prefix)
+            mend = f"did you mean '{deeper}'?" if deeper else suggest(name, fields)
+            raise BadInput(f"{where}: unknown key '{prefix}{name}'; {mend}")
     values = {}
     for name, needed in fields.items():
         if name in table:

@@ -57,6 +57,7 @@ def test_round_trip():
     "table, says",
     [
         ({"task": "p", "round": 3}, "c.toml: unknown key 'round'; did you mean 'rounds'?"),
+        ({"task": "p", "tau": 3}, "c.toml: unknown key 'tau'; did you mean 'hyper.tau'?"),
         ({"rounds": 3}, "c.toml: key 'task' is missing"),
         ({"task": "p", "rounds": 3.5}, "key 'rounds' is 3.5; a value of type int"),
         ({"task": "p", "rounds": True}, "key 'rounds' is True; a value of type int"),
