@@ -10,6 +10,7 @@ import argparse
 import dataclasses
 import re
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def command_line() -> str:
     for name, summary in SUMMARIES.items():
         parser = command_parser(name)
         rows = [_row(action) for action in parser._actions if SHARED.isdisjoint(action.option_strings)]
-        examples = (parser.epilog or "").removeprefix("examples:\n").strip("\n")
+        examples = textwrap.dedent((parser.epilog or "").removeprefix("examples:\n")).strip("\n")
         parts.append(
             f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | meaning |\n| --- | --- |\n"
             + "\n".join(rows)
@@ -85,7 +86,7 @@ def _row(action: argparse.Action) -> str:
     name = ", ".join(action.option_strings) or words or action.dest
     value = f" {words or action.dest.upper()}" if action.option_strings and takes else ""
     needed = " (needed)" if action.option_strings and action.required else ""
-    text = (action.help or "").replace("%%", "%").replace("|", "\\|")
+    text = _barred((action.help or "").replace("%%", "%"))
     return f"| `{name}{value}`{needed} | {text} |"
 
 
@@ -127,9 +128,13 @@ def _effect(effect: dict[str, Any]) -> str:
         "<br>".join(named),
         effect["excitation"],
     )
-    return (
-        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} | {', '.join(alike).replace('_', ' ')} |"
-    )
+    return f"| {' | '.join(map(_barred, cells))} | {', '.join(alike).replace('_', ' ')} |"
+
+
+def _barred(text: str) -> str:
+    """A cell of a table: bars are escaped outside of code, where the backslash would be seen."""
+    parts = text.split("`")
+    return "`".join(part if k % 2 else part.replace("|", "\\|") for k, part in enumerate(parts))
 
 
 def configuration() -> str:
