@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         from adaptsim_jax.commands.common import next_step
 
         _print(told)
-        next_step(f"diagnose {shlex.quote(args.data)} --out out    what the model that the data name lacks")
+        next_step(f"diagnose {shlex.quote(args.data)} --out out    what does the declared model lack?")
     return 0
 
 
