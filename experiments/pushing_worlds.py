@@ -230,19 +230,22 @@ def write(kinds, folder, pushes=18, fps=60.0):
     lanes = {k: np.concatenate([m[0][k] for m in made]) for k in made[0][0]}
     tracks = simulate(lanes)
     for i, ((kind, seed), (own, truth)) in enumerate(zip(kinds, made, strict=True)):
-        rng = np.random.default_rng([seed, 7])
-        out = Path(folder) / f"{kind}-{seed}"
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "meta.toml").write_text('task = "pushing"\n')
-        (out / "truth.json").write_text(json.dumps(truth))
-        rows = [f"{k + 1},{own['speed'][k]:.6f},{own['angle'][k]:.6f}" for k in range(pushes)]
-        (out / "actions.csv").write_text("\n".join(["trial,speed,angle", *rows, ""]))
-        text = ["trial,time,x,y"]
-        for k in range(pushes):
-            scalars = {n: v[k] for n, v in own.items()}
-            seen = camera(scalars, tracks[i * pushes + k], 500, rng, fps)
-            text += [f"{k + 1},{t:.5f},{x:.6f},{y:.6f}" for t, x, y in seen]
-        (out / "tracks.csv").write_text("\n".join([*text, ""]))
+        seen = tracks[i * pushes : (i + 1) * pushes]
+        write_world(Path(folder) / f"{kind}-{seed}", own, truth, seen, np.random.default_rng([seed, 7]), fps)
+
+
+def write_world(out, own, truth, tracks, rng, fps=60.0):
+    """A folder of `adaptsim diagnose`: `tracks [pushes, N, 2]` m of lanes `own`, as a camera sees them."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "meta.toml").write_text('task = "pushing"\n')
+    (out / "truth.json").write_text(json.dumps(truth))
+    rows = [f"{k + 1},{own['speed'][k]:.6f},{own['angle'][k]:.6f}" for k in range(len(tracks))]
+    (out / "actions.csv").write_text("\n".join(["trial,speed,angle", *rows, ""]))
+    text = ["trial,time,x,y"]
+    for k, track in enumerate(tracks):
+        seen = camera({n: v[k] for n, v in own.items()}, track, 500, rng, fps)
+        text += [f"{k + 1},{t:.5f},{x:.6f},{y:.6f}" for t, x, y in seen]
+    (out / "tracks.csv").write_text("\n".join([*text, ""]))
 
 
 if __name__ == "__main__":

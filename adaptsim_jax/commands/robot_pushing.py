@@ -73,7 +73,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     from adaptsim_jax.tasks.pushing.model import START
     from adaptsim_jax.tasks.pushing.task import make_expectation
 
-    table = read_table(path, measured.COLUMNS, least=1)
+    table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     config, pushes = _config(session), _pushes(session, state)
     found = measured.measured_trajectory(table.columns, at, str(path), pushes, config)

@@ -80,7 +80,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     from adaptsim_jax.sysid.io.table import read_table
     from adaptsim_jax.tasks.scooping import measured
 
-    table = read_table(path, measured.COLUMNS, least=1)
+    table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     scoops = _scoops(session, state)
     found = measured.measured_trajectory(table.columns, at, str(path), scoops)

@@ -79,7 +79,8 @@ def read_tracks(
             f"no {kind.trial} is named {unknown[0]!r}; --without takes of {', '.join(f'{n:g}' for n in numbers)}"
         )
     found: Tracks = {}
-    tables = [(path, read_table(path, ("trial", "time", "x", "y", *kind.optional), least=1)) for path in paths]
+    columns = ("trial", "time", "x", "y", *kind.optional)
+    tables = [(path, read_table(path, columns, least=1, lost=("x", "y"))) for path in paths]
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
     for path, table in tables:
         _read_tracks(path, table, numbers, actions, kind, more, without, found)

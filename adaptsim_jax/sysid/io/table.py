@@ -36,16 +36,33 @@ class Table:
 
 
 def read_table(
-    path: str | Path, wanted: tuple[str, ...], least: int = MIN_ROWS, ours: Mapping[str, str] | None = None
+    path: str | Path,
+    wanted: tuple[str, ...],
+    least: int = MIN_ROWS,
+    ours: Mapping[str, str] | None = None,
+    lost: tuple[str, ...] = (),
 ) -> Table:
     """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
 
-    ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there.
-    Raises `BadInput`.
+    ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there. lost:
+    columns of which a row may hold none, as cameras write frames in which they saw nothing: such rows are left out. Raises `BadInput`.
     """
     path = Path(path)
     table, empty = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    table, empty = _without_lost(table, empty, lost)
     return checked(path, table, least, ours or {}, empty)
+
+
+def _without_lost(
+    table: Table, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
+) -> tuple[Table, dict[str, np.ndarray]]:
+    """The table, and which cells are empty, without the rows that hold a number in none of the columns `lost`."""
+    there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
+    kept = np.any(there, 0) if there else np.ones(len(table.lines), bool)
+    if kept.all() or not kept.any():
+        return table, dict(empty)
+    cut = lambda columns: {name: values[kept] for name, values in columns.items()}
+    return replace(table, columns=cut(table.columns), lines=table.lines[kept]), cut(empty)
 
 
 def checked(path: Path, table: Table, least: int, ours: Mapping[str, str], empty: Mapping[str, np.ndarray]) -> Table:

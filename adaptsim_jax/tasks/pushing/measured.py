@@ -32,7 +32,7 @@ FAR = 3.0  # m; nothing is pushed so far, so it is another unit
 STILL = 0.005  # m; every push within the bounds moves the bottle farther
 FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the bottle
 _SIMULATOR = (
-    "simulator", "pretrain", "refine", "coefficients", "friction", "duration", "mu", "e", "mu_p", "y_p",
+    "simulator", "pretrain", "refine", "coefficients", "friction", "duration", "mu", "e", "mu_p", "y_p", "mended",
 )  # fmt: skip  # options of it
 _GOALS = 0x60A15  # tells the goals' keys from those that policies are trained with
 

@@ -127,6 +127,7 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
     g, d = pushing.GRAVITY, IMPEDANCE
     pull = (g * jnp.sin(v["tilt_x"]), g * jnp.sin(v["tilt_y"]))
     half = pushing.PATCH_SIDE / 2
+    other = not (isinstance(v["other_mu"], float) and v["other_mu"] == 0.0)  # known to be none, it is half of the work
     before, after = (0.0, dt) if as_planar else (dt / 2, dt / 2)
     within = 1.0 if as_planar else 1.0 / (1.0 + b * dt / 2)  # damping by the mean of the speeds before and after
 
@@ -140,7 +141,8 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
         x, y = start[0] + dx, start[1] + dy
         own = covered(x, y, pushing.PATCH_X + v["patch_x"], v["y_p"], half + v["patch_size"])
         mu = friction.table + own * (friction.patch - friction.table)
-        mu = mu + covered(x, y, v["other_x"], v["other_y"], half) * v["other_mu"]
+        if other:
+            mu = mu + covered(x, y, v["other_x"], v["other_y"], half) * v["other_mu"]
         size = jnp.sqrt(vx * vx + vy * vy + 1e-16)
         mu = jnp.maximum(mu * (1.0 + v["speed_friction"] * size), 0.0)
         at, rate, gain = (speed * edge[2 * i] + edge[2 * i + 1] for i in range(3))

@@ -48,6 +48,22 @@ def test_pushes_are_read_with_their_noise(tmp_path, tracks):
     assert pushed.noise_source == "rows before the hit"
 
 
+def test_frames_in_which_the_camera_saw_nothing_are_drop_outs(tmp_path, tracks):
+    folder = written(tmp_path, tracks)
+    lines = (folder / "tracks.csv").read_text().splitlines()
+    cut = [i for i in range(1, len(lines)) if i % 7 == 3]
+    (folder / "tracks.csv").write_text("\n".join(lines[i] for i in range(len(lines)) if i not in cut) + "\n")
+    shorter = read(folder)
+    for row in ("{},{},,", "{},{},nan,nan"):
+        lost = [row.format(*line.split(",")[:2]) if i in cut else line for i, line in enumerate(lines)]
+        (folder / "tracks.csv").write_text("\n".join([*lost, ""]))
+        np.testing.assert_array_equal(read(folder).xy, shorter.xy)
+    half = [line.rsplit(",", 1)[0] + "," if i == 10 else line for i, line in enumerate(lines)]
+    (folder / "tracks.csv").write_text("\n".join([*half, ""]))
+    with pytest.raises(BadInput, match="line 11: column y is empty"):
+        read(folder)
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

@@ -17,6 +17,7 @@ from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.refine import refine
+from adaptsim_jax.tasks.pushing.slide import Lacking
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 
 PLAIN = PushingConfig(tests=6, hidden=(16,), pretrain=True, goals="fixed", training=GoalConfig(block=20, capacity=60))
@@ -98,6 +99,16 @@ def test_a_refined_policy_is_read_back_from_its_file(tmp_path):
     configs.write(path, table)
     with pytest.raises(BadInput, match=r"policy\.at"):
         pushing_measured.read_policy(path)
+
+
+@pytest.mark.slow
+def test_a_policy_for_a_mended_push_is_refined_in_it_wherever_it_is_read(tmp_path):
+    config, policy = replace(REFINED, mended=Lacking(tilt_y=0.05)), blank((0.3, 0.6, 0.2, 0.7))
+    path, goals = tmp_path / "best.toml", pushing.goal_lattice(4)
+    configs.write(path, pushing_measured.policy_table(policy, config))
+    expected, level = (jax.jit(pushing.make_policy(c))(policy, goals) for c in (config, REFINED))
+    assert np.abs(expected - level)[:, 1].max() > 0.01, "it aims uphill"
+    np.testing.assert_allclose(pushing_measured.read_policy(path)(goals), expected, atol=1e-4)
 
 
 @pytest.mark.slow
