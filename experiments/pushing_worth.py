@@ -1,11 +1,12 @@
 """What a mended push is worth to the task: diagnosed from its tracks, trained on again, adapted in the target that lacks something.
 
-    python -m experiments.pushing_worth --out OUT --seeds 10
+    python -m experiments.pushing_worth --out OUT --seeds 10 --trajectories 1250
 
 For each effect: 18 pushes of `experiments/pushing_worlds.py` at WD's parameters and `adaptsim diagnose` of them; Phase 1 of AdaptSim
 with the declared and with the mended model (`model.toml`), each from scratch for every seed; Phase 2 of both in the same target, the
-slide in steps of 1 ms with the true effect. Rewards are printed by pushes made in the target; `planned`: what the best actions of each
-model as fitted to the tracks earn there, without any adaptation. What is in OUT is not computed again.
+slide in steps of 1 ms with the true effect (`nothing`: with none, and the declared model alone). Rewards are printed by pushes made in
+the target; `planned`: what the best actions of each model as fitted to the tracks earn there, without any adaptation. What is in OUT
+is not computed again.
 """
 
 import argparse
@@ -84,7 +85,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--effects", nargs="+", default=list(EFFECTS)[:3], choices=EFFECTS)
+    parser.add_argument("--effects", nargs="+", default=list(EFFECTS), choices=EFFECTS)
     parser.add_argument("--trajectories", type=int, default=5000, help="of Phase 1")
     parser.add_argument("--iterations", type=int, default=8)
     parser.add_argument("--tracks-seed", type=int, default=9203, help="of the pushes that are diagnosed")
@@ -106,7 +107,7 @@ def main() -> None:
             "declared": [before[key]["value"] for key in before],
             "mended": mended["fitted"],
         }
-        for model, extra in (("declared", {}), ("mended", mended)):
+        for model, extra in (("declared", {}), ("mended", mended))[: 1 if name == "nothing" else 2]:
             one = make_one_shot("pushing", options | extra)
             target = one.world("planar", lacking=EFFECTS[name][0])
             path = out / f"{model}-{args.trajectories}-{args.seeds}.npz"
