@@ -186,20 +186,24 @@ def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: floa
 
 
 def noise_of(meta: Mapping[str, Any], time, places, mask, quiet: float, before: str) -> tuple[float, str]:
-    """Noise of a coordinate m, and where it is known from: declared, rows before `quiet` s, or third differences."""
+    """Noise of a coordinate m, and where it is known from: declared, rows before `quiet` s, or third differences.
+
+    Rounding hides smaller noise of a body at rest, not of one that moves: it is the least that is believed.
+    """
     if "noise" in meta:
         if not isinstance(meta["noise"], int | float) or not 0.0 < meta["noise"] < 0.05:
             raise BadInput(f"meta.toml: noise = {meta['noise']!r} is no size in m; write e.g. 0.0005")
         return float(meta["noise"]), "declared"
+    least = max(LEAST_NOISE, rounded(places[mask > 0]) / np.sqrt(12.0))
     total, count = 0.0, 0
     for t, p, m in zip(time, places, mask, strict=True):
         r = p[(m > 0) & (t < quiet)]
         if len(r) > 1:
             total, count = total + float(np.square(r - r.mean(0)).sum()), count + r.shape[1] * (len(r) - 1)
     if count >= 20:
-        return max(float(np.sqrt(total / count)), LEAST_NOISE), f"rows before the {before}"
+        return max(float(np.sqrt(total / count)), least), f"rows before the {before}"
     d = np.concatenate([np.diff(p[m > 0], 3, axis=0).ravel() for p, m in zip(places, mask, strict=True)])
-    return max(float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0)), LEAST_NOISE), "third differences"
+    return max(float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0)), least), "third differences"
 
 
 def rounded(places: np.ndarray) -> float:

@@ -48,6 +48,14 @@ def test_pushes_are_read_with_their_noise(tmp_path, tracks):
     assert pushed.noise_source == "rows before the hit"
 
 
+def test_rounding_is_noise_though_a_bottle_at_rest_does_not_show_it(tmp_path, tracks):
+    still = tracks.copy()
+    still[:, :8] = model.START
+    pushed = read(written(tmp_path, np.round(still, 3)))
+    assert pushed.noise == pytest.approx(1e-3 / np.sqrt(12.0))
+    assert any("rounded to 1 mm" in note for note in pushed.notes)
+
+
 def test_frames_in_which_the_camera_saw_nothing_are_drop_outs(tmp_path, tracks):
     folder = written(tmp_path, tracks)
     lines = (folder / "tracks.csv").read_text().splitlines()
