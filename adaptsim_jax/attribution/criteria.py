@@ -16,7 +16,7 @@ class Criteria:
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
-    glance: rounds by which candidates of short trials (pushes) are sorted; the better half of them is fitted whole.
+    glance: rounds by which candidates are sorted (twice as many of mechanisms); the best is fitted whole.
     explained: held-out error over the noise floor up to which nothing is left to explain.
     """
 

@@ -116,11 +116,11 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     now = lin.fit
     weights = now.weights if weights is None else weights
     n = normal(problem, lin.residual, lin.start, lin.shared)
-    hess, slope = n.hess.sum(0), n.slope.sum(0)
-    whole = bounded_step(hess, slope, now.vector, 1e-9)
-    steps = np.array(
-        [bounded_step(hess - h, slope - s, now.vector, 1e-9) - whole for h, s in zip(n.hess, n.slope, strict=True)]
-    )
+    hess, vector = n.hess.sum(0), now.vector
+    inside = (vector.values > vector.low) & (vector.values < vector.high)
+    # the fit is taken for the best there is: a step that gained nothing, where dry friction bends the loss, no fold takes either
+    slope = np.where(inside, vector.precision * (vector.values - vector.start), n.slope.sum(0))
+    steps = np.array([bounded_step(hess - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)])
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
@@ -248,7 +248,7 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
         weights = base.fit.weights
         vector, starts, _ = attempted(problem, base, reach, score)
-        whole = refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights)
+        whole = refit(problem, base.fit, vector, starts, score.candidate.joints, 2 * criteria.glance, weights)
         model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         good = test.gain > criteria.size and test.better > 0.5 * test.folds
