@@ -15,6 +15,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.extras import need
+from adaptsim_jax.sysid.io.table_checks import check_clock
 from adaptsim_jax.sysid.io.tables import MIN_ROWS, RawTrial
 
 STEMS = {"observation.state": "q", "observation.velocity": "v", "observation.effort": "tau", "action": "target"}
@@ -90,8 +91,10 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
             raise BadInput(f"{folder}/meta/info.json: has no fps, and the data no timestamp; add one of them")
         time = np.arange(count) / fps
         notes = (f"no timestamps: rows taken {fps:g} times a second, as info.json says",)
-    if bad := np.flatnonzero(np.diff(time) <= 0).tolist():
-        raise BadInput(f"{path}: episode {episode}, row {bad[0] + 2}: time does not increase; sort or remove such rows")
+    rows, word = np.arange(1, count + 1), f"episode {episode}, row"
+    if (bad := np.flatnonzero(~np.isfinite(time))).size:
+        raise BadInput(f"{path}: {word} {rows[bad[0]]}: timestamp is {time[bad[0]]:g}; remove such rows")
+    check_clock(path, time, rows, word)
     columns = {"time": time}
     for name, stem in STEMS.items():
         if name in arrays:
