@@ -94,11 +94,12 @@ def _check_set_back(path: str, time: np.ndarray) -> None:
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
     for k in np.flatnonzero(steps < -2.0 * usual):
-        low, high = time[k + 1], time[k]
+        high, back = time[k], time[k] - time[k + 1]
+        low = max(time[k + 1], time[: k + 1].min())  # what was passed before and is passed again
         there = int(np.sum((time >= low) & (time <= high)))
         if there > 4 and there > DENSE * ((high - low) / usual + 1.0):
             raise BadInput(
-                f"{path}: message {k + 2}: the clock was set back by {high - low:.4g} s; cut the bag there, and take the parts for "
+                f"{path}: message {k + 2}: the clock was set back by {back:.4g} s; cut the bag there, and take the parts for "
                 "two trials"
             )
 
