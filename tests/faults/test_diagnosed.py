@@ -27,8 +27,9 @@ COULOMB = 0.06
 def names_the_friction(report):
     """Coulomb friction at joint 2 by its size, and nothing else."""
     assert report["verdict"] == "explained", report["message"]
-    ((joint, level),) = [(e["joints"], e["parameters"]["level"]["value"]) for e in report["effects"]]
-    assert joint == ["joint2"] and level == pytest.approx(COULOMB, rel=0.05)
+    (effect,) = report["effects"]
+    assert (effect["name"], effect["where"]) == ("coulomb", "joint2")
+    assert effect["parameters"]["level"]["value"] == pytest.approx(COULOMB, rel=0.05)
 
 
 def test_friction_is_named_whatever_files_are_called_and_the_terminal_takes(tmp_path):
