@@ -16,18 +16,18 @@ from adaptsim_jax.sysid.report.schema import new_report
 TRIALS, ROWS = 14, 60
 
 
-def problem(truth, seed=0):
+def problem(truth, seed=0, trials=TRIALS):
     """Trials that are linear in four quantities: a is declared; b, c and the pair (d) that does what b does are effects."""
     rng = np.random.default_rng(seed)
-    basis = rng.standard_normal((TRIALS, ROWS, 3))
+    basis = rng.standard_normal((trials, ROWS, 3))
     basis = np.concatenate([basis, basis[..., 1:2] * 2.0], -1)
-    seen = basis @ np.array(truth) + rng.standard_normal((TRIALS, ROWS))
+    seen = basis @ np.array(truth) + rng.standard_normal((trials, ROWS))
     quantity = lambda n: Quantity(n, "", 0.0, -5.0, 5.0, 0.1, 10.0)
     effect = lambda n: TrialEffect(n, "force", (n,), "a column", "any trial")
     return TrialProblem(
         tuple(map(quantity, "abcd")), ("a",), tuple(map(effect, "bcd")),
         lambda values: seen - np.einsum("trk,tk->tr", basis, values), lambda values, b: basis @ b.T,
-        np.full(TRIALS, float(ROWS)), tuple(map(str, range(TRIALS))), np.zeros((1, 4)),
+        np.full(trials, float(ROWS)), tuple(map(str, range(trials))), np.zeros((1, 4)),
     )  # fmt: skip
 
 
@@ -45,6 +45,12 @@ def test_an_effect_is_named_and_its_size_found():
     assert named.effect.name == "c"
     assert not named.alternatives
     assert abs(found.final.fit.values[2] - 0.8) < 0.2
+
+
+def test_five_trials_can_show_an_effect_at_any_level_if_all_are_better():
+    (named,) = select(problem((0.7, 0.0, 0.8, 0.0), trials=5), Criteria(confidence=0.01)).named
+    assert named.effect.name == "c" and named.test.better == named.test.folds == 5
+    assert 0.01 < named.test.p < 0.05
 
 
 def test_two_effects_that_do_the_same_are_told_as_a_class():

@@ -164,7 +164,9 @@ def select(problem: TrialProblem, criteria: Criteria, say: Callable[[str], None]
             break
         base = better
         scores = scored(problem, base)
-    final, named = _judged(problem, base, criteria, refused, say)
+    final, named, bare = _judged(problem, base, criteria, refused, say)
+    # a declared fit reached by way of an effect may lie in a better minimum than the first
+    null = min((null, *bare), key=lambda m: m.fit.loss)
     return TrialSelection(null, final, named, tuple(opening), refused)
 
 
@@ -180,12 +182,17 @@ def _forward(problem, base: TrialModel, scores, criteria: Criteria, refused, say
     for values, _, s in tries[: criteria.tried // 2]:
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
         test = paired(base.fit.held, model.fit.held)
-        if test.gain < criteria.size or test.p > criteria.confidence:
+        if test.gain < criteria.size or test.p > _level(criteria, test.folds):
             refused[s.effect.name] = f"held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
             continue
         if best is None or _beats(model, best, criteria):
             best = model
     return best
+
+
+def _level(criteria: Criteria, folds: int, family: int = 1) -> float:
+    """The level of a paired test, one of `family`: at least what so few trials can show, all of them better."""
+    return max(criteria.confidence / family, 1.01 * 2.0**-folds)
 
 
 def _beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
@@ -199,16 +206,22 @@ def _beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
 
 
 def _judged(problem, model: TrialModel, criteria: Criteria, refused, say):
+    """The model of what holds out, its effects as named, and the declared models that it was compared with."""
+    bare = []
     while True:
         tests = []
         for e in model.added:
             say(f"without {e.name.replace('_', ' ')}")
             less = without(problem, model, e, 2 * criteria.rounds)
+            bare += [less] * (not less.added)
             tests.append((e, less, paired(less.fit.held, model.fit.held), steadiness(problem, model, e)))
         failing = []
         for rank, (e, less, test, steady) in enumerate(sorted(tests, key=lambda t: t[2].p)):
-            level = max(criteria.confidence / (len(tests) - rank), 1.01 * 2.0**-test.folds)
-            if test.p > level or test.gain < criteria.size or steady < criteria.steady:
+            if (
+                test.p > _level(criteria, test.folds, len(tests) - rank)
+                or test.gain < criteria.size
+                or steady < criteria.steady
+            ):
                 failing.append((test.gain, e, less, test, steady))
         if not failing:
             break
@@ -221,7 +234,7 @@ def _judged(problem, model: TrialModel, criteria: Criteria, refused, say):
         TrialNamed(e, test, steady, _look_alikes(problem, model, less, e, criteria, say))
         for e, less, test, steady in tests
     )
-    return model, named
+    return model, named, bare
 
 
 def _look_alikes(problem, model: TrialModel, less: TrialModel, e: TrialEffect, criteria: Criteria, say):
