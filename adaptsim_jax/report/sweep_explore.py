@@ -23,9 +23,11 @@ SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "penta
 def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
     """Finished members by their combination of values, in words."""
     rows: dict[str, list[Mapping[str, Any]]] = {}
+    last = [key.rsplit(".", 1)[-1] for key in found["swept"]]  # a legend has no room for the tables that a key is in
+    short = dict(zip(found["swept"], last if len(set(last)) == len(last) else found["swept"], strict=True))
     for row in found["rows"]:
         if row["status"] == "done":
-            name = ", ".join(f"{key} {value}" for key, value in row["values"].items())
+            name = ", ".join(f"{short.get(key, key)} {value}" for key, value in row["values"].items())
             rows.setdefault(name or "all members", []).append(row)
     return rows
 
@@ -107,8 +109,9 @@ def _taken(length: int) -> np.ndarray:
     return np.unique(np.linspace(0, length - 1, min(length, MOST_ROUNDS)).round().astype(int))
 
 
-def _layout(title: str) -> dict[str, Any]:
-    axes = {"xaxis": {"title": {"text": "round"}}, "yaxis": {"title": {"text": "reward of the last step"}}}
+def _layout(title: str, rounds: int) -> dict[str, Any]:
+    whole = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
+    axes = {"xaxis": {"title": {"text": "round"}} | whole, "yaxis": {"title": {"text": "reward of the last step"}}}
     return axes | {"hovermode": "closest", "title": {"text": title}}
 
 
@@ -130,7 +133,7 @@ def _medians(found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns
             data.append(edge | {"y": columns.add(high, 1e-4), "fill": "tonexty", "fillcolor": f"{colour}/15"})
         line = {"color": colour, "width": 1.8, "dash": "solid" if i < len(COLOURS) else "dash"}
         data.append(common | {"y": columns.add(middle, 1e-4), "line": line, "hovertemplate": "round %{x}: %{y:.3f}"})
-    return {"data": data, "layout": _layout("median and quartiles over seeds")}
+    return {"data": data, "layout": _layout("median and quartiles over seeds", max(c.shape[1] for c in found.values()))}
 
 
 def _seeds(rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: Columns) -> dict[str, Any]:
@@ -141,4 +144,5 @@ def _seeds(rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str]
         line = {"color": f"{COLOURS[i % len(COLOURS)]}", "width": 1.4}
         data.append({"type": "scatter", "mode": "lines", "x": rounds[curve.shape[1]], "y": y, "line": line}
                     | {"name": f"seed {row['seed']}", "hovertemplate": "round %{x}: %{y:.3f}"})  # fmt: skip
-    return {"data": data, "layout": _layout("each seed" if len(some) <= 30 else f"the first 30 of {len(some)} seeds")}
+    title = "each seed" if len(some) <= 30 else f"the first 30 of {len(some)} seeds"
+    return {"data": data, "layout": _layout(title, curve.shape[1])}

@@ -132,7 +132,7 @@ def test_page_of_a_sweep_says_what_was_best_and_what_failed():
     assert "<b>plain" not in html and not re.findall(r"https?://", html) and len(html) < 6_000_000
     over, curves = data_of(html)
     assert set(over["views"]) == {"0", "1"} and len(curves["views"]) == 7  # medians, and six combinations
-    assert "best in training" in page.text and "hyper.delta 0.15, task.scaling paper" in page.text
+    assert "best in training" in page.text and "delta 0.15, scaling paper" in page.text
 
 
 def test_page_of_a_sweep_that_has_only_begun():
