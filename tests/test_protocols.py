@@ -178,7 +178,8 @@ def test_effect(effect, real):
         out = batched(effect.apply, p, of(rows, joints), of(rows, joints))
         assert out.shape == (BATCH, rows, joints) and floats(out) == {jnp.dtype(real)}
     else:
-        q, v = batched(effect.apply, p, *(of(rows, joints) for _ in range(3)), of(joints))
+        torque = (of(rows, joints),) if effect.carried else ()
+        q, v = batched(effect.apply, p, *(of(rows, joints) for _ in range(3)), of(joints), *torque)
         assert q.shape == v.shape == (BATCH, rows, joints) and floats((q, v)) == {jnp.dtype(real)}
 
 

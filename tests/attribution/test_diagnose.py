@@ -6,6 +6,7 @@ import mujoco
 import pytest
 
 from adaptsim_jax import cli
+from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.sysid.report.schema import read_report
@@ -37,6 +38,19 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
     assert not fixed & {"mass of link", "centre of mass z of link", "inertia yy of link"}
     assert set(report["fit_coordinates"]["after"]) >= {"size of hinge", "shift_z of hinge"}
     assert any("inertia about hinge" in note for note in report["notes"])
+
+
+def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
+    """Of a small catalogue, to be quick."""
+    data, out = record(tmp_path / "rub", friction=0.2, trials=5, seconds=1.5, rate=125), tmp_path / "out"
+    others = [e.name for e in MACHINE if e.name not in ("viscous", "coulomb", "bias")]
+    report = diagnose(data, out=out, exclude=tuple(others))
+    assert [(e["name"], e["joints"]) for e in report["effects"]] == [("coulomb", ["hinge"])]
+    assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(0.2, rel=0.1)
+    assert report["error"]["after"] < 0.5 * report["error"]["before"]
+    model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert model.dof_frictionloss[0] == pytest.approx(0.2, rel=0.1)
+    assert (out / "report.json").exists() and (out / "model.toml").exists()
 
 
 @pytest.mark.slow
