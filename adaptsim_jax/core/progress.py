@@ -32,23 +32,21 @@ def silent_parts(part: str, done: float, total: float, note: str = "") -> None:
     """`Parts` that say nothing."""
 
 
-@contextlib.contextmanager
-def progress(label: str, stream: Any = None) -> Iterator[Report]:
+def progress(label: str, stream: Any = None) -> contextlib.AbstractContextManager[Report]:
     """A `Report` that shows `label` with the time left, once the work has taken more than two seconds."""
     stream = stream or sys.stderr
-    show = _Bar(label) if stream.isatty() else _Lines(label, stream)
-    try:
-        yield show.report
-    finally:
-        show.close()
+    return _shown(_Bar(label) if stream.isatty() else _Lines(label, stream))
 
 
-@contextlib.contextmanager
-def parts_progress(titles: Mapping[str, str], stream: Any = None) -> Iterator[Parts]:
+def parts_progress(titles: Mapping[str, str], stream: Any = None) -> contextlib.AbstractContextManager[Parts]:
     """`Parts` that show each of `titles` (by part) when it begins and when it is over, with the time that it took. May be called
     from several threads."""
     stream = stream or sys.stderr
-    show = _PartBars(titles) if stream.isatty() else _PartLines(titles, stream)
+    return _shown(_PartBars(titles) if stream.isatty() else _PartLines(titles, stream))
+
+
+@contextlib.contextmanager
+def _shown(show: Any) -> Iterator[Callable[..., None]]:
     try:
         yield show.report
     finally:

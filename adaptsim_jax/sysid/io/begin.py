@@ -54,7 +54,6 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
         found,
         model=_from(told, here) if told else None,
         data=None if here == data.resolve() else _from(data, here),
-        model_guessed=model is None,
         model_names=names,
         topics=ros_topics,
         ros=chosen,

@@ -169,7 +169,6 @@ def meta_text(
     model: str | None,
     data: str | None,
     model_names: ModelNames | None,
-    model_guessed: bool = False,
     topics: Sequence[str] = (),
     ros: dict[str, str] | None = None,
     kinds: Sequence[str] = (),
