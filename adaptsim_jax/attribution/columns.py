@@ -111,7 +111,8 @@ def _carried_between(values, x, u):
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _sensed(time, x, torque, p, size, effect: Effect, parameter: str):
-    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; torque [L+1, n, W] of the drives."""
+    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; torque [L+1, n, W] of the drives, for
+    an effect that they matter to."""
     n = x.shape[1] // 2
     also = (torque,) if effect.carried else ()
     run = lambda value: effect.apply(
@@ -186,7 +187,8 @@ class Columns:
                 return "force", np.asarray(
                     _command(g.model, self.values, s.stamp, s.command, self.path, p, step, s.past, effect, parameter)
                 )
-            dq, dv = _sensed(self.time, self.path.x, self.torque(), p, size - p[parameter], effect, parameter)
+            torque = self.torque() if effect.carried else None
+            dq, dv = _sensed(self.time, self.path.x, torque, p, size - p[parameter], effect, parameter)
             return "output", np.concatenate([np.asarray(dq), np.asarray(dv)], 1)
 
     def torque(self) -> np.ndarray:
@@ -213,10 +215,11 @@ class Columns:
 
     def yielding(self, at: int) -> np.ndarray:
         """Change of a controlled joint's angle on the motor's side [W, L] per unit of its drive's compliance."""
-        with jax.enable_x64(True):
-            tau = np.asarray(_carried_between(self.values, self.path.x, self.path.u))[:, at].T
+        if "between" not in self._made:
+            with jax.enable_x64(True):
+                self._made["between"] = np.asarray(_carried_between(self.values, self.path.x, self.path.u))
         law, gear = self.values.actuator, self.values.gear
-        return tau / (1.0 - float((wound(self.values) * gear**2 * law[2])[at, 0]))
+        return self._made["between"][:, at].T / (1.0 - float((wound(self.values) * gear**2 * law[2])[at, 0]))
 
     def tilt(self, name: str) -> np.ndarray:
         g = np.asarray(self.group.model.tree.gravity)

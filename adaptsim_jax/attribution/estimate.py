@@ -273,13 +273,22 @@ def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: f
         held = ~free
         right = (slope - hess[:, held] @ step[held]) / size
         if free.any():
-            step[free] = scipy.linalg.solve(scaled[np.ix_(free, free)], right[free], assume_a="pos") / size[free]
+            step[free] = _solved(scaled[np.ix_(free, free)], right[free]) / size[free]
         out = free & ((step < low) | (step > high))
         if not out.any():
             break
         step[out] = np.clip(step[out], low[out], high[out])
         free &= ~out
     return np.clip(step, low, high)
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """By Cholesky's factors, or by least squares, many times the work, where rounding left the matrix without: of a parameter of which
+    one fold says all, little but rounding is left without it."""
+    try:
+        return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
 
 
 def start_steps(lin: Linear, step: np.ndarray) -> list[np.ndarray]:

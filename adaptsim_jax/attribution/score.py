@@ -242,9 +242,8 @@ def score_p(slope: np.ndarray) -> float:
     t = np.sqrt(count) * slope.mean(0) / spread
     z = stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), count - 1), 1e-300))
     k = len(z)
-    found = float(
-        np.square(np.atleast_2d(np.corrcoef(slope.T))).sum()
-    )  # of correlations: too large by chance, by so much
+    found = float(np.square(np.atleast_2d(np.corrcoef(slope.T))).sum())
+    # squares of correlations are too large by chance, by so much (Srivastava, 2005)
     alike = (found - k**2 / (count - 1)) * (count - 1) ** 2 / ((count - 2) * (count + 1))
     freedom = k**2 / max(alike, k)
     return float(stats.chi2.sf(float(z @ z) * freedom / k, freedom))

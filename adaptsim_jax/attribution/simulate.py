@@ -80,9 +80,8 @@ def actuated(values: Values, q, v, u):
     g = values.gear
     q = q + sensed_offset(values)
     pull = gain * u + bias + per_q * g * q
-    yields = (
-        1.0 - wound(values) * g * g * per_q
-    )  # a controller's encoder on the motor's side sees the drive's wind-up, too
+    # a controller's encoder on the motor's side sees the drive's wind-up, too
+    yields = 1.0 - wound(values) * g * g * per_q
     return g * jnp.clip((pull + per_v * g * v) / yields, low, high), g * pull / yields
 
 

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import Fit, linear, run, starts_of, weigh
-from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.estimate import Fit, bounded_step, linear, run, starts_of, weigh
+from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
 from adaptsim_jax.attribution.score import candidates, score_p
 from adaptsim_jax.attribution.stretches import Track
@@ -102,3 +102,11 @@ def test_the_score_test_sees_many_small_effects_in_few_stretches():
     rng = np.random.default_rng(2)
     seen = [score_p(0.5 + rng.normal(size=(23, 12))) < 1e-3 for _ in range(100)]
     assert np.mean(seen) > 0.9
+
+
+def test_a_step_is_found_where_rounding_left_no_positive_matrix():
+    vector = Vector(tuple(Entry("a", str(k), (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in range(2)), np.zeros(2))
+    step = bounded_step(np.array([[1e-14, 3e-14], [3e-14, 1e-14]]), np.array([1e-14, 2e-14]), vector, 1e-9)
+    assert np.all(np.isfinite(step)) and np.all(np.abs(step) <= 9.0)
+    whole = bounded_step(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([1.0, 1.0]), vector, 0.0)
+    np.testing.assert_allclose(whole, np.linalg.solve([[2.0, 0.5], [0.5, 1.0]], [1.0, 1.0]), rtol=1e-8)
