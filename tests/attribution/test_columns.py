@@ -104,6 +104,15 @@ def test_the_score_test_sees_many_small_effects_in_few_stretches():
     assert np.mean(seen) > 0.9
 
 
+def test_the_score_test_sees_what_directions_that_are_alike_differ_in():
+    rng = np.random.default_rng(3)
+    root = np.linalg.qr(rng.normal(size=(10, 10)))[0] * 10.0 ** -np.linspace(0, 3, 10)
+    shift = np.zeros(10)
+    shift[5] = 1.2  # along a direction of a hundredth of the size of the first
+    seen = [score_p((shift + rng.normal(size=(60, 10))) @ root.T) < 1e-3 for _ in range(100)]
+    assert np.mean(seen) > 0.9
+
+
 def test_a_step_is_found_where_rounding_left_no_positive_matrix():
     vector = Vector(tuple(Entry("a", str(k), (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in range(2)), np.zeros(2))
     step = bounded_step(np.array([[1e-14, 3e-14], [3e-14, 1e-14]]), np.array([1e-14, 2e-14]), vector, 1e-9)
