@@ -7,6 +7,7 @@ be made by an actuator's own law from a command.
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, WIDEST
 from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
 from adaptsim_jax.effects.actuator import actuator_lag, delay
@@ -274,6 +275,16 @@ OWN: tuple[Effect, ...] = (
         "play between the link and what its encoder turns with", "many reversals", ("coulomb",), jump=True,
         grid=lambda reach, joint: [{"gap": g * float(reach.q_high[joint] - reach.q_low[joint])} for g in (0.01, 0.04)],
         formula="reading follows q at a distance of at most gap / 2",
+    ),
+    Effect(
+        TILT, "model", tuple(Parameter(name, "rad", -0.5, 0.5, 0.0) for name in TILTS), None,
+        "gravity pulls along another direction: the base is not level", "wide angles under gravity",
+        scope="base", formula="gravity turned about the world's x and y",
+    ),
+    Effect(
+        INERTIA, "model", tuple(Parameter(name, "1", -wide, wide, 0.0) for name, wide in WIDEST.items()), None,
+        "a body of another mass, centre of mass or moments than declared: a payload, another part",
+        "fast motion, and wide angles under gravity", formula="the body's pseudo-inertia U U' becomes U V V' U'",
     ),
 )  # fmt: skip
 

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Vector
-from adaptsim_jax.attribution.problem import TILT, TILTS, Group, Problem, off_value
+from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
+from adaptsim_jax.attribution.problem import Group, Problem, off_value
 from adaptsim_jax.attribution.simulate import Motion, Path, actuated, carried, command_rows, wound
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics

@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 INERTIA = "inertia"
+TILT = "tilt"
+TILTS = ("about_x", "about_y")
 ETA = (
     "size",
     "stretch_x",
@@ -26,6 +28,7 @@ ETA = (
     "shift_y",
     "shift_z",
 )
+WIDEST = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
 PRIOR = 0.3  # standard deviation of eta
 
 
@@ -169,7 +172,6 @@ def inertias(declared: np.ndarray) -> Inertias:
 def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
     """Ten entries for each body that has a mass."""
     make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR)
-    wide = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
     return tuple(
-        make(name, (int(b),), low=-wide[name], high=wide[name]) for b in np.flatnonzero(massive) for name in ETA
+        make(name, (int(b),), low=-wide, high=wide) for b in np.flatnonzero(massive) for name, wide in WIDEST.items()
     )

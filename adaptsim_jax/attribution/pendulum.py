@@ -9,8 +9,8 @@ import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.model_toml import DECLARED
-from adaptsim_jax.attribution.parameters import INERTIA, Vector
-from adaptsim_jax.attribution.problem import TILT, Problem, values_of
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
+from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes

@@ -6,7 +6,17 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from adaptsim_jax.attribution.parameters import ETA, INERTIA, Entry, Inertias, Vector, inertia_entries, inertias
+from adaptsim_jax.attribution.parameters import (
+    ETA,
+    INERTIA,
+    TILT,
+    TILTS,
+    Entry,
+    Inertias,
+    Vector,
+    inertia_entries,
+    inertias,
+)
 from adaptsim_jax.attribution.simulate import Model, Values
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
 from adaptsim_jax.effects.base import Effect, Reach
@@ -14,8 +24,6 @@ from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 from adaptsim_jax.sysid.segments import local_motion
 
-TILT = "tilt"
-TILTS = ("about_x", "about_y")
 LEAST_TRIALS = 5  # of which each is a fold
 LANES = 16  # stretches are padded to a multiple, so that compiled programs repeat
 
@@ -219,6 +227,7 @@ def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray |
             for p in e.parameters
         }
         for e in problem.effects
+        if e.place != "model"
     }
     tilt = np.zeros((width, 2))
     for i, e in enumerate(vector.entries):

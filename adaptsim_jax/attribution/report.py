@@ -10,8 +10,8 @@ from adaptsim_jax.attribution import inertias_told
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import run
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import INERTIA, Entry
-from adaptsim_jax.attribution.problem import TILT, Problem
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry
+from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Model, Named, Selection
 from adaptsim_jax.effects.base import NINETY
@@ -103,12 +103,6 @@ def message(problem: Problem, found: Selection, before: np.ndarray, after: np.nd
     return f"{told}. {rest}{where}."
 
 
-PHYSICS = {
-    TILT: "gravity pulls along another direction: the base is not level",
-    INERTIA: "a body of another mass, centre of mass or moments than declared: a payload, another part",
-}
-
-
 def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
     c, model = n.candidate, found.final
     spread = model.spread
@@ -130,7 +124,7 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
         }
     return {
         "name": c.effect, "where": place(problem, c), "joints": [problem.joint_names[j] for j in c.joints], "parameters": numbers,
-        "physics": PHYSICS[c.effect] if c.effect in PHYSICS else problem.effect(c.effect).physics,
+        "physics": problem.effect(c.effect).physics,
         "alternatives": [f"{a.effect}@{place(problem, a)}" for a in n.alternatives],
         "held_out_gain": n.test.gain, "p_value": n.test.p, "better": n.test.better, "folds": n.test.folds,
         "size_over_scatter": min(n.steady, 1e3),

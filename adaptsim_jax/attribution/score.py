@@ -13,8 +13,8 @@ from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
-from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector, inertia_entries
-from adaptsim_jax.attribution.problem import TILT, TILTS, Problem, off_value
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, Entry, Vector, inertia_entries
+from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach
 
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
@@ -71,8 +71,6 @@ def entries_of(
 
 def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple[Entry, ...]:
     """Entries of the shapes that are fitted once an effect is in the model, at the values it was scored with."""
-    if candidate.effect in (TILT, INERTIA):
-        return ()
     effect, given = problem.effect(candidate.effect), candidate.shaped()
     out = []
     for p in effect.shapes:
@@ -108,6 +106,9 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
         ]
         if effect.name == "viscous":
             continue
+        if effect.place == "model":
+            out += _of_model(problem, effect.name, taken)
+            continue
         follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
         if effect.name == "position_gain" and not follows:
             continue
@@ -125,16 +126,21 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
         ):
             for point in grids[0][1]:
                 out.append(Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point)))
-    if (TILT, 0) not in taken and max(np.abs(np.asarray(g.model.tree.gravity)).max() for g in problem.groups) > 0:
-        everywhere = tuple(range(problem.joints))
-        entries = tuple(Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS)
-        out.append(Candidate(TILT, everywhere, "common", entries))
-    for g in problem.groups:
-        for at, j in enumerate(g.joints):
-            if g.inertias.massive[at] and (INERTIA, j) not in taken:
-                own = inertia_entries(np.arange(j + 1) == j)
-                out.append(Candidate(INERTIA, (j,), "joint", own))
     return out
+
+
+def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[Candidate]:
+    """What frees parameters of the model itself: the direction of gravity, where there is any; the inertia of a body with a mass."""
+    if name == INERTIA:
+        bodies = [j for g in problem.groups for at, j in enumerate(g.joints) if g.inertias.massive[at]]
+        own = lambda j: inertia_entries(np.arange(j + 1) == j)
+        return [Candidate(INERTIA, (j,), "joint", own(j)) for j in bodies if (INERTIA, j) not in taken]
+    weightless = not any(np.any(np.asarray(g.model.tree.gravity)) for g in problem.groups)
+    if weightless or (TILT, 0) in taken:
+        return []
+    everywhere = tuple(range(problem.joints))
+    entries = tuple(Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS)
+    return [Candidate(TILT, everywhere, "common", entries)]
 
 
 def _fixed(point) -> tuple[tuple[str, float], ...]:

@@ -27,8 +27,8 @@ from adaptsim_jax.attribution.estimate import (
     settled,
     start_steps,
 )
-from adaptsim_jax.attribution.parameters import INERTIA, Vector
-from adaptsim_jax.attribution.problem import TILT, Problem, blocks_of, own_inertia, scaled_reach
+from adaptsim_jax.attribution.parameters import TILT, Vector
+from adaptsim_jax.attribution.problem import Problem, blocks_of, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
 from adaptsim_jax.effects.base import Reach
 
@@ -362,7 +362,7 @@ def look_alikes(
     """Effects that do as well as `c` in its place: of those that gain most without it, and of those that it is mistaken for."""
     scores = table(problem, less.lin, candidates(problem, less.fit.vector, reach))
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
-    alike = () if c.effect in (TILT, INERTIA) else problem.effect(c.effect).look_alikes
+    alike = problem.effect(c.effect).look_alikes
     rivals = [
         s for s in scores
         if s.candidate.key != c.key and not (s.candidate.effect == c.effect and set(c.joints) & set(s.candidate.joints))

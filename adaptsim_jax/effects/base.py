@@ -1,7 +1,8 @@
 """What can be added to a model: `Effect`, one entry in one place; `layout.py` has the catalogue of them.
 
 An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its
-one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch.
+one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch. A fourth kind
+frees parameters of the *model* itself (which way gravity pulls, a body's inertia) and has no function.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 
-PLACES = ("command", "force", "measurement")
+PLACES = ("command", "force", "measurement", "model")
 NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
 UNITS = {
     "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
@@ -125,7 +126,8 @@ class Effect:
     - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where `memory` is true; where
       `inertia` is true, `apply(p) -> kg m^2` added to the joint;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
-      says; `first` is the angle that it did say at the first time, for sensors that remember.
+      says; `first` is the angle that it did say at the first time, for sensors that remember;
+    - model: None, as the engine knows what to do with these parameters.
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
@@ -143,7 +145,7 @@ class Effect:
     name: str
     place: str
     parameters: tuple[Parameter, ...]
-    apply: Callable
+    apply: Callable | None
     physics: str
     excitation: str
     look_alikes: tuple[str, ...] = ()
@@ -164,6 +166,8 @@ class Effect:
     def __post_init__(self):
         if self.place not in PLACES:
             raise BadInput(f"effect {self.name}: place {self.place!r} is unknown; use one of {', '.join(PLACES)}")
+        if (self.apply is None) != (self.place == "model"):
+            raise BadInput(f"effect {self.name}: an effect has a function apply, but where its place is 'model'")
         if self.scope not in ("joint", "base"):
             raise BadInput(f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'")
         for p in self.parameters:

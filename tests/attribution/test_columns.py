@@ -31,7 +31,7 @@ def fitted(request, tmp_path_factory):
     time = np.arange(500) / 250.0
     q = np.stack([0.4 * np.sin(3.0 * time), 0.5 * np.cos(4.0 * time)], 1)
     tracks = [Track(str(k), time, q, None, q[:, ::-1] + 0.1 * k) for k in range(5)]
-    effects = tuple(e for e in MACHINE if e.name in ("viscous", *NAMES))
+    effects = tuple(e for e in MACHINE if e.name in ("viscous", *NAMES) or e.place == "model")
     problem = prepare(read_mechanism(path).tree, tracks, effects, LAWS[request.param])
     vector, starts = nuisances(problem, inertia=False), starts_of(problem)
     paths = run(problem, vector, starts)
