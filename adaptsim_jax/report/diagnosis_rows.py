@@ -16,7 +16,7 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
     for effect in report["effects"]:
         parameters = [
             {
-                "name": words.plain(name),
+                "name": name.replace("_", " "),
                 "value": fmt.between(p["value"], p["low"], p["high"], p["unit"]),
                 "interval": None not in (p["low"], p["high"]),
             }

@@ -262,9 +262,10 @@ def late_finding(
     nothing can be, unless the search to come names logs that are late: then a warning too. `step` s between rows."""
     ms, names = f"{1e3 * abs(late.seconds):.2g} ms", ", ".join(columns)
     if late.seconds > 0.75 * step:
-        rows = f"{late.seconds / step:.1f}".removesuffix(".0")
-        what = f"the motion is {ms} ahead of the torque that makes it: {names} are logged about {ms} ({rows} rows) late"
-        mend = f"move {names} up by {rows} rows against time and the angles, or bring both onto one clock"
+        count = f"{late.seconds / step:.1f}".removesuffix(".0")
+        rows = "1 row" if count == "1" else f"{count} rows"
+        what = f"the motion is {ms} ahead of the torque that makes it: {names} are logged about {ms} ({rows}) late"
+        mend = f"move {names} up by {rows} against time and the angles, or bring both onto one clock"
         if names_late_logs:
             return (
                 Finding(
