@@ -40,7 +40,7 @@ def profile(t):
 ZERO = dict.fromkeys(
     "speed_scale speed_offset heading_offset start_x start_y hardening plate_turn tilt_x tilt_y speed_friction drag grain "
     "grain_angle patch_x patch_size other_x other_y other_mu shift_x shift_y scale scale_start turn turn_start latency clock "
-    "ridge ridge_x bowl gradient lens heading_gain side_speed swerve warm scatter".split(),
+    "ridge ridge_x bowl gradient lens heading_gain side_speed swerve warm scatter com_x com_y light".split(),
     0.0,
 )
 
@@ -63,6 +63,8 @@ def simulate(lanes, rate=500):
     # face of the plate, a point of it and its place along the normal; the link starts 15 cm behind the declared start
     back = 0.15 - 0.0025 - RADIUS
     vx, vy = np.zeros(count), np.zeros(count)
+    yaw, spin = np.zeros(count), np.zeros(count)
+    turns = np.any(p["light"])
     points = RADIUS * sole * foot()
     travel, keep, out = 0.0, round(1 / rate / STEP), []
     c, s = np.cos(2 * p["grain_angle"]), np.sin(2 * p["grain_angle"])
@@ -71,7 +73,7 @@ def simulate(lanes, rate=500):
     def cover(px, py, half):
         inside = lambda d: np.clip((half[:, None] - np.abs(d)) / 0.002 + 0.5, 0, 1)
         qx, qy = x[:, None] + points[:, 0] - px[:, None], y[:, None] + points[:, 1] - py[:, None]
-        return (inside(qx) * inside(qy)).mean(1)
+        return inside(qx) * inside(qy)
 
     half = np.full(count, 0.05)
     any_other = np.any(p["other_mu"])
@@ -88,17 +90,29 @@ def simulate(lanes, rate=500):
         ahead = hx * nx + hy * ny
         side = -hx * ny + hy * nx
         gap = (START[0] - x) * nx + (START[1] - y) * ny + (reach - back) * ahead
-        mu = p["mu"] + cover(0.75 + p["patch_x"], p["y_p"], half + p["patch_size"]) * (p["mu_p"] - p["mu"])
+        each = p["mu"] + cover(0.75 + p["patch_x"], p["y_p"], half + p["patch_size"]).T * (p["mu_p"] - p["mu"])
         if any_other:
-            mu = mu + p["other_mu"] * cover(p["other_x"], p["other_y"], half)
+            each = each + p["other_mu"] * cover(p["other_x"], p["other_y"], half).T
         v = np.hypot(vx, vy)
-        mu = np.maximum(mu * warm * (1 + p["speed_friction"] * v + p["gradient"] * (x - START[0])), 0)
-        mu = mu + p["ridge"] * (np.abs(x - p["ridge_x"]) < 0.004)
+        each = np.maximum(each * warm * (1 + p["speed_friction"] * v + p["gradient"] * (x - START[0])), 0)
+        each = each + p["ridge"] * (np.abs(x - p["ridge_x"]) < 0.004)
+        mu = each.mean(0)
         vn = vx * nx + vy * ny
         free = gain * ahead + np.where(vn > 0, mu * G, 0)
         force = np.where(gap > 0, np.maximum(b * (rate_e * ahead - vn) + k * gap + 0.9 * free, 0), 0)
         vt = -vx * ny + vy * nx
         slip = np.clip(rate_e * side - vt, -0.3 * force * STEP, 0.3 * force * STEP)
+        if turns:
+            x, y, vx, vy, yaw, spin = _turned(
+                p,
+                (x, y, vx, vy, yaw, spin),
+                (force, rate_e * side - vt, nx, ny),
+                each,
+                np.maximum(G - lift * force, 0),
+                points,
+            )
+            travel += STEP * (f + f1) / 2
+            continue
         ax = force * nx + G * np.sin(p["tilt_x"]) - p["drag"] * vx - p["swerve"] * vy
         ay = force * ny + G * np.sin(p["tilt_y"]) - p["drag"] * vy + p["swerve"] * vx - p["bowl"] * y
         vx, vy = vx + STEP * ax - slip * ny, vy + STEP * ay + slip * nx
@@ -111,6 +125,35 @@ def simulate(lanes, rate=500):
         travel += STEP * (f + f1) / 2
     out.append(np.stack([x, y], 1))
     return np.stack(out, 1)
+
+
+def _turned(p, state, hit, each, pressed, points):
+    """A step of a bottle that turns: force of the plate along its normal, friction there and at each point of the sole. Momentum and
+    moment about the axis, which is not where the mass is: M a + bias = f, solved for the axis's acceleration and the spin's."""
+    x, y, vx, vy, yaw, spin = state
+    force, aside, nx, ny = hit
+    c, s = np.cos(yaw), np.sin(yaw)
+    cx, cy = c * p["com_x"] - s * p["com_y"], s * p["com_x"] + c * p["com_y"]
+    about = 1 / p["light"] + cx * cx + cy * cy  # moment of inertia about the axis, by mass
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    mass = np.stack([np.stack(r, -1) for r in ((one, zero, -cy), (zero, one, cx), (-cy, cx, about))], -2)
+    # what the plate's friction would need to hold the rim still, and no more than it can
+    jt = np.stack([-ny, nx, -RADIUS * one], -1)
+    per = np.einsum("bi,bij,bj->b", jt, np.linalg.inv(mass), jt)
+    grip = np.clip((aside + RADIUS * spin) / per, -0.3 * force * STEP, 0.3 * force * STEP)
+    push = STEP * np.stack([force * nx, force * ny, zero], -1) + grip[:, None] * jt
+    push += STEP * np.square(spin)[:, None] * np.stack([cx, cy, zero], -1)  # the mass goes round the axis
+    v = np.stack([vx, vy, spin], -1) + np.linalg.solve(mass, push[..., None])[..., 0]
+    # Coulomb at each point, with a floor of the slip below which it is viscous
+    lx, ly = points[:, 0][:, None], points[:, 1][:, None]
+    ux, uy = v[:, 0] - v[:, 2] * ly, v[:, 1] + v[:, 2] * lx
+    share = (1 + (p["com_x"] * lx + p["com_y"] * ly) / np.mean(points[:, 0] ** 2)) / len(points)
+    load = each * share * pressed
+    slow = 2 * STEP * load.sum(0) * (1 + p["light"] * RADIUS**2)
+    f = -load / np.maximum(np.hypot(ux, uy), slow)
+    total = STEP * np.stack([(f * ux).sum(0), (f * uy).sum(0), (lx * f * uy - ly * f * ux).sum(0)], -1)
+    v = v + np.linalg.solve(mass, total[..., None])[..., 0]
+    return x + STEP * v[:, 0], y + STEP * v[:, 1], v[:, 0], v[:, 1], yaw + STEP * v[:, 2], v[:, 2]
 
 
 def camera(p, tracks, rate, rng, fps=60.0, noise=5e-4):
@@ -171,6 +214,9 @@ SINGLES = {
     "latency": lambda rng: {"latency": rng.uniform(0.015, 0.06)},
     "clock_scale": _one("clock", 0.03, 0.1),
 }
+TURNING = {
+    "off_axis": lambda rng: _two(("com_x", "com_y"), 0.002, 0.006)(rng) | {"light": rng.uniform(1.0, 2.0) / RADIUS**2},
+}
 OUTSIDE = {
     "ridge": lambda rng: {"ridge": rng.uniform(2, 5), "ridge_x": rng.uniform(0.66, 0.74)},
     "bowl": lambda rng: {"bowl": rng.uniform(2, 5)},
@@ -186,7 +232,7 @@ OUTSIDE = {
 
 
 def world(kind, seed, pushes=18):
-    """Lanes of one world: dict of arrays `[pushes]`, and what is true of it. kind: `null`, or of `SINGLES`, `OUTSIDE`."""
+    """Lanes of one world: dict of arrays `[pushes]`, and what is true of it. kind: `null`, or of `SINGLES`, `TURNING`, `OUTSIDE`."""
     rng = np.random.default_rng([seed, sum(map(ord, kind))])
     lanes = {k: np.zeros(pushes) for k in ZERO}
     truth = {
@@ -201,7 +247,7 @@ def world(kind, seed, pushes=18):
         rng.permutation(np.linspace(0.4, 0.8, pushes)),
         rng.permutation(np.linspace(-0.3, 0.3, pushes)),
     )
-    given = {} if kind == "null" else (SINGLES | OUTSIDE)[kind](rng)
+    given = {} if kind == "null" else (SINGLES | TURNING | OUTSIDE)[kind](rng)
     for k, v in given.items():
         lanes[k] = np.full(pushes, v)
     if kind == "placement":
@@ -217,8 +263,13 @@ def world(kind, seed, pushes=18):
 
 
 def suite(name, seed, count=None):
-    """Kinds and seeds of a suite: `nulls` 60, `singles` each three times, `outside` each twice."""
-    kinds = {"nulls": ["null"] * 60, "singles": 3 * list(SINGLES), "outside": 2 * list(OUTSIDE)}[name]
+    """Kinds and seeds of a suite: `nulls` 60, `singles` each three times, `outside` each twice; `turning` 12."""
+    kinds = {
+        "nulls": ["null"] * 60,
+        "singles": 3 * list(SINGLES),
+        "outside": 2 * list(OUTSIDE),
+        "turning": 12 * list(TURNING),
+    }[name]
     if count:
         kinds = kinds[:count]
     return [(kind, 1000 * seed + i) for i, kind in enumerate(kinds)]
@@ -250,7 +301,7 @@ def write_world(out, own, truth, tracks, rng, fps=60.0):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--suite", choices=("nulls", "singles", "outside"), required=True)
+    parser.add_argument("--suite", choices=("nulls", "singles", "outside", "turning"), required=True)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, help="the first so many worlds")
     parser.add_argument("--pushes", type=int, default=18)

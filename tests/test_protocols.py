@@ -24,7 +24,7 @@ import adaptsim_jax
 import adaptsim_jax.sysid
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS
-from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation
+from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation, of_the_engine
 from adaptsim_jax.effects.registry import EFFECTS
 from adaptsim_jax.learners.bdq import BDQConfig, BDQHyper
 from adaptsim_jax.learners.naf import NAFConfig, NAFHyper
@@ -167,7 +167,7 @@ def test_effect(effect, real):
     p = {x.name: of(1, 1) for x in effect.parameters}
     motion = {x: of(joints, rows) for x in ("q", "v", "u", "memory")} | {"t": of(1, rows)}
     if effect.place == "model":  # has no function: its parameters are the engine's own
-        assert effect.apply is None and effect.parameters
+        assert effect.apply is of_the_engine and effect.parameters
     elif effect.inertia:
         assert floats(batched(effect.apply, p)) == {jnp.dtype(real)}
     elif effect.place == "force":

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, WIDEST
 from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
 from adaptsim_jax.effects.actuator import actuator_lag, delay
-from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects.base import Dry, Effect, Parameter, of_the_engine
 from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
 
 LATEST = 0.05  # s
@@ -277,12 +277,12 @@ OWN: tuple[Effect, ...] = (
         formula="reading follows q at a distance of at most gap / 2",
     ),
     Effect(
-        TILT, "model", tuple(Parameter(name, "rad", -0.5, 0.5, 0.0) for name in TILTS), None,
+        TILT, "model", tuple(Parameter(name, "rad", -0.5, 0.5, 0.0) for name in TILTS), of_the_engine,
         "gravity pulls along another direction: the base is not level", "wide angles under gravity",
         scope="base", formula="gravity turned about the world's x and y",
     ),
     Effect(
-        INERTIA, "model", tuple(Parameter(name, "1", -wide, wide, 0.0) for name, wide in WIDEST.items()), None,
+        INERTIA, "model", tuple(Parameter(name, "1", -wide, wide, 0.0) for name, wide in WIDEST.items()), of_the_engine,
         "a body of another mass, centre of mass or moments than declared: a payload, another part",
         "fast motion, and wide angles under gravity", formula="the body's pseudo-inertia U U' becomes U V V' U'",
     ),

@@ -118,6 +118,11 @@ class Reach:
     tone: float = 0.0  # Hz, a frequency that the data of long trials suggest; 0: none
 
 
+def of_the_engine(*_):
+    """`apply` of what frees parameters of the model itself, which the engine has in its equations."""
+    raise TypeError("this effect has no function of its own: its parameters are the model's")
+
+
 @dataclass(frozen=True)
 class Effect:
     """One effect. `apply` is its one function, by place:
@@ -127,7 +132,7 @@ class Effect:
       `inertia` is true, `apply(p) -> kg m^2` added to the joint;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
       says; `first` is the angle that it did say at the first time, for sensors that remember;
-    - model: None, as the engine knows what to do with these parameters.
+    - model: `of_the_engine`.
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
@@ -145,7 +150,7 @@ class Effect:
     name: str
     place: str
     parameters: tuple[Parameter, ...]
-    apply: Callable | None
+    apply: Callable
     physics: str
     excitation: str
     look_alikes: tuple[str, ...] = ()
@@ -166,8 +171,6 @@ class Effect:
     def __post_init__(self):
         if self.place not in PLACES:
             raise BadInput(f"effect {self.name}: place {self.place!r} is unknown; use one of {', '.join(PLACES)}")
-        if (self.apply is None) != (self.place == "model"):
-            raise BadInput(f"effect {self.name}: an effect has a function apply, but where its place is 'model'")
         if self.scope not in ("joint", "base"):
             raise BadInput(f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'")
         for p in self.parameters:

@@ -1,9 +1,11 @@
 """The push as a slide in two dimensions: the planar model with lateral motion, and what may act on it beside the declared.
 
-The bottle is a disc that does not turn, at (x, y). The plate's face is a line with a normal; it meets the bottle along that
-normal as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where nothing acts sideways the
-motion is that of `planar`, where asked for with its step of 5 ms. A measured slide follows no step, and that one ends 5 mm from
-the converged motion (median; 28 mm at most), so that the default here is a scheme of second order with a step of 1 ms.
+The bottle is a disc at (x, y), which turns only where its inertia is not declared to be too large for that (`spin`): friction at
+the sole's points then couples force and moment (Goyal, Ruina and Papadopoulos, 1991). The plate's face is a line with a normal; it
+meets the bottle along that normal as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where
+nothing acts sideways the motion is that of `planar`, where asked for with its step of 5 ms. A measured slide follows no step, and
+that one ends 5 mm from the converged motion (median; 28 mm at most), so that the default here is a scheme of second order with a
+step of 1 ms.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ class Lacking:
     hit's speed by which the contact is stiffer and more damped; plate_turn rad of the face against its motion; tilt_x, tilt_y rad,
     positive downhill towards +x, +y; speed_friction s/m, the growth of friction with speed, of its size; drag 1/s of speed by itself;
     grain_a, grain_b: friction larger by about that share along x than along y, and along the diagonal; patch_x m and patch_size m
-    (half the growth of its side); other_x, other_y m and other_mu of a second patch, as large as the declared, and what it adds.
+    (half the growth of its side); other_x, other_y m and other_mu of a second patch, as large as the declared, and what it adds;
+    spin: a solid cylinder's moment of inertia about the vertical over the bottle's (0: it does not turn); com_x, com_y m of its centre
+    of mass from its axis, as it stands.
     """
 
     speed_scale: float = 0.0
@@ -55,6 +59,9 @@ class Lacking:
     other_x: float = 0.75
     other_y: float = 0.0
     other_mu: float = 0.0
+    spin: float = 0.0
+    com_x: float = 0.0
+    com_y: float = 0.0
 
 
 NEUTRAL = asdict(Lacking())
@@ -69,7 +76,8 @@ def rollout(
     step: float = STEP,
     as_planar: bool = False,
 ) -> Array:
-    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, ...; pure, jit, vmap and differentiate it.
+    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, ...; pure, jit, vmap and differentiate it. With `spin` other than a
+    plain 0, `[rows + 1, 6]`: yaw rad and its rate rad/s as well.
 
     values: mu, e (Pa), mu_p, y_p (m), and any of `NEUTRAL`; action `[2]` (m/s, rad). `options`, `coefficients`, `step` static.
     as_planar: semi-implicit Euler's steps as `planar` makes them (`step` 5 ms); else half a drift, a kick, half a drift.
@@ -78,6 +86,7 @@ def rollout(
     speed = action[0] * (1.0 + v["speed_scale"]) + v["speed_offset"]
     heading = action[1] + v["heading_offset"]
     start = jnp.asarray(start) + jnp.stack([v["start_x"] + 0.0 * speed, v["start_y"] + 0.0 * speed])
+    turns = not _is_zero(v["spin"])
     advance = _make_step(v, speed, heading, start, options, coefficients, step, as_planar)
     per_row = round(ROW / step)
 
@@ -88,9 +97,15 @@ def rollout(
     still = 0.0 * speed + 0.0 * heading + 0.0 * sum(jnp.asarray(z) for z in v.values())
     edge = edge_motion(options.duration, step) if as_planar else edge_halfway(options.duration, step)
     edges = jnp.asarray(edge).reshape(-1, per_row, 6)
-    _, rows = jax.lax.scan(row, (still,) * 4, edges)
+    state = (still,) * (6 if turns else 4)
+    _, rows = jax.lax.scan(row, state, edges)
     rows = jnp.concatenate([jnp.zeros_like(rows[:1]), rows])
-    return rows + jnp.concatenate([start, jnp.zeros(2)])[None]
+    return rows + jnp.concatenate([start, jnp.zeros(len(state) - 2)])[None]
+
+
+def _is_zero(value: Array) -> bool:
+    """Known to be none before anything is compiled, so that the work is not done."""
+    return isinstance(value, float) and value == 0.0
 
 
 def edge_halfway(duration: float, step: float) -> np.ndarray:
@@ -112,14 +127,14 @@ def edge_halfway(duration: float, step: float) -> np.ndarray:
 
 
 def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoefficients, dt: float, as_planar: bool):
-    """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time."""
+    """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time; with yaw and its rate where the bottle turns."""
     friction = pushing.frictions(jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction)
     k, b = pushing.spring(c.elasticity, v["e"], speed, options.mass, jnp)
     hit = jnp.exp(v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7))
     k, b = k * hit, b * hit
     along = (jnp.cos(heading), jnp.sin(heading))
-    turned = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))
-    normal, across = turned, (-turned[1], turned[0])
+    normal = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))
+    across = (-normal[1], normal[0])
     forward, aside = (along[0] * w[0] + along[1] * w[1] for w in (normal, across))
     behind = (pushing.START[0] - start[0]) * normal[0] + (pushing.START[1] - start[1]) * normal[1]
     behind -= (pushing.LINK_BACK - pushing.EDGE_RADIUS - pushing.RADIUS) * forward
@@ -127,24 +142,37 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
     g, d = pushing.GRAVITY, IMPEDANCE
     pull = (g * jnp.sin(v["tilt_x"]), g * jnp.sin(v["tilt_y"]))
     half = pushing.PATCH_SIDE / 2
-    other = not (isinstance(v["other_mu"], float) and v["other_mu"] == 0.0)  # known to be none, it is half of the work
+    other, turns = not _is_zero(v["other_mu"]), not _is_zero(v["spin"])
+    light = v["spin"] * 2.0 / pushing.RADIUS**2  # mass over moment of inertia, 1/m^2
+    spread = sum(a * a for a, _ in points) / len(points)
+    spots = [
+        (c.sole * a, c.sole * q, (1.0 + (v["com_x"] * a + v["com_y"] * q) / spread) / len(points)) for a, q in points
+    ]
     before, after = (0.0, dt) if as_planar else (dt / 2, dt / 2)
     within = 1.0 if as_planar else 1.0 / (1.0 + b * dt / 2)  # damping by the mean of the speeds before and after
 
-    def covered(x, y, px, py, size):
-        inside = lambda z: jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
-        return sum(inside(x + c.sole * a - px) * inside(y + c.sole * q - py) for a, q in points) / len(points)
+    def friction_at(x, y):
+        """Of one point of the ground."""
+        inside = lambda z, size: jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
+        own = half + v["patch_size"]
+        on = inside(x - pushing.PATCH_X - v["patch_x"], own) * inside(y - v["y_p"], own)
+        mu = friction.table + on * (friction.patch - friction.table)
+        return mu + inside(x - v["other_x"], half) * inside(y - v["other_y"], half) * v["other_mu"] if other else mu
+
+    def grained(vx, vy):
+        """B v: friction of greatest dissipation in an elliptic cone has its direction, and the size sqrt(v B v) of the speed."""
+        return (1.0 + v["grain_a"]) * vx + v["grain_b"] * vy, v["grain_b"] * vx + (1.0 - v["grain_a"]) * vy
 
     def step(state, edge):
-        dx, dy, vx, vy = state
+        dx, dy, vx, vy, *turning = state
         dx, dy = dx + before * vx, dy + before * vy
         x, y = start[0] + dx, start[1] + dy
-        own = covered(x, y, pushing.PATCH_X + v["patch_x"], v["y_p"], half + v["patch_size"])
-        mu = friction.table + own * (friction.patch - friction.table)
-        if other:
-            mu = mu + covered(x, y, v["other_x"], v["other_y"], half) * v["other_mu"]
         size = jnp.sqrt(vx * vx + vy * vy + 1e-16)
-        mu = jnp.maximum(mu * (1.0 + v["speed_friction"] * size), 0.0)
+        local = [
+            share * jnp.maximum(friction_at(x + a, y + q) * (1.0 + v["speed_friction"] * size), 0.0)
+            for a, q, share in spots
+        ]
+        mu = sum(local)
         at, rate, gain = (speed * edge[2 * i] + edge[2 * i + 1] for i in range(3))
         out, over = vx * normal[0] + vy * normal[1], vx * across[0] + vy * across[1]
         depth = at * forward + behind - (dx * normal[0] + dy * normal[1])
@@ -157,15 +185,43 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
             depth = jnp.where(touching < 1.0, 0.5 * touching * dt * closing, depth)
         force = touching * jnp.maximum(within * (b * closing + k * depth + d * free), 0.0)
         grip = friction.plate * force * dt
-        drag = jnp.clip(rate * aside - over, -grip, grip)
+        pressed = jnp.maximum(g - c.lift * force, 0.0)
+        if turns:
+            yaw, rate_z = turning
+            yaw = yaw + before * rate_z
+            cx = jnp.cos(yaw) * v["com_x"] - jnp.sin(yaw) * v["com_y"]
+            cy = jnp.sin(yaw) * v["com_x"] + jnp.cos(yaw) * v["com_y"]
+            arm = pushing.RADIUS + cx * normal[0] + cy * normal[1]  # of the plate's grip about the centre of mass
+            drag = jnp.clip((rate * aside - over + pushing.RADIUS * rate_z) / (1.0 + light * arm * arm), -grip, grip)
+            # from here on the speed of the centre of mass
+            vx, vy = vx - rate_z * cy, vy + rate_z * cx
+            rate_z = rate_z + light * (dt * force * (cy * normal[0] - cx * normal[1]) - drag * arm)
+        else:
+            drag = jnp.clip(rate * aside - over, -grip, grip)
         vx = vx + dt * (force * normal[0] + pull[0] - v["drag"] * vx) + drag * across[0]
         vy = vy + dt * (force * normal[1] + pull[1] - v["drag"] * vy) + drag * across[1]
-        brake = mu * jnp.maximum(g - c.lift * force, 0.0)
-        # friction of greatest dissipation in an elliptic cone: its direction is B v, its size sqrt(v B v) of the speed
-        bx = (1.0 + v["grain_a"]) * vx + v["grain_b"] * vy
-        by = v["grain_b"] * vx + (1.0 - v["grain_a"]) * vy
-        share = dt * brake / jnp.sqrt(vx * bx + vy * by + 1e-16)
-        vx, vy = (jnp.where(share < 1.0, w - share * z, 0.0) for w, z in ((vx, bx), (vy, by)))
-        return dx + after * vx, dy + after * vy, vx, vy
+        if not turns:
+            bx, by = grained(vx, vy)
+            share = dt * mu * pressed / jnp.sqrt(vx * bx + vy * by + 1e-16)
+            vx, vy = (jnp.where(share < 1.0, w - share * z, 0.0) for w, z in ((vx, bx), (vy, by)))
+            return dx + after * vx, dy + after * vy, vx, vy
+        # below the speed that a step's friction takes away it is viscous, so that no step turns a slip round
+        slow = jnp.square(dt * mu * pressed * (1.0 + v["spin"])) + 1e-16
+        fx = fy = moment = 0.0
+        for (a, q, _), held in zip(spots, local, strict=True):
+            lx, ly = a - cx, q - cy  # from the centre of mass
+            sx, sy = vx - rate_z * ly, vy + rate_z * lx
+            bx, by = grained(sx, sy)
+            by_slip = held * pressed * jax.lax.rsqrt(jnp.maximum(sx * bx + sy * by, slow))
+            px, py = by_slip * bx, by_slip * by
+            fx, fy, moment = fx + px, fy + py, moment + lx * py - ly * px
+        vx, vy, rate_z = vx - dt * fx, vy - dt * fy, rate_z - dt * light * moment
+        moves = (
+            vx * vx + vy * vy + jnp.square(pushing.RADIUS * rate_z) > 1e-12
+        )  # what is slower than 1e-6 m/s is at rest
+        vx, vy, rate_z = (jnp.where(moves, z, 0.0) for z in (vx, vy, rate_z))
+        turned = dt * rate_z * rate_z  # the mass goes round the axis
+        vx, vy = vx + rate_z * cy + turned * cx, vy - rate_z * cx + turned * cy  # the axis's again
+        return dx + after * vx, dy + after * vy, vx, vy, yaw + after * rate_z, rate_z
 
     return step

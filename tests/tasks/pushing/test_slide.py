@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.tasks.pushing import model, planar, slide
+from experiments import pushing_worlds
 
 PARAMS, ACTIONS, _ = model.draw(0, 24)
 
@@ -26,7 +27,7 @@ def rolled(step=slide.STEP, as_planar=False, **more):
 def test_it_is_the_planar_model_where_nothing_acts_sideways():
     with jax.enable_x64(True):
         expected = np.asarray(jax.jit(jax.vmap(planar.trajectory))(PARAMS, ACTIONS))
-    np.testing.assert_allclose(rolled(planar.STEP, as_planar=True)[:, 2::2], expected, atol=1e-6)
+    np.testing.assert_allclose(rolled(planar.STEP, as_planar=True)[:, 2::2, :4], expected, atol=1e-6)
 
 
 def test_the_step_of_1_ms_has_converged_but_for_a_fraction_of_a_millimetre():
@@ -41,6 +42,29 @@ def test_a_slope_across_bends_the_track_downhill_and_a_turned_heading_turns_it()
     assert (aside(rolled(tilt_y=0.02)) > 0.002).all()
     assert (aside(rolled(heading_offset=0.05)) > 0.002).all()
     assert np.isfinite(rolled(grain_a=0.4, grain_b=-0.2, drag=0.5, plate_turn=0.1)).all()
+
+
+def test_a_bottle_that_turns_is_that_of_other_equations_of_motion():
+    """Those of `experiments/pushing_worlds`: about the axis instead of the centre of mass, at another step, without JAX."""
+    lanes = {k: np.zeros(len(PARAMS)) for k in pushing_worlds.ZERO}
+    lanes |= dict(zip(("mu", "e", "mu_p", "y_p"), PARAMS.T, strict=True)) | dict(
+        zip(("speed", "angle"), ACTIONS.T, strict=True)
+    )
+    about = {"com_x": -0.002, "com_y": 0.004, "plate_turn": 0.05}
+    lanes |= {k: np.full(len(PARAMS), v) for k, v in about.items()}
+    lanes["light"] = np.full(len(PARAMS), 1.5 / model.RADIUS**2)
+    other = pushing_worlds.simulate(lanes, 200)
+    ours = rolled(2.5e-4, spin=0.75, **about)
+    apart = np.linalg.norm(ours[:, : other.shape[1], :2] - other[:, : ours.shape[1]], axis=-1).max(1)
+    assert np.median(apart) < 5e-4
+    assert np.median(np.abs(ours[:, -1, 4])) > 0.3
+    aside = np.abs(ours[..., :4] - rolled(2.5e-4)[..., :4])[:, -1, 1]
+    assert np.median(aside) > 30 * np.median(apart)
+
+
+def test_a_bottle_of_a_huge_inertia_is_one_that_does_not_turn():
+    apart = np.abs(rolled(spin=1e-6, com_y=0.004) - rolled(com_y=0.004))[..., :2].max((1, 2))
+    assert np.median(apart) < 2e-6
 
 
 def test_it_is_differentiable():

@@ -19,6 +19,7 @@ from adaptsim_jax.tasks.pushing.planar import PlanarCoefficients
 
 Array = Any
 NAMES = tuple(q.name for q in QUANTITIES)
+TURNING = ("spin", "com_x", "com_y")
 WIDTHS = (8, 40)  # numbers of columns that are compiled
 ASIDE = 0.2  # of a quantity's scale, to either side of where a column is taken
 ROUGH = 0.0025  # s, step of the scan for starts
@@ -26,11 +27,18 @@ MARGIN = 0.05  # s simulated beyond the last row
 
 
 def seen(
-    values: Array, push: dict[str, Array], options: PushOptions, coefficients: PlanarCoefficients, step: float
+    values: Array,
+    push: dict[str, Array],
+    options: PushOptions,
+    coefficients: PlanarCoefficients,
+    step: float,
+    turns: bool,
 ) -> Array:
-    """`[R, 2]` m: what the camera says of one push at `push["time"]`; values `[P]`."""
+    """`[R, 2]` m: what the camera says of one push at `push["time"]`; values `[P]`. turns: whether the bottle may turn."""
     v = physical({n: values[i] for i, n in enumerate(NAMES)})
     inner = {n: v[n] for n in (*model.PARAMETERS, *slide.NEUTRAL)}
+    if not turns:  # a fifth of the work
+        inner |= dict.fromkeys(TURNING, 0.0)
     start = push["start"] + v["placed"] * push["aside"]
     rows = slide.rollout(inner, push["action"], options, coefficients, start, step)
     at = at_times(rows, happened(v, push["time"]))
@@ -40,7 +48,7 @@ def seen(
 
 
 def at_times(rows: Array, time: Array) -> Array:
-    """Places `[R, 2]` at times `[R]` s between rows `[N, 4]` of `slide.rollout` by Hermite's cubics; held before and after."""
+    """Places `[R, 2]` at times `[R]` s between rows `[N, 4 or 6]` of `slide.rollout` by Hermite's cubics; held before and after."""
     place = jnp.clip(time / slide.ROW, 0.0, len(rows) - 1.0)
     k = jnp.clip(jnp.floor(place).astype(int), 0, len(rows) - 2)
     u = (place - k)[:, None]
@@ -48,15 +56,19 @@ def at_times(rows: Array, time: Array) -> Array:
     h = slide.ROW
     return (
         (1 + 2 * u) * (1 - u) ** 2 * a[:, :2]
-        + u * (1 - u) ** 2 * h * a[:, 2:]
+        + u * (1 - u) ** 2 * h * a[:, 2:4]
         + u * u * (3 - 2 * u) * b[:, :2]
-        + u * u * (u - 1) * h * b[:, 2:]
+        + u * u * (u - 1) * h * b[:, 2:4]
     )
 
 
 @lru_cache(maxsize=8)
 def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float):
-    return jax.jit(jax.vmap(partial(seen, options=options, coefficients=coefficients, step=step)))
+    """`(values [T, P], pushes) -> [T, R, 2]` m."""
+    make = lambda turns: partial(seen, options=options, coefficients=coefficients, step=step, turns=turns)
+    flat, turning = (jax.jit(jax.vmap(make(turns))) for turns in (False, True))
+    spin = NAMES.index("spin")
+    return lambda values, pushes: (turning if np.any(values[:, spin]) else flat)(np.asarray(values, np.float32), pushes)
 
 
 def packed(pushed: Pushed) -> dict[str, Array]:
@@ -85,7 +97,7 @@ def prepare(
     count = len(pushed.names)
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        out = simulate(np.asarray(values, np.float32), pushes)
+        out = simulate(values, pushes)
         return (weight * (pushed.xy - np.asarray(out, float))).reshape(count, -1)
 
     every = lambda times: {k: np.tile(v, (times, *[1] * (v.ndim - 1))) for k, v in pushes.items()}
@@ -97,12 +109,12 @@ def prepare(
         moves = np.zeros((2, width, basis.shape[1]))
         moves[0, : len(basis)], moves[1, : len(basis)] = ASIDE * basis, -ASIDE * basis
         rows = np.repeat((values + moves).reshape(2 * width, -1), count, 0)
-        out = np.asarray(simulate(np.asarray(rows, np.float32), every(2 * width)), float)
+        out = np.asarray(simulate(rows, every(2 * width)), float)
         up, down = out.reshape(2, width, *pushed.xy.shape)[:, : len(basis)]
         return (weight * (up - down) / (2 * ASIDE)).reshape(len(basis), count, -1).transpose(1, 2, 0)
 
     def scan(rows: np.ndarray) -> np.ndarray:
-        out = np.asarray(rough(np.repeat(np.asarray(rows, np.float32), count, 0), every(len(rows))), float)
+        out = np.asarray(rough(np.repeat(rows, count, 0), every(len(rows))), float)
         r = weight * (pushed.xy - out.reshape(len(rows), *pushed.xy.shape))
         return np.square(r).reshape(len(rows), -1).sum(1)
 
@@ -132,4 +144,4 @@ def simulated(
     pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, values: np.ndarray, step: float = slide.STEP
 ) -> np.ndarray:
     """`[T, R, 2]` m: what the camera would say of these pushes; values `[T, P]`."""
-    return np.asarray(_program(options, coefficients, step)(np.asarray(values, np.float32), packed(pushed)))
+    return np.asarray(_program(options, coefficients, step)(values, packed(pushed)))

@@ -36,7 +36,7 @@ def make_planar(options: PushOptions, coefficients: planar.PlanarCoefficients, l
     def simulate(params, commands, initial):
         batch = scene.checked(params, commands, initial)
         flat = np.asarray(run(*(jnp.asarray(a, jnp.result_type(float)) for a in batch[:3])))
-        return scene.slid(flat[..., :2], flat[..., 2:], batch)
+        return scene.slid(flat[..., :2], flat[..., 2:4], batch)
 
     return simulate
 
