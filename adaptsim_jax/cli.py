@@ -61,8 +61,16 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         return _file_system(error)
     except Exception as error:
+        if _interrupted(error):  # Ctrl-C while a library was being imported
+            return _say("stopped; nothing half-written is left", STOPPED)
         traceback.print_exc()
         return _say(f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def parse(argv: list[str]) -> argparse.Namespace:

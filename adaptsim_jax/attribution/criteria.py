@@ -14,10 +14,12 @@ class Criteria:
     gap: share of the loss by which an alternative may be worse and still be told as doing as well.
     steady: an effect's size over its scatter between folds.
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
+    least_change: share of a value that the model file declares (armature, dry friction) below which it is not worth correcting.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     glance: rounds by which candidates are sorted (twice as many of mechanisms); the best is fitted whole.
     explained: held-out error over the noise floor up to which nothing is left to explain.
+    odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
     """
 
     alpha: float = 0.01
@@ -26,8 +28,10 @@ class Criteria:
     gap: float = 0.02
     steady: float = 3.0
     least_shift: float = 0.25
+    least_change: float = 0.1
     most_effects: int = 8
     tried: int = 4
     rounds: int = 12
     glance: int = 2
     explained: float = 1.5
+    odd: float = 10.0

@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes, declared_changes, holdable
+from adaptsim_jax.attribution.mend import changes, declared_changes, gains_told, holdable, lost
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
@@ -61,7 +61,7 @@ def diagnose(
     machine = scaled(machine, horizon)
     folder = None if out is None else output_folder(out)
     report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
-    report["notes"] += otherwise(report["declared"]["after"])
+    report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
@@ -73,9 +73,20 @@ def diagnose(
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
         write_mjcf(folder, machine, problem, found, criteria or Criteria())
-        write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told).encode())
+        write_bytes(
+            folder / model_toml.FILE, model_toml.text_of(problem, found.final, told, gains_of(machine)).encode()
+        )
         (page or plain)(folder, report, evidence)
     return report
+
+
+def gains_of(machine: Machine) -> dict[str, float] | None:
+    """Torque over volts or amperes by joint, where the search had to find it."""
+    return (
+        dict(zip(machine.tree.joint_names, map(float, machine.actuator[0]), strict=True))
+        if machine.gain_unknown
+        else None
+    )
 
 
 def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:

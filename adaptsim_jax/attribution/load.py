@@ -18,6 +18,8 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
 
     Raises BadInput that names file, key and mend.
     """
+    if not Path(data).exists():
+        raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
     if declared_task(data) != "pendulum":
         if model is None or Path(model).suffix.lower() != ".toml":
             return machine(*read_with_model(data, model))

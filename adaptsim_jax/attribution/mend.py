@@ -53,6 +53,25 @@ def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
     return c.effect in ACTUATED and set(c.joints) <= driven and not (late and min(values) < 0.0)
 
 
+def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
+    """A note on the effects that `model.xml` cannot hold."""
+    gone = [c for c in found.final.added if not _holds(machine, found.final, c)]
+    told = [f"{c.effect.replace('_', ' ')} at {', '.join(problem.joint_names[j] for j in c.joints)}" for c in gone]
+    return (
+        [f"model.xml cannot hold {'; '.join(told)}: only model.toml has the whole of the mended model."] if gone else []
+    )
+
+
+def gains_told(machine: Machine) -> list[str]:
+    """A note on torque over input, where that had to be found."""
+    if not machine.gain_unknown:
+        return []
+    unit = "V" if machine.log.input_kind == "voltage" else "A"
+    driven = [j for j in range(machine.tree.n) if any(np.any(t.u[:, j]) for t in machine.tracks)]
+    each = ", ".join(f"{machine.tree.joint_names[j]} {machine.actuator[0, j]:.4g} N m/{unit}" for j in driven)
+    return [f"Torque over input, fitted: {each}. By these data only its ratios to inertias and friction are fixed."]
+
+
 def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> Changes:
     """The changes that `model.xml` gets of a `holdable` model, with comments on what is `named` besides."""
     vector, tree = model.fit.vector, machine.tree

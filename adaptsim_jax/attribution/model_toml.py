@@ -30,15 +30,15 @@ from adaptsim_jax.core.errors import BadInput
 FILE, DECLARED = "model.toml", "declared.xml"
 
 
-def text_of(problem: Problem, model: Model, told: Mapping[str, Any]) -> str:
-    """The TOML text. told: of its provenance."""
+def text_of(problem: Problem, model: Model, told: Mapping[str, Any], gains: Mapping[str, float] | None = None) -> str:
+    """The TOML text. told: of its provenance; gains: torque over volts or amperes by joint, where that had to be found."""
     parts = ["# A model fitted by `adaptsim diagnose`; `adaptsim replay model.toml DATA` simulates all of it."]
     parts.append(config.dumps({"schema": 1, "task": "mechanism", "model": DECLARED}))
     inertial = {}
     for g in problem.groups:
         values = values_of(problem, g, model.fit.vector).inertial[..., 0]
         inertial |= {problem.joint_names[j]: [float(z) for z in values[k]] for k, j in enumerate(g.joints)}
-    parts.append(config.dumps({"inertial": inertial}))
+    parts.append(config.dumps({"inertial": inertial} | ({"gain": dict(gains)} if gains else {})))
     by: dict[tuple[str, int], dict[str, Any]] = {}
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         if e.owner != INERTIA:
@@ -63,6 +63,13 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
                 f"{path}: inertial.{name} must be 10 numbers of a joint of its model; {config.suggest(name, joints)}"
             )
         inertial[joints.index(name)] = row
+    law = machine.actuator.copy()
+    for name, value in given.get("gain", {}).items():
+        if name not in joints or not isinstance(value, (int, float)):
+            raise BadInput(
+                f"{path}: gain.{name} must be a number of a joint of its model; {config.suggest(name, joints)}"
+            )
+        law[0, joints.index(name)] = value
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
     for k, row in enumerate(given.get("effects", [])):
         name, joint = row.get("name"), row.get("joint")
@@ -84,4 +91,4 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             column[joints.index(joint)] = numbers.get(p.name, rest)
             out[name, p.name] = column
     mechanism = replace(machine.mechanism, tree=replace(tree, inertial=inertial, gravity=gravity))
-    return replace(machine, mechanism=mechanism, declared=out)
+    return replace(machine, mechanism=mechanism, declared=out, actuator=law)

@@ -45,7 +45,8 @@ def reported(
     floor = float(np.median(noise))
     over = float(np.median(after / np.maximum(noise, 1e-12)))
     named = found.named
-    kind = _kind(named, over, criteria)
+    odd = _odd(problem, after, criteria)
+    kind = _kind(named, over, bool(odd), criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
     log = machine.log
     data = {"trials": len(machine.tracks), "samples": log.samples, "held_out_trials": len(np.unique(problem.fold))}
@@ -57,7 +58,7 @@ def reported(
     after_rows = _declared(machine, problem, found.final)
     fixed = inertias_told.sentence(problem, found.final, after_rows)
     report = new_report(
-        "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over), data,
+        "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over, odd), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
@@ -73,16 +74,47 @@ def reported(
     return report, evidence
 
 
-def _kind(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
+def _odd(problem: Problem, after: np.ndarray, criteria: Criteria) -> list[tuple[str, str, float]]:
+    """Trials of which much is left, however little on the whole: name, joint, times the noise floor (median over its stretches)."""
+    noise = np.maximum(problem.floor[: problem.joints], 1e-12)
+    out = []
+    for k, name in enumerate(problem.folds):
+        if np.any(problem.fold == k):
+            over = np.median(after[problem.fold == k], 0) / noise
+            worst = int(np.argmax(over))
+            if over[worst] > criteria.odd:
+                out.append((name, problem.joint_names[worst], float(over[worst])))
+    return sorted(out, key=lambda row: -row[2])
+
+
+def _kind(named: tuple[Named, ...], over: float, odd: bool, criteria: Criteria) -> str:
+    remains = over > criteria.explained or odd
     if not named:
-        return "within_noise" if over <= criteria.explained else "structured_unattributed"
-    if over > criteria.explained:
+        return "structured_unattributed" if remains else "within_noise"
+    if remains:
         return "partly_explained"
     return "explained_class" if any(n.alternatives for n in named) else "explained"
 
 
-def message(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float) -> str:
-    """What was found, in a few sentences."""
+def message(
+    problem: Problem,
+    found: Selection,
+    before: np.ndarray,
+    after: np.ndarray,
+    over: float,
+    odd: list[tuple[str, str, float]],
+) -> str:
+    """What was found, in a few sentences. odd: trials of which much is left."""
+    told = _found(problem, found, before, after, over)
+    if not odd or len(odd) > 0.5 * len(problem.folds):
+        return told
+    names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
+    _, joint, times = odd[0]
+    more = f"But of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
+    return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
+
+
+def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float) -> str:
     unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
     size = lambda e: f"{1e3 * np.median(e):.3g}"
     if not found.named:
@@ -115,7 +147,8 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
             low, high = max(value - width, min(e.low, value)), min(value + width, max(e.high, value))
             numbers[key] = {"value": value, "low": low, "high": high, "unit": e.unit}
     if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
-        of = f" of {machine.tree.body_names[c.joints[0]]}"
+        body = next(iter(c.joints))
+        of = f" of {machine.tree.body_names[body]}"
         rows = inertias_told.told(machine, problem, model)
         numbers = {
             key.removesuffix(of).replace(" ", "_"): {k: row[k] for k in ("value", "low", "high", "unit")}

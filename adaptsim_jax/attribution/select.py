@@ -118,22 +118,28 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     n = normal(problem, lin.residual, lin.start, lin.shared)
     hess, vector = n.hess.sum(0), now.vector
     inside = (vector.values > vector.low) & (vector.values < vector.high)
-    # the fit is taken for the best there is: a step that gained nothing, where dry friction bends the loss, no fold takes either
-    slope = np.where(inside, vector.precision * (vector.values - vector.start), n.slope.sum(0))
-    steps = np.array([bounded_step(hess - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)])
+    # one step from the fit, which is taken for the best there is (a step that gained nothing, where dry friction bends the loss, no
+    # fold takes either), or for what its slope says of it (a fit that a kink has stopped short): of both the shorter one
+    at_best = np.where(inside, vector.precision * (vector.values - vector.start), n.slope.sum(0))
+    without = lambda slope: [
+        bounded_step(hess - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)
+    ]
+    both = np.array([without(slope) for slope in (at_best, n.slope.sum(0))])
+    length = np.einsum("mfp,pq,mfq->mf", both, hess + np.diag(vector.precision), both)
+    steps = both[np.argmin(length, 0), np.arange(len(n.hess))]
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
     _, _, kept = settled(problem, lin, now.vector, (starts, now.starts), rows, refine=2)
-    best = losses(problem, kept, weights)
-    width, joints = len(best), problem.joints
+    loss = losses(problem, kept, weights)
+    width, joints = len(loss), problem.joints
     squared = np.zeros((width, 2 * joints))
     for group, path in zip(problem.groups, kept, strict=True):
         r = residuals(group, path)
         seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
         j = np.array(group.joints)
         squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
-    return HeldOut(best, squared, now.vector.values + steps)
+    return HeldOut(loss, squared, now.vector.values + steps)
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
@@ -243,11 +249,10 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     """The best candidate that gains held out, fitted; None where none does."""
     family = max(len(scores), 1)
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
-    best = None
-    for score in hopeful[: criteria.tried]:
+    best, weights = None, base.fit.weights
+    begun = [(score, *attempted(problem, base, reach, score)) for score in hopeful[: 2 * criteria.tried]]
+    for score, vector, starts, _ in sorted(begun, key=lambda b: b[3])[: criteria.tried]:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
-        weights = base.fit.weights
-        vector, starts, _ = attempted(problem, base, reach, score)
         whole = refit(problem, base.fit, vector, starts, score.candidate.joints, 2 * criteria.glance, weights)
         model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
@@ -309,6 +314,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
                 or test.gain < criteria.size
                 or steady < criteria.steady
                 or _too_short(problem, model, c, criteria)
+                or _trifling(model, c, criteria)
                 or eased(problem, less, model) < 0.0
             ):
                 failing.append((test.gain, c, less, test, steady))
@@ -344,6 +350,13 @@ def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria)
         if e.owner == c.effect and e.unit == "s"
     ]
     return bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
+
+
+def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether all that it does is to move what the file declares by a small share."""
+    keys = {e.key for e in c.entries}
+    own = [(e.off, z) for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key in keys]
+    return bool(own) and all(off != 0.0 and abs(z - off) < criteria.least_change * abs(off) for off, z in own)
 
 
 def steadiness(problem: Problem, model: Model, c: Candidate) -> float:

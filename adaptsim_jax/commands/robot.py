@@ -174,6 +174,12 @@ def record(args: argparse.Namespace, session: Session) -> None:
     trajectory = session.part.read(session, tried, path)
     state, info = session.loop.tell(before, trajectory)
     entry = {"file": str(path), "sha256": digest, "score": number(info.score)}
+    for earlier, trial in enumerate(history, 1):
+        if entry["score"] and trial.get("score") == entry["score"]:
+            print(
+                f"warning: {turn} {earlier} had the same return to the last digit: the same recording? then: adaptsim robot undo"
+            )
+            break
     after = [*history, entry | session.part.remember(session, tried, trajectory)]
     sessions.keep(session, before, history)
     sessions.save(session, state, after)

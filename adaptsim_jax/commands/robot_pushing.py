@@ -69,7 +69,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
 
     from adaptsim_jax.sysid.io.table import read_table
     from adaptsim_jax.tasks.pushing import measured
-    from adaptsim_jax.tasks.pushing.frame import check_frame
+    from adaptsim_jax.tasks.pushing.frame import check_frame, check_order
     from adaptsim_jax.tasks.pushing.model import START
     from adaptsim_jax.tasks.pushing.task import make_expectation
 
@@ -81,6 +81,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
         ends = np.asarray(found.points[:, -1], float)
         if slight := check_frame(pushes.actions[:, 1], ends - np.array(START), str(path)):
             print(f"warning: {slight}, where the robot does not turn its pushes itself")
+        check_order(pushes.numbers.tolist(), pushes.actions[:, 1], ends - np.array(START), str(path))
     return make_expectation(config)(found, state.policy)
 
 

@@ -85,7 +85,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     scoops = _scoops(session, state)
     found = measured.measured_trajectory(table.columns, at, str(path), scoops)
     if not session.as_declared:
-        measured.check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers)
+        measured.check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist())
     return found
 
 

@@ -89,8 +89,11 @@ def _of_model(args: argparse.Namespace) -> dict[str, Any]:
 
 def _folder(args: argparse.Namespace) -> Any:
     from adaptsim_jax.core import config
+    from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.store import RunFolder
 
+    if not args.folder.strip():
+        raise BadInput("--run: names no folder; give one, such as runs/a")
     if args.resume:
         table = _start_table(args) if args.config or args.preset else RunFolder.open(args.folder, task=args.task).config
     else:

@@ -73,6 +73,7 @@ def diagnose(
     noise = noise_floor(recording, checked)
     result = examine(recording, checked, noise, chosen, settings or Criteria(), seed, say)
     result.report.update(told_in_short(recording, checked))
+    result.report["warnings"] += impossible(result.report["declared"]["before"], recording)
     add_trials(result.report, result.evidence, pendulum_trials(recording), CHANNELS)
     result.evidence["audit"] += [{"severity": "info", "where": "", "message": note} for note in recording.notes]
     if follow_up:
@@ -120,13 +121,29 @@ def told_in_short(recording: Recording, checked: Audit) -> dict[str, list[str]]:
     for f in checked.findings:
         if f.severity == "warn":
             groups.setdefault((f.kind, f.where if f.kind != "gap" else ""), []).append(f)
+    cut = sorted({f.where for f in checked.findings if f.kind == "saturation" and f.severity == "info"})
+    only = "where only its log is cut, and not the torque, what is named is wrong"
+    limits = [f"{name} rests at its largest values: {only}" for name in cut]
     for (_, where), found in groups.items():
         first = found[0]
         place = f"{first.trial}: " if first.trial else ""
         more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})" if len(found) > 1 else ""
         own = "" if not where or first.message.startswith(where) or where in first.message else f"{where} "
         lines.append(f"{place}{own}{first.message}{more}")
-    return {"warnings": lines, "notes": list(recording.notes)}
+    return {"warnings": lines, "notes": [*recording.notes, *limits]}
+
+
+def impossible(declared: dict[str, Any], recording: Recording) -> list[str]:
+    """A warning where the known values leave a link with less than no inertia, by more than a fit errs."""
+    told = []
+    for name, total in (("I1", "p1"), ("I2", "p3")):
+        value = (declared.get(name) or {}).get("value")
+        if value is not None and value < -0.1 * abs(declared[total]["value"]):
+            known = ", ".join(f"{k} = {v:g}" for k, v in recording.known.items())
+            told.append(
+                f"with {known} known, {name} would be {value:.3g} kg m^2: no link has that; masses in kg, lengths in m?"
+            )
+    return told
 
 
 def faulty(recording: Recording, checked: Audit) -> dict[str, Any]:

@@ -27,6 +27,18 @@ def check_unit(columns: Mapping[str, np.ndarray], at: Callable[[int], str], far:
             raise BadInput(f"{at(i)}: {name} = {value:.6g} m is beyond any {what}; is it in mm or cm? write metres")
 
 
+def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
+    """BadInput where two trials have the very same track `[R, C]`."""
+    names = list(tracks)
+    for k, name in enumerate(names):
+        for other in names[:k]:
+            a, b = tracks[other], tracks[name]
+            if len(a) == len(b) and np.any(a != a[0]) and np.array_equal(a, b, equal_nan=True):
+                raise BadInput(
+                    f"{where}: trials {other:g} and {name:g} have the same track, to the digit; give each its own"
+                )
+
+
 def check_increasing(time: np.ndarray, told: Callable[[int], str]) -> None:
     """BadInput at the first row of one trial's `time [T]` s that is not after the one before."""
     for k in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:

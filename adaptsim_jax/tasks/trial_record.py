@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.table import Table, read_table
-from adaptsim_jax.tasks.camera_record import check_clock_set, check_increasing, check_unit, holes
+from adaptsim_jax.tasks.camera_record import check_clock_set, check_different, check_increasing, check_unit, holes
 
 LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 LEAST_NOISE = 1e-4  # m
@@ -52,7 +52,7 @@ def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     meta = config.read(path)
     for key in meta:
         if key not in keys:
-            raise BadInput(f"{path}: key '{key}' is unknown{config.suggest(key, keys)}")
+            raise BadInput(f"{path}: key '{key}' is unknown; {config.suggest(key, keys)}")
     return meta
 
 
@@ -84,6 +84,7 @@ def read_tracks(
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
     for path, table in tables:
         _read_tracks(path, table, numbers, actions, kind, more, without, found)
+    check_different({n: track[1] for n, track in found.items()}, str(paths[0] if len(paths) == 1 else paths[0].parent))
     return found, more
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.angles import model_angles
+from adaptsim_jax.sysid.io.beside import copies, unread
 from adaptsim_jax.sysid.io.columns import is_ignored, role
 from adaptsim_jax.sysid.io.inputs import Inputs, choose_inputs
 from adaptsim_jax.sysid.io.joint_columns import Columns, columns_of
@@ -42,7 +43,12 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_kind=inputs.kind,
         input_names=inputs.names,
         driven=inputs.driven,
-        notes=inputs.notes + _notes(raw, log_trials) + turned + suspected,
+        notes=inputs.notes
+        + _notes(raw, log_trials)
+        + turned
+        + suspected
+        + copies([(t.name, t.q) for t in log_trials])
+        + unread(path),
     )
 
 
@@ -159,7 +165,7 @@ def _of(table: Mapping[str, V], trial: str, default: V) -> V:
 
 def _notes(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> tuple[str, ...]:
     notes = list(dict.fromkeys(note for trial in raw for note in trial.notes))
-    ignored = sorted({column for trial in raw for column in trial.ignored})
+    ignored = sorted({column for trial in raw for column in trial.ignored if column.strip()})
     if ignored:
         notes.append(f"columns ignored: {', '.join(ignored)}")
     kept = sorted({stem for trial in trials for stem in trial.extra})

@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.sysid.io.beside import copies, unread
 from adaptsim_jax.sysid.io.meta import Meta, read_meta
 from adaptsim_jax.sysid.io.table import Table, check_time, read_table
 from adaptsim_jax.sysid.io.table_checks import check_time_unit
@@ -54,7 +55,7 @@ def read_recording(
         noise=meta.noise,
         trials=tuple(trial for trial, _, _ in read),
         torque_source=sources.pop() if len(sources) == 1 else "mixed",
-        notes=meta.notes + _notes(read),
+        notes=meta.notes + _notes(read) + copies([(t.name, t.q) for t, _, _ in read]) + unread(folder),
         model_file=meta.model_file,
         left_out=tuple(without),
     )
@@ -63,7 +64,7 @@ def read_recording(
 
 
 def _files(folder: Path) -> list[Path]:
-    found = [p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".npz") and not p.name.startswith(".")]
+    found = [p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".npz") and not p.name.startswith((".", "~$"))]
     if not found:
         raise BadInput(f"{folder}: holds no .csv or .npz file; put one file a trial beside meta.toml")
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
@@ -158,7 +159,7 @@ def _notes(read: list[tuple[Trial, str, tuple[str, ...]]]) -> tuple[str, ...]:
     commanded = [trial.name for trial, source, _ in read if source == "commanded"]
     if commanded:
         notes.append(f"torques are commands, not measured, in {len(commanded)} trial(s), first {commanded[0]}")
-    ignored = sorted({column for trial, _, _ in read for column in trial.ignored})
+    ignored = sorted({column for trial, _, _ in read for column in trial.ignored if column.strip()})
     if ignored:
         notes.append(f"columns ignored: {', '.join(ignored)}")
     if any(trial.v is None for trial, _, _ in read):

@@ -108,9 +108,18 @@ def _rows(path: Path, text: str, delimiter: str) -> tuple[list[list[str]], list[
     return rows, lines
 
 
+def _without_remarks(text: str) -> str:
+    """The text with remarks above the header blanked (lines that begin with # and hold one cell), so that lines keep their numbers."""
+    lines = text.splitlines()
+    for k, line in enumerate(lines):
+        if line.strip() and not (line.lstrip().startswith("#") and not any(d in line for d in DELIMITERS)):
+            return "\n".join([""] * k + lines[k:]) if k else text
+    return text
+
+
 def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
     """The table, NaN where a cell is empty, and those cells by column."""
-    text = _decode(path)
+    text = _without_remarks(_decode(path))
     header_line = text.lstrip().splitlines()[0]
     delimiter = max(DELIMITERS, key=header_line.count)
     rows, lines = _rows(path, text, delimiter)
@@ -118,7 +127,7 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.
         raise BadInput(f"{path}: {EMPTY}")
     header = [cell.strip().strip('"') for cell in rows[0]]
     header[0] = header[0].lstrip("# ").strip()
-    _check_header(path, header, wanted, rows[0])
+    _check_header(path, header, wanted, rows[0], len(rows) > 1 and len(rows[1]) > 1)
     rows, lines = rows[1:], lines[1:]
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
@@ -137,7 +146,7 @@ def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in wanted)
 
 
-def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str]) -> None:
+def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str], more: bool) -> None:
     if all(_is_number(cell) for cell in cells):
         names = [name for name in wanted if not _is_number(name)] or ["time", "q1", "tau1"]
         raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(names)}")
@@ -145,7 +154,9 @@ def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells:
         if name in wanted and header.count(name) > 1:
             raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
     if len(header) == 1 and len(wanted) > 1:
-        raise BadInput(f"{path}: line 1 is one column {header[0][:60]!r}; separate columns by commas")
+        above = len(cells) == 1 and more
+        mend = "remove the lines above the columns' names" if above else "separate columns by commas"
+        raise BadInput(f"{path}: line 1 is one column {header[0][:60]!r}; {mend}")
 
 
 def _is_number(cell: str) -> bool:

@@ -38,7 +38,11 @@ class RawTrial:
 
 def table_files(folder: Path) -> list[Path]:
     """The CSV and NPZ files of a folder, by name with numbers in their order."""
-    found = [p for p in folder.iterdir() if p.suffix.lower() in ENDINGS and not p.name.startswith(".") and p.is_file()]
+    found = [
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in ENDINGS and not p.name.startswith((".", "~$")) and p.is_file()
+    ]
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 

@@ -5,6 +5,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
@@ -95,6 +96,29 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
         raise BadInput(
             f"{where}: the torques are {float(f'{found.scale:.2g}'):g} times those of links of 1 m and 1 kg; write N m; {AS_DECLARED}"
         )
+
+
+def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
+    """What the torques of a trial have of -gain `[2, 4]` @ (q1, q2, v1, v2), in words where it is too little; rows where a torque is
+    at its largest, a drive's limit, say nothing."""
+    time = np.asarray(columns["time"], float)
+    angles = _whole_angles(time, columns)
+    q = np.stack([angles["q1"], angles["q2"]], 1)
+    if "v1" in columns and "v2" in columns:
+        v = np.stack([np.asarray(columns[name], float) for name in ("v1", "v2")], 1)
+    else:
+        v = np.gradient(gaussian_filter1d(q, 1.0, axis=0), time, axis=0)
+    asked = -np.concatenate([q, v], 1) @ np.asarray(gain, float).T
+    for j, name in enumerate(("tau1", "tau2")):
+        told = np.asarray(columns[name], float)
+        free = (np.abs(told) < 0.97 * np.abs(told).max()) & (time < HORIZON)
+        if free.sum() < 30 or np.ptp(told[free]) == 0.0:
+            continue
+        a, t = asked[free, j], told[free]
+        alike, share = float(np.corrcoef(a, t)[0, 1]), float(a @ t / max(a @ a, 1e-12))
+        if alike < 0.8 or not 0.6 < share < 1.6:
+            return f"{name} is not what the policy asks for (correlation {alike:.2f}, {share:.2g} times as large)"
+    return ""
 
 
 def _velocities(columns: Mapping[str, np.ndarray], time: np.ndarray, grid: np.ndarray) -> np.ndarray:

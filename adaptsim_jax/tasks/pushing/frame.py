@@ -4,6 +4,7 @@ A bottle slides along its push's angle, whatever the frictions are, in every eng
 camera that is not level adds some degrees, which the task adapts to and `diagnose` names.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -104,6 +105,36 @@ def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, wher
             f"{'left' if off[k] > 0 else 'right'} of its push, the others did not: the track of another push, or of another frame? "
             f"mend it, or leave it out (--without {names[k]:g}); if all is as declared, add --as-declared"
         )
+
+
+def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, where: str) -> None:
+    """BadInput where bottles went where other pushes of the file were made: two tracks exchanged, or all numbers off by one."""
+    far = np.linalg.norm(way, axis=1) > LEAST
+    angles, went = np.asarray(angles, float), np.arctan2(way[:, 1], way[:, 0])
+    if np.sum(far) < 2:
+        return
+    mend = "give each track its own number; if all is as declared, add --as-declared"
+    off = _wrapped(went - angles)
+    usual = float(np.median(off[far])) if np.sum(far) > 4 else 0.0
+    miss = lambda i, j: abs(_wrapped(went[i] - angles[j] - usual))
+    left = lambda order: _rms((went - angles[order] - usual)[far])
+    own = np.arange(len(angles))
+    for by in (-1, 1):
+        if len(angles) > 2 and left(own) > SURE and BETTER * left(np.roll(own, by)) < left(own):
+            which = "next" if by < 0 else "last"
+            raise BadInput(
+                f"{where}: the bottles went where the {which} push was made: are the numbers off by one? {mend}"
+            )
+    for i, j in itertools.combinations(np.flatnonzero(far).tolist(), 2):
+        as_told, exchanged = min(miss(i, i), miss(j, j)), max(miss(i, j), miss(j, i))
+        if as_told > SURE and BETTER * exchanged < as_told:
+            raise BadInput(
+                f"{where}: trials {names[i]:g} and {names[j]:g} went where the other was pushed: exchanged? {mend}"
+            )
+
+
+def _wrapped(off):
+    return np.angle(np.exp(1j * off))
 
 
 def _rms(off: np.ndarray) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
+from adaptsim_jax.tasks.camera_record import check_different, check_increasing, check_numbers, check_unit
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import Told
@@ -138,6 +138,7 @@ def measured_trajectory(
             known = ", ".join(map(str, pushes.numbers))
             raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
     track = lambda i: np.stack([columns["x"][i], columns["y"][i]], 1)
+    check_different({n: track(i) for n, i in rows.items()}, where)
     places = []
     for number, i in rows.items():
         told = lambda k, i=i, number=number: f"{at(int(i[k]))}: trial {number}"

@@ -11,7 +11,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.frame import check_each, check_frame
+from adaptsim_jax.tasks.pushing.frame import check_each, check_frame, check_order
 from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients, check_options
@@ -90,6 +90,7 @@ def assemble(
     ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
     if not as_declared:
         check_frame(acts[:, 1], ends, str(where))  # a slight turn is an effect of the catalogue
+        check_order(names, acts[:, 1], ends, str(where))
         check_each(names, acts[:, 1], ends, str(where))
     noise, source = trial_record.noise_of(meta, time, xy, mask, QUIET, "hit")
     quantum = trial_record.rounded(xy[mask > 0])
