@@ -110,7 +110,8 @@ def examined(
     names = {e.name for e in MACHINE}
     if strange := sorted(set(exclude) - names):
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
-    effects = tuple(e for e in MACHINE if e.name not in exclude or e.name == "viscous")
+    fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    effects = tuple(e for e in MACHINE if e.name not in exclude or e.name in fitted)
     problem = prepare(
         machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared,
         look_back=LOOK_BACK,

@@ -3,6 +3,7 @@
 import json
 
 import mujoco
+import numpy as np
 import pytest
 
 from adaptsim_jax import cli
@@ -95,3 +96,32 @@ def test_a_trial_that_is_not_there_cannot_be_left_out(tmp_path, capsys):
     assert cli.main(["diagnose", str(data), "--out", str(tmp_path / "out"), "--without", "nine"]) == 2
     assert "no trial is named 'nine'" in capsys.readouterr().err
     assert json.dumps(sorted(p.name for p in tmp_path.iterdir())) == '["rub"]'
+
+
+OTHERS = tuple(e.name for e in MACHINE if e.name not in ("viscous", "bias"))
+
+
+def test_a_gain_of_volts_that_was_found_is_told_and_stands_in_the_model(tmp_path):
+    data, out = record(tmp_path / "volts", friction=0.0, trials=5, seconds=1.5, rate=125), tmp_path / "out"
+    for path in data.glob("trial_*.csv"):
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        table[:, 2] /= 0.06  # N m/V
+        np.savetxt(path, table, delimiter=",", header="time,q1,u1", comments="", fmt="%.8g")
+    xml = (data / "model.xml").read_text()
+    (data / "model.xml").write_text(xml[: xml.index("<actuator>")] + "</mujoco>")
+    with (data / "meta.toml").open("a") as file:
+        file.write('[units]\nu1 = "V"\n')
+    report = diagnose(data, out=out, exclude=OTHERS)
+    assert any(note.startswith("Torque over input, fitted: hinge 0.0") for note in report["notes"])
+    told = replay_files(out / "model.toml", data).told()["median"]
+    assert told == pytest.approx(report["error"]["after"], rel=0.5) and told < 2e-3
+
+
+def test_one_trial_of_another_machine_is_told_whatever_the_others_say(tmp_path):
+    data = record(tmp_path / "one", friction=0.0, trials=8, seconds=1.5, rate=125)
+    other = record(tmp_path / "other", friction=0.3, trials=8, seconds=1.5, rate=125)
+    (data / "trial_05.csv").write_text((other / "trial_05.csv").read_text())
+    report = diagnose(data, exclude=OTHERS)
+    assert report["verdict"] == "structured_unattributed"
+    assert "of trial_05 up to" in report["message"] and "--without" in report["message"]
+    assert diagnose(data, exclude=OTHERS, without=("trial_05",))["verdict"] == "within_noise"

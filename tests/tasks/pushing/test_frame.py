@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.pushing.frame import check_frame, frame_told
+from adaptsim_jax.tasks.pushing.frame import check_frame, check_order, frame_told
 
 ANGLES = {2: np.array([0.22, -0.13]), 12: np.linspace(-0.28, 0.28, 12)}
 FRAMES = {
@@ -50,3 +50,24 @@ def test_a_robot_that_veers_is_taken_with_a_word():
 
 def test_bottles_that_hardly_moved_say_nothing():
     assert frame_told(ANGLES[2], -0.01 * np.ones((2, 2))) is None
+
+
+@pytest.mark.parametrize("count", [2, 12])
+def test_tracks_of_other_pushes_are_refused(count):
+    angles = ANGLES[count]
+    went = way(angles)
+    check_order(range(count), angles, went, "tracks.csv")
+    order = np.arange(count)
+    order[[0, -1]] = order[[-1, 0]]
+    with pytest.raises(BadInput, match=rf"trials 0 and {count - 1} went where the other was pushed"):
+        check_order(range(count), angles, went[order], "tracks.csv")
+    if count > 2:
+        mixed = np.random.default_rng(3).permutation(angles)
+        with pytest.raises(BadInput, match="off by one"):
+            check_order(range(count), mixed, np.roll(way(mixed), 1, 0), "tracks.csv")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bottles_that_scatter_are_not_taken_for_exchanged(seed):
+    angles = np.random.default_rng([2, seed]).uniform(-0.3, 0.3, 12)
+    check_order(range(12), angles, way(angles + 0.1, seed, 0.03), "tracks.csv")
