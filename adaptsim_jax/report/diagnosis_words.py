@@ -106,7 +106,10 @@ def _at(text: str, where: str) -> str:
 
 def effect_names(report: Mapping) -> str:
     """All that were found, in one phrase."""
-    return fmt.listing([effect_name(effect) for effect in report["effects"]])
+    names = [effect_name(effect) for effect in report["effects"]]
+    if len(names) > 1 and any(effect.get("alternatives") for effect in report["effects"]):
+        return "; ".join(f"({k}) {name}" for k, name in enumerate(names, 1))
+    return fmt.listing(names)
 
 
 def headline(report: Mapping) -> str:

@@ -2,13 +2,14 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
-from adaptsim_jax.attribution.trials.report import finished
+from adaptsim_jax.attribution.trials.report import _standing_out, finished
 from adaptsim_jax.attribution.trials.select import select
 from adaptsim_jax.sysid.report.run import Run
 from adaptsim_jax.sysid.report.schema import new_report
@@ -69,3 +70,15 @@ def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_ea
     assert json.loads((tmp_path / "report.json").read_text())["run"] == told["run"]
     assert (tmp_path / "next_experiment.csv").read_text() == "trial,speed,angle\n1,0.500000,0.100000\n"
     assert (tmp_path / "model.toml").read_text() == "schema = 1\n" and not (tmp_path / "leading.toml").exists()
+
+
+def test_a_few_trials_far_worse_than_the_others_are_told():
+    seen = SimpleNamespace(trial="push", trials="pushes", names=tuple("abcdefgh"))
+    model = lambda held: SimpleNamespace(fit=SimpleNamespace(held=np.square(held)))
+    assert _standing_out(seen, model([1, 2, 1, 1, 3, 1, 1, 1])) == ""
+    told = _standing_out(seen, model([1, 2, 9, 1, 3, 1, 1, 8]))
+    assert (
+        told
+        == " Pushes c, h stand out with up to 6 times the error of the others: are their tracks right? --without c,h"
+    )
+    assert _standing_out(seen, model([1, 9, 9, 1, 9, 1, 1, 1])) == ""

@@ -21,6 +21,7 @@ MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
 OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
+APART = 4.0  # times the median error of all trials: those beyond it, where they are few, are told
 
 
 @dataclass(frozen=True)
@@ -114,11 +115,26 @@ def message(seen: Seen, found: TrialSelection, over: float, worst: float) -> str
     if not found.named:
         left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
         said = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
-        return f"{said} No effect of the catalogue holds out." if worst > 1.5 else f"{said} Nothing need be added."
+        if worst <= 1.5:
+            return f"{said} Nothing need be added."
+        return f"{said} No effect of the catalogue holds out.{_standing_out(seen, found.null)}"
     left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
     if worst > 1.5 >= over:
         left += f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times the noise floor."
-    return f"{told(found.named, seen.trials)} {left}"
+    return f"{told(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
+
+
+def _standing_out(seen: Seen, model: TrialModel) -> str:
+    """A sentence on a few trials that are predicted far worse than the others."""
+    error = np.sqrt(model.fit.held)
+    odd = np.flatnonzero(error > APART * np.median(error))
+    if not 0 < len(odd) <= len(error) / 4:
+        return ""
+    names, times = [seen.names[k] for k in odd], np.max(error[odd]) / np.median(error)
+    one = len(odd) == 1
+    which = f"{(seen.trial if one else seen.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
+    asked = "is its track right?" if one else "are their tracks right?"
+    return f" {which} with up to {times:.0f} times the error of the others: {asked} --without {','.join(names)}"
 
 
 def interval(problem: TrialProblem, model: TrialModel, name: str) -> tuple[float, float, float]:
