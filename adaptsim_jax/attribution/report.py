@@ -105,7 +105,7 @@ def message(
     odd: list[tuple[str, str, float]],
 ) -> str:
     """What was found, in a few sentences. odd: trials of which much is left."""
-    told = _found(problem, found, before, after, over)
+    told = _found(problem, found, before, after, over, bool(odd))
     if not odd or len(odd) > 0.5 * len(problem.folds):
         return told
     names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
@@ -114,12 +114,14 @@ def message(
     return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
 
 
-def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float) -> str:
+def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool) -> str:
     unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
     size = lambda e: f"{1e3 * np.median(e):.3g}"
     if not found.named:
         told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor."
-        return f"{told} No effect of the catalogue holds out." if over > 1.5 else f"{told} Nothing need be added."
+        if over <= 1.5:
+            return told if odd else f"{told} Nothing need be added."
+        return f"{told} No effect of the catalogue holds out."
     lines = []
     for n in found.named:
         c, t = n.candidate, n.test
