@@ -167,7 +167,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, substeps(problem, fit.vector, group),
                                    rough(fit.vector, values), past=s.past)  # fmt: skip
             path = Path(*(np.asarray(z) for z in path))
-            by_state, by_force = (np.asarray(z).transpose(3, 0, 1, 2) for z in (a, f))
+            by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))
             slope = (by_state, by_force)
             made = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
             weight = _own(fit.weights, group, problem.joints) * np.sqrt(fit.weights.stretch)[:, None, None]
@@ -179,7 +179,15 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             columns.append(made)
             slopes.append(slope)
             shared.append(_output(made, slope, [(e, None) for e in entries], flat))
+            _without_lost(residual[-1], start[-1], shared[-1], *slope)
     return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), at)
+
+
+def _without_lost(*by_lane: np.ndarray) -> None:
+    """Stretches [W, ...] that ran away beyond all numbers say nothing of where to go: their rows become zero, in place."""
+    lost = ~np.all([np.isfinite(z).reshape(len(z), -1).all(1) for z in by_lane], 0)
+    for z in by_lane if lost.any() else ():
+        z[lost] = 0.0
 
 
 def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, flat) -> np.ndarray:

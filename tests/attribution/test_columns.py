@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import Fit, bounded_step, linear, run, starts_of, weigh
+from adaptsim_jax.attribution.estimate import Fit, _without_lost, bounded_step, linear, run, starts_of, weigh
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
 from adaptsim_jax.attribution.score import candidates, score_p
@@ -119,3 +119,11 @@ def test_a_step_is_found_where_rounding_left_no_positive_matrix():
     assert np.all(np.isfinite(step)) and np.all(np.abs(step) <= 9.0)
     whole = bounded_step(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([1.0, 1.0]), vector, 0.0)
     np.testing.assert_allclose(whole, np.linalg.solve([[2.0, 0.5], [0.5, 1.0]], [1.0, 1.0]), rtol=1e-8)
+
+
+def test_a_stretch_that_ran_away_beyond_all_numbers_pulls_nowhere():
+    slopes, residual = np.ones((3, 4, 2)), np.ones((3, 4))
+    slopes[1, 2, 0] = np.inf
+    _without_lost(residual, slopes)
+    assert not residual[1].any() and not slopes[1].any()
+    assert residual[[0, 2]].all() and slopes[[0, 2]].all()
