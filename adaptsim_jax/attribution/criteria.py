@@ -19,6 +19,7 @@ class Criteria:
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     glance: rounds by which candidates are sorted (twice as many of mechanisms); the best is fitted whole.
     explained: held-out error over the noise floor up to which nothing is left to explain.
+    quiet: what the declared fit of short trials leaves over the noise, below which no effect is looked for; 0: always.
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
     """
 
@@ -34,4 +35,5 @@ class Criteria:
     rounds: int = 12
     glance: int = 2
     explained: float = 1.5
+    quiet: float = 0.0
     odd: float = 10.0

@@ -9,6 +9,7 @@ from adaptsim_jax.attribution.trials.problem import TrialProblem
 
 DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 ENOUGH = 1e-4  # of the loss; a round that gains less ends the fit
+GROUPS = 4  # of starts that the declared fit may begin from, one after the other
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,18 @@ def completed(problem: TrialProblem, names: Sequence[str], values: np.ndarray) -
     return TrialFit(values, tuple(names), residual, columns, loss, held, vectors)
 
 
-def declared_fit(problem: TrialProblem, rounds: int) -> TrialFit:
-    """The declared quantities fitted from the best few of `problem.starts`."""
+def declared_fit(problem: TrialProblem, rounds: int, noise: float = np.inf) -> TrialFit:
+    """The declared quantities fitted from the best few of `problem.starts`, and from more of them while more than `noise` (mean
+    square) is left: a bad minimum looks like an effect."""
     score = problem.scan or (
         lambda rows: np.array([np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows])
     )
-    order = np.argsort(score(problem.starts))[: problem.begun]
-    fits = [fitted(problem, problem.declared, problem.starts[i], rounds) for i in order]
-    return completed(problem, problem.declared, min(fits, key=lambda f: f[1])[0])
+    order, fits = np.argsort(score(problem.starts)), []
+    for first in range(0, GROUPS * problem.begun, problem.begun):
+        fits += [
+            fitted(problem, problem.declared, problem.starts[i], rounds) for i in order[first : first + problem.begun]
+        ]
+        best, loss = min(fits, key=lambda f: f[1])
+        if loss < noise * problem.counts.sum():
+            break
+    return completed(problem, problem.declared, best)

@@ -155,8 +155,10 @@ def steadiness(problem: TrialProblem, model: TrialModel, e: TrialEffect) -> floa
 def select(problem: TrialProblem, criteria: Criteria, say: Callable[[str], None] = lambda note: None) -> TrialSelection:
     """Forward, then each beside the others, then against its look-alikes."""
     say("declared model")
-    base = null = TrialModel((), declared_fit(problem, 3 * criteria.rounds))
+    base = null = TrialModel((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
     opening = scores = scored(problem, base)
+    if null.fit.loss < criteria.quiet**2 * problem.counts.sum():
+        return TrialSelection(null, null, (), tuple(opening), {})
     refused: dict[str, str] = {}
     while len(base.added) < criteria.most_effects:
         better = _forward(problem, base, scores, criteria, refused, say)

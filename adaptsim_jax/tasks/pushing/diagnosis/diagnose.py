@@ -19,6 +19,9 @@ from adaptsim_jax.tasks.pushing.diagnosis.problem import prepare, simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import KIND, Pushed, read
 from adaptsim_jax.tasks.pushing.planar import DRAKE
 
+CRITERIA = Criteria(quiet=1.14)
+"""Of 60 worlds with nothing hidden three had an effect named that took 1 to 4 % off an error of 1.04 to 1.08 times the noise."""
+
 
 def diagnose(
     data: str | Path | Pushed,
@@ -34,7 +37,7 @@ def diagnose(
     be told apart, `next_experiment.csv`. exclude: effects that are not considered; named: what `Pushed` came of. Raises BadInput.
     """
     began = time.monotonic()
-    criteria = criteria or Criteria()
+    criteria = criteria or CRITERIA
     pushed = data if isinstance(data, Pushed) else read(data)
     effects = trials.check_exclude(exclude, EFFECTS, KIND.trial)
     folder = None if out is None else output_folder(out)
