@@ -32,7 +32,6 @@ class Criteria:
     nothing_left: float = 1e-3  # of the torque: with less force left there is nothing to refine
     idle: float = 0.95  # of the force left: above this an effect or a pair explains nothing, and no refit will
     slight: float = 300.0  # gain: an idle effect that gains less is no place to go on from
-    slack: float = 1.2  # times the force left before: what leaves more is no step forward
     hopeless: float = 1000.0  # gain behind a trial that explains nearly everything: no refit makes up for it
     round_gain: float = 1.0  # gain that is worth another round of refining, or a finer shape
 
@@ -40,7 +39,6 @@ class Criteria:
     pairs: int = 3  # that are refitted until they settle
     clear: float = 0.1  # of the force: a pair that leaves less ends the making of pairs
     promising: float = 0.6  # of the force: of a pair that leaves no more, look-alikes of its members are tried too
-    errors_alike: float = 1.05  # sums of squares within this are alike: then fewer parameters count
 
     # of the proof by left-out trials
     least_gain: float = 0.97  # error with an effect over without it: above this it is not shown

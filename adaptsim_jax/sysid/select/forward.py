@@ -45,11 +45,8 @@ def search(problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambd
         accepted = earns(problem, current, final, base) or completes(problem, current, final, base)
         if accepted:
             found, current = swap_back(problem, found, current, new, seen, say)
-            if _worse(problem, current, found.final, base):
-                current = found.final
-                break
             problem, found, current = _finer(problem, found, current, seen)
-        elif force_ratio(found.final, base) < problem.criteria.explained or _astray(current, base, problem.criteria):
+        elif force_ratio(found.final, base) < problem.criteria.explained:
             break
         seen = view(problem, current)
         here = seen_anew(problem, current, seen.response)
@@ -63,27 +60,9 @@ def search(problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambd
     return problem, found.then("ended", leading=leading, classes=classes)
 
 
-def _astray(model: Fit, base: Fit, criteria: Criteria) -> bool:
-    """Whether what earns no name leaves so much that one more is not worth looking for: one effect all of it, and hardly likelier
-    than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it."""
-    if len(model.active) - len(base.active) > 1:
-        return force_ratio(model, base) > criteria.promising
-    return _idle(model, base, criteria)
-
-
 def _idle(model: Fit, base: Fit, criteria: Criteria) -> bool:
     """Whether a model leaves all of the force and is hardly likelier than none."""
     return force_ratio(model, base) > criteria.idle and rough_gain(model, base) < criteria.slight
-
-
-def _worse(problem: Problem, model: Fit, before: Fit, base: Fit) -> bool:
-    """Whether a look back ended at forces too large for chance, and larger than those left before the last effect came in.
-    Likelihoods would not show it, being under the response of a model that may be far off: a search that goes on from there
-    wanders, and may come round."""
-    left = lambda m: np.linalg.norm(m.parts.force_std() / problem.torque_scale)
-    return bool(
-        before is not base and _still_far(problem, model) and left(model) > problem.criteria.slack * left(before)
-    )
 
 
 def _still_far(problem: Problem, model: Fit) -> bool:
@@ -98,8 +77,6 @@ def _next(problem: Problem, found: Trace, current: Fit, seen: ScoreTable, ranked
     worth = anything(problem, current, ranked, seen)
     leaders = first_leaders(ranked, seen, current.active, count) if worth else []
     found, trials = _refitted(problem, found, current, leaders, seen, say)
-    found, pruned = _pruned(problem, found, current, trials, seen)
-    trials = trials + pruned
     best = _best(problem, found, trials)
     nothing = best is None or not pays(best, current, problem.criteria)
     if done and nothing and _blatant(problem, current, seen):
@@ -175,22 +152,6 @@ def _finer(problem: Problem, found: Trace, model: Fit, seen: ScoreTable) -> tupl
     )
     problem, model = elaborated(finer, fine, found.base, seen.response, better)
     return problem, found, model
-
-
-def _pruned(
-    problem: Problem, found: Trace, current: Fit, trials: list[Fit], seen: ScoreTable
-) -> tuple[Trace, list[Fit]]:
-    """Trials in which the new effect makes an earlier one idle or absurd, which had stood in for it: the same without that one,
-    where they are likelier than any trial that may be."""
-    bar = max((t.total for t in trials if plausible(t, found.base)), default=current.total)
-    out = []
-    for trial in trials:
-        new = newest(trial, current)
-        idle = doubtful(trial, found.base) - {new}
-        if new in doubtful(trial, found.base) or not idle or trial.total <= bar:
-            continue
-        out += without(problem, trial, idle, seen)
-    return found.then("tried without what is idle", tried=tuple(out)), out
 
 
 def _refitted(

@@ -45,16 +45,10 @@ def refit_beside_first(problem: Problem, base: Fit, seen: ScoreTable) -> list[Fi
     candidates = [r for r in seen.ranked(base.candidate.active, plain=True) if r.score.retained > NEW]
     plain = _without(problem, base)
     alone = [f for f in parallel_map(lambda r: _alone(problem, base, plain, r), candidates) if f[1].code != DIVERGED]
-    firsts = parallel_map(lambda first: _closer(problem, base, first), _least(problem, alone)[:FIRSTS])
+    firsts = parallel_map(
+        lambda first: _closer(problem, base, first), sorted(alone, key=lambda one: _error(one[1]))[:FIRSTS]
+    )
     return [m for pairs in parallel_map(lambda first: _beside(problem, base, *first, seen), firsts) for m in pairs]
-
-
-def _least(problem: Problem, alone: list[Alone]) -> list[Alone]:
-    """In the order of their errors; of those that leave hardly more than the least, fewer parameters first."""
-    error = {active: float(fit.cost.sum()) for active, fit in alone}
-    alike = problem.criteria.errors_alike * min(error.values(), default=0.0)
-    size = lambda active, fit: len(fit.names) + problem.phases(active) if error[active] <= alike else 0
-    return sorted(alone, key=lambda one: (error[one[0]] > alike, size(*one), error[one[0]]))
 
 
 def _error(fit: FitResult) -> tuple[bool, float]:

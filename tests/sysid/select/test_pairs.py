@@ -105,13 +105,6 @@ def test_the_second_is_tried_beside_those_that_alone_leave_least(monkeypatch):
     assert found[:3] == beside_friction and {first for first, *_ in found[3:]} == {"drag"}
 
 
-def test_of_those_that_leave_alike_the_one_with_fewest_parameters_is_first(monkeypatch):
-    monkeypatch.setattr(pairs, "FIRSTS", 1)
-    base = fake_fits(monkeypatch, {"drag": (4.1, 2), "friction": (4.0, 3), "lag": (9.0, 1)})
-    found = names_of(pairs.refit_beside_first(layout(), base, SEEN))
-    assert found == [("drag",), ("drag", "friction"), ("drag", "lag")]
-
-
 @pytest.mark.parametrize(("suggested", "starts"), [(1.1, 1.0), (3.0, 3.0), (0.2, 1.0)])
 def test_a_pair_starts_from_what_the_motion_suggests_too_where_that_is_elsewhere(monkeypatch, suggested, starts):
     """A play had bent the declared parameters so far that no pair with it came back from there. The fit that leaves less is kept."""

@@ -7,7 +7,7 @@ import pytest
 
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fitted import Code, Fit
-from adaptsim_jax.sysid.select import backward, forward, swap
+from adaptsim_jax.sysid.select import backward, swap
 from adaptsim_jax.sysid.select.trace import Trace
 
 DRAG, BIAS, LAG, SPRING = (("drag", "joint1"), ("bias", "joint2"), ("lag", "joint1"), ("spring", "joint1"))
@@ -64,20 +64,6 @@ def test_what_runs_away_or_does_hardly_better_changes_nothing(monkeypatch, total
     before, _, (found, current) = looked_back(monkeypatch, totals, needed=True)
     assert current.active == (DRAG, BIAS) and found.rivals == before.rivals
     assert len(found.tried) == len(totals)
-
-
-def test_an_effect_that_stood_in_for_the_new_one_is_pruned(monkeypatch):
-    """Where the rest is likelier than any trial that may be."""
-    trial, fair = model(DRAG, BIAS, total=80.0), model(DRAG, LAG, total=50.0)
-    doubted = lambda fit, base: {DRAG} if fit is trial else set()
-    monkeypatch.setattr(forward, "doubtful", doubted)
-    monkeypatch.setattr(forward, "plausible", lambda fit, base: not doubted(fit, base))
-    monkeypatch.setattr(forward, "without", lambda problem, fit, idle, seen: [model(BIAS, total=79.0)])
-    begun = Trace(model(), "first", ())
-    found, out = forward._pruned(PROBLEM, begun, model(DRAG), [fair, trial], SEEN)
-    assert [t.active for t in out] == [(BIAS,)] == [t.active for t in found.tried]
-    found, out = forward._pruned(PROBLEM, begun, model(DRAG), [model(DRAG, LAG, total=90.0), trial], SEEN)
-    assert out == [] and found.tried == ()
 
 
 @pytest.mark.parametrize("confirmed", [True, False])
