@@ -11,21 +11,27 @@ PACKED = (".gz", ".zip", ".xz", ".bz2", ".7z", ".tar", ".xlsx", ".xls", ".ods", 
 
 def copies(trials: Sequence[tuple[str, np.ndarray]]) -> tuple[str, ...]:
     """A note on each trial (name, angles `[T, n]`) whose angles are those of an earlier one."""
-    notes = []
-    for k, (name, q) in enumerate(trials):
-        for earlier, other in trials[:k]:
-            if q.shape == other.shape and np.allclose(q, other, rtol=1e-6, atol=1e-9, equal_nan=True):
-                notes.append(f"{name} holds the angles of {earlier}: a copy? leave it out (--without {name})")
-                break
+    notes, known = [], {}
+    for name, q in trials:  # only those of one length and about one sum are compared: there may be a thousand
+        alike = known.setdefault((q.shape, round(float(np.nansum(q)), 3)), [])
+        same = (earlier for earlier, other in alike if np.allclose(q, other, rtol=1e-6, atol=1e-9, equal_nan=True))
+        if (earlier := next(same, None)) is not None:
+            notes.append(f"{name} holds the angles of {earlier}: a copy? leave it out (--without {name})")
+        alike.append((name, q))
     return tuple(notes)
 
 
 def unread(folder: str | Path) -> tuple[str, ...]:
-    """A note on packed files, and on folders that hold tables."""
+    """A note on packed files, and on folders that hold tables, but for those of a diagnosis."""
     folder = Path(folder)
     if not folder.is_dir():
         return ()
     packed = sorted(p.name for p in folder.iterdir() if p.is_file() and p.suffix.lower() in PACKED)
-    inner = sorted(p.name for p in folder.iterdir() if p.is_dir() and (any(p.glob("*.csv")) or any(p.glob("*.npz"))))
+    holds = lambda p, pattern: next(p.glob(pattern), None) is not None
+    inner = sorted(
+        p.name
+        for p in folder.iterdir()
+        if p.is_dir() and (holds(p, "*.csv") or holds(p, "*.npz")) and not (p / "report.json").exists()
+    )
     notes = [f"not read: {', '.join(packed)}; unpack, or export as CSV"] if packed else []
     return (*notes, *([f"not read: tables in the folder {', '.join(inner)}; move them up"] if inner else []))

@@ -46,7 +46,7 @@ def search(problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambd
         if accepted:
             found, current = swap_back(problem, found, current, new, seen, say)
             problem, found, current = _finer(problem, found, current, seen)
-        elif force_ratio(found.final, base) < problem.criteria.explained:
+        elif force_ratio(found.final, base) < problem.criteria.explained or _astray(current, base, problem.criteria):
             break
         seen = view(problem, current)
         here = seen_anew(problem, current, seen.response)
@@ -58,6 +58,15 @@ def search(problem: Problem, base: Fit, first: ScoreTable, say: Progress = lambd
     leading = None if current is found.final else current
     classes = {e: class_of(problem, e, found) for e in found.added}
     return problem, found.then("ended", leading=leading, classes=classes)
+
+
+def _astray(model: Fit, base: Fit, criteria: Criteria) -> bool:
+    """Whether what earns no name leaves so much that one more is not worth looking for: one effect all of it, and hardly likelier
+    than none (a hum beside a drift left all, yet was likelier by hundreds), or two effects most of it. It changes no name that was
+    measured, and without it a real rig takes over half as long again."""
+    if len(model.active) - len(base.active) > 1:
+        return force_ratio(model, base) > criteria.promising
+    return _idle(model, base, criteria)
 
 
 def _idle(model: Fit, base: Fit, criteria: Criteria) -> bool:

@@ -182,8 +182,18 @@ def test_what_torques_wander_by_is_not_far():
     assert not forward._still_far(problem, left(0.4, 0.04)) and forward._still_far(problem, left(0.0, 0.06))
 
 
-@pytest.mark.parametrize(("left", "gain", "idle"), [(0.99, 100.0, True), (0.99, 600.0, False), (0.9, 100.0, False)])
-def test_what_leaves_all_of_the_force_and_gains_little_is_idle(left, gain, idle):
+@pytest.mark.parametrize(
+    ("effects", "left", "gain", "over"),
+    [
+        (1, 0.99, 100.0, True),
+        (1, 0.99, 600.0, False),
+        (1, 0.9, 100.0, False),
+        (2, 0.5, 100.0, False),
+        (2, 0.7, 600.0, True),
+    ],
+)
+def test_what_leaves_all_of_the_force_and_gains_little_is_not_gone_on_from(effects, left, gain, over):
     """A hum beside a drift left all of it, but gained hundreds, and the drift was found beside it."""
     model = lambda active, share, total: SimpleNamespace(active=active, moving=np.array([share**2]), total=total)
-    assert forward._idle(model(("drag",), left, gain), model((), 1.0, 0.0), Criteria()) is idle
+    new = model(("drag", "lag")[:effects], left, gain)
+    assert forward._astray(new, model((), 1.0, 0.0), Criteria()) is over
