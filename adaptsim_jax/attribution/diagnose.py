@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes, declared_changes, gains_told, holdable, lost
+from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
@@ -73,20 +73,9 @@ def diagnose(
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
         write_mjcf(folder, machine, problem, found, criteria or Criteria())
-        write_bytes(
-            folder / model_toml.FILE, model_toml.text_of(problem, found.final, told, gains_of(machine)).encode()
-        )
+        write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told, gains(machine)).encode())
         (page or plain)(folder, report, evidence)
     return report
-
-
-def gains_of(machine: Machine) -> dict[str, float] | None:
-    """Torque over volts or amperes by joint, where the search had to find it."""
-    return (
-        dict(zip(machine.tree.joint_names, map(float, machine.actuator[0]), strict=True))
-        if machine.gain_unknown
-        else None
-    )
 
 
 def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:

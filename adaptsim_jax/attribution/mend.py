@@ -62,13 +62,19 @@ def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
     )
 
 
+def gains(machine: Machine) -> dict[str, float]:
+    """Torque over volts or amperes by driven joint, where the search had to find it; else none."""
+    names = machine.tree.joint_names if machine.gain_unknown else ()
+    driven = [j for j in range(len(names)) if any(np.any(t.u[:, j]) for t in machine.tracks)]
+    return {names[j]: float(machine.actuator[0, j]) for j in driven}
+
+
 def gains_told(machine: Machine) -> list[str]:
     """A note on torque over input, where that had to be found."""
-    if not machine.gain_unknown:
+    if not (found := gains(machine)):
         return []
     unit = "V" if machine.log.input_kind == "voltage" else "A"
-    driven = [j for j in range(machine.tree.n) if any(np.any(t.u[:, j]) for t in machine.tracks)]
-    each = ", ".join(f"{machine.tree.joint_names[j]} {machine.actuator[0, j]:.4g} N m/{unit}" for j in driven)
+    each = ", ".join(f"{name} {value:.4g} N m/{unit}" for name, value in found.items())
     return [f"Torque over input, fitted: {each}. By these data only its ratios to inertias and friction are fixed."]
 
 

@@ -17,7 +17,9 @@ def test_a_copy_is_told_and_a_trial_of_its_own_is_not():
 
 def test_files_that_are_not_read_are_told(tmp_path):
     (tmp_path / "trial_0.csv").write_text("time,q1\n0,0\n")
-    (tmp_path / "out").mkdir()
+    (tmp_path / "out").mkdir()  # of a diagnosis
+    for name in ("report.json", "next_experiment.csv"):
+        (tmp_path / "out" / name).write_text("{}")
     assert unread(tmp_path) == ()
     (tmp_path / "trial_1.csv.gz").write_bytes(b"")
     (tmp_path / "more").mkdir()
