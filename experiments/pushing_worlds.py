@@ -15,6 +15,7 @@ import numpy as np
 
 G, RADIUS, START = 9.81, 0.03, (0.56, 0.0)
 STEP, LENGTH = 2e-4, 1.3
+LATE = 0.25  # s simulated beyond `LENGTH`: bottles may be on their way then, and a camera with a fast clock looks later
 PITCH, DROP = 0.8, 0.1175  # rad/s of the plate while it runs at full profile; m from link to edge
 COEFFICIENTS = (
     (3.685, 0.224, 0.268),
@@ -77,7 +78,7 @@ def simulate(lanes, rate=500):
 
     half = np.full(count, 0.05)
     any_other = np.any(p["other_mu"])
-    for n in range(round(LENGTH / STEP)):
+    for n in range(round((LENGTH + LATE) / STEP)):
         if n % keep == 0:
             out.append(np.stack([x, y], 1))
         t = n * STEP
@@ -161,6 +162,8 @@ def camera(p, tracks, rate, rng, fps=60.0, noise=5e-4):
     t = np.arange(rng.uniform(0, 0.2) / fps, LENGTH + rng.uniform(0, 0.1), 1 / fps)
     when = (1 + p["clock"]) * t - p["latency"]
     grid = np.arange(len(tracks)) / rate
+    if when[-1] > grid[-1]:
+        raise ValueError(f"the camera looks at {when[-1]:.3f} s, and the bottle was moved until {grid[-1]:.3f} s")
     xy = np.stack([np.interp(when, grid, tracks[:, i]) for i in range(2)], 1)
     turn = lambda z, a: z @ np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
     xy = np.array(START) + (1 + p["scale_start"]) * turn(xy - START, p["turn_start"])
@@ -285,10 +288,10 @@ def write(kinds, folder, pushes=18, fps=60.0):
         write_world(Path(folder) / f"{kind}-{seed}", own, truth, seen, np.random.default_rng([seed, 7]), fps)
 
 
-def write_world(out, own, truth, tracks, rng, fps=60.0):
-    """A folder of `adaptsim diagnose`: `tracks [pushes, N, 2]` m of lanes `own`, as a camera sees them."""
+def write_world(out, own, truth, tracks, rng, fps=60.0, meta=""):
+    """A folder of `adaptsim diagnose`: `tracks [pushes, N, 2]` m of lanes `own`, as a camera sees them; meta: more of meta.toml."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / "meta.toml").write_text('task = "pushing"\n')
+    (out / "meta.toml").write_text(f'task = "pushing"\n{meta}')
     (out / "truth.json").write_text(json.dumps(truth))
     rows = [f"{k + 1},{own['speed'][k]:.6f},{own['angle'][k]:.6f}" for k in range(len(tracks))]
     (out / "actions.csv").write_text("\n".join(["trial,speed,angle", *rows, ""]))

@@ -30,6 +30,8 @@ PHYSICAL_HIGH = (2.0, 1e7, 2.0, 1.0)
 ACTION_LOW = (0.4, -0.3)
 ACTION_HIGH = (0.8, 0.3)
 
+LEVEL = (0.0, 0.0, -GRAVITY)
+"""Gravity m/s2 over a level table."""
 START = (0.56, 0.0)
 """Where the bottle stands before a push, m."""
 RADIUS, HEIGHT = 0.03, 0.10

@@ -176,6 +176,21 @@ def test_mjx_agrees_with_native_and_is_traced_once(batch, reference, monkeypatch
     assert len(traces) == traced > 0
 
 
+@pytest.mark.parametrize("name", ["native", "drake"])
+def test_a_table_that_is_not_level_draws_the_bottle_aside(name):
+    """As the planar slide has it, within a quarter: pushes that are still on their way after a second."""
+    if name == "drake":
+        pytest.importorskip("pydrake")
+    tilt = 0.03
+    gravity = (0.0, pushing.GRAVITY * np.sin(tilt), -pushing.GRAVITY * np.cos(tilt))
+    batch = np.array([[0.12, 1e5, 0.3, 0.9]] * 2), np.array([[0.7, 0.0], [0.8, -0.2]]), np.tile(pushing.START, (2, 1))
+    level, turned = (make_backend(name, **given).simulate(*batch) for given in ({}, {"gravity": gravity}))
+    slides = [make_backend("planar", lacking=lacking).simulate(*batch) for lacking in ({}, {"tilt_y": tilt})]
+    aside = lambda pair: (pair[1].state - pair[0].state)[:, -1, 1]
+    np.testing.assert_allclose(aside((level, turned)), aside(slides), rtol=0.25)
+    assert np.abs(turned.state[:, 15, :2] - pushing.START).max() < 1e-3  # friction holds it until the plate comes
+
+
 @pytest.mark.slow
 def test_drake_is_near_native(native, batch):
     """Three pushes; another contact law and no fit to them: see docs/results/pushing.md for two hundred."""

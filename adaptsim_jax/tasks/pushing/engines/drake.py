@@ -32,13 +32,14 @@ class DrakeContact:
 
 
 class Settings(NamedTuple):
-    """contact: numerics; threads: cores to run on (None: all)."""
+    """contact: numerics; threads: cores to run on (None: all); gravity m/s2, turned where the table is not level."""
 
     contact: DrakeContact = DrakeContact()
     threads: int | None = None
+    gravity: tuple[float, float, float] = pushing.LEVEL
 
 
-def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None):
+def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None, gravity: tuple[float, float, float]):
     """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput where Drake is absent."""
     try:
         drake: Any = importlib.import_module("pydrake.all")
@@ -50,7 +51,9 @@ def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None)
     def simulate(params, commands, initial):
         batch = scene.checked(params, commands, initial)
         with ThreadPoolExecutor(threads) as pool:
-            rows = list(pool.map(lambda row: _one(drake, options, contact, *row), zip(*batch[:3], strict=True)))
+            rows = list(
+                pool.map(lambda row: _one(drake, options, contact, gravity, *row), zip(*batch[:3], strict=True))
+            )
         empty = np.zeros((0, pushing.rows(options), scene.STATE))
         return scene.finished(np.stack(rows) if rows else empty, batch)
 
@@ -66,9 +69,9 @@ def _check(contact: DrakeContact, options: PushOptions) -> None:
         )
 
 
-def _one(drake: Any, options: PushOptions, contact: DrakeContact, params, action, start) -> np.ndarray:
+def _one(drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action, start) -> np.ndarray:
     """Rows `[T, 13]` of one push; not-a-number from where Drake's solver gave up."""
-    world = _World(drake, options, contact, params, action)
+    world = _World(drake, options, contact, gravity, params, action)
     every, steps = round(options.row / contact.dt), round(options.duration / contact.dt)
     slope = pushing.slopes(contact.dt, steps)
     rows = np.full((pushing.rows(options), scene.STATE), np.nan)
@@ -89,7 +92,7 @@ def _one(drake: Any, options: PushOptions, contact: DrakeContact, params, action
 class _World:
     """Table with a patch, bottle, and a plate on yaw, forward, rise and pitch joints that is driven by forces."""
 
-    def __init__(self, drake: Any, options: PushOptions, contact: DrakeContact, params, action):
+    def __init__(self, drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action):
         self.drake, self.contact, self.options = drake, contact, options
         builder = drake.DiagramBuilder()
         config = drake.MultibodyPlantConfig(
@@ -102,6 +105,7 @@ class _World:
         self._add_ground(params[3], friction)
         self._add_bottle(params[1], friction["bottle"])
         self._add_pusher(friction["plate"])
+        self.plant.mutable_gravity_field().set_gravity_vector(list(gravity))
         self.plant.Finalize()
         diagram = builder.Build()
         self.simulator = drake.Simulator(diagram)

@@ -24,16 +24,18 @@ AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
 class Settings(NamedTuple):
-    """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all)."""
+    """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all); gravity: m/s2, turned where the table is not
+    level."""
 
     elasticity: ElasticityMap = pushing.ELASTICITY
     dt: float = 0.005
     threads: int | None = None
+    gravity: tuple[float, float, float] = pushing.LEVEL
 
 
-def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, threads: int | None):
+def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, threads: int | None, gravity=pushing.LEVEL):
     """`simulate` of the MJCF scene by `mujoco.rollout` on `threads` cores (all); float64. One batch runs at a time."""
-    engines = [_Engine(options, elasticity, dt) for _ in range(threads or os.cpu_count() or 1)]
+    engines = [_Engine(options, elasticity, dt, gravity) for _ in range(threads or os.cpu_count() or 1)]
     lock = threading.Lock()
 
     def simulate(params, commands, initial):
@@ -63,7 +65,7 @@ def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, thre
 class _Engine:
     """One thread's engine. Models are copied once and rewritten for each batch: a copy costs a tenth of a push."""
 
-    def __init__(self, options: PushOptions, elasticity: ElasticityMap, dt: float):
+    def __init__(self, options: PushOptions, elasticity: ElasticityMap, dt: float, gravity):
         mujoco: Any = importlib.import_module("mujoco")
         self.rollout: Any = importlib.import_module("mujoco.rollout").Rollout(nthread=0)
         state = mujoco.mjtState
@@ -74,6 +76,8 @@ class _Engine:
             mujoco.mjtDisableBit.mjDSBL_ISLAND.value
         )  # one island: the search costs, and finds it
         self.rest = scene.rest(self.model)
+        self.model.opt.gravity[:] = gravity
+        self.level = gravity[:2] == (0.0, 0.0)
         self.edge = self.model.pair("edge").id
         self.data = [mujoco.MjData(self.model)]
         self.models: list[Any] = []
@@ -109,7 +113,11 @@ class _Engine:
         return out[:, every - 1 :: every]
 
     def _untouched(self, fastest: float, closest: float, steps: int) -> int:
-        """How many steps end before the fastest plate of the block can touch a bottle `closest` m nearer than usual."""
+        """How many steps end before the fastest plate of the block can touch a bottle `closest` m nearer than usual.
+
+        None where friction holds the bottle on a slope until then."""
+        if not self.level:
+            return 0
         ramp = pushing.ramp(np.arange(1, steps + 1) * self.dt)
         travel = np.cumsum(ramp) * self.dt
         edge = fastest * travel + pushing.EDGE_DROP * np.sin(pushing.PITCH_RATE * travel) + pushing.EDGE_RADIUS
