@@ -6,7 +6,7 @@ frees parameters of the *model* itself (which way gravity pulls, a body's inerti
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -163,7 +163,10 @@ class Effect:
     pair: bool = False
     carried: bool = False
     contains: tuple[str, ...] = ()
-    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = None
+    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = field(
+        default=None,
+        hash=False,  # a list of dictionaries has no hash, and effects are static arguments of compiled functions
+    )
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
     amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
     formula: str = ""
