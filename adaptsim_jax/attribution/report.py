@@ -198,7 +198,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
     for s in found.trace:
         if s.candidate is not None and s.test is not None and s.action in ("refused", "dropped"):
             why[s.candidate.effect, s.candidate.joints] = (
-                f"{s.action}: {s.why}, held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
+                f"{s.action}: {s.why} (held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g})"
             )
     total = max(found.null.fit.total, 1e-12)
     rows = []
@@ -217,7 +217,8 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
 
 def _declared(machine: Machine, problem: Problem, model: Model) -> dict[str, Any]:
     """Fitted inertias, as a person knows them (`inertias_told`), and dampings."""
-    dampings = {f"{e.name} of {problem.joint_names[e.joints[0]]}": row | {"identifiable": True}
+    dampings = {f"{e.name} of {problem.joint_names[e.joints[0]]}":
+                row | {"identifiable": True, "file": float(machine.tree.damping[e.joints[0]])}
                 for e, row in _numbers_of(model) if e.owner == "viscous"}  # fmt: skip
     return inertias_told.told(machine, problem, model) | dampings
 
@@ -251,8 +252,8 @@ def _doubts(problem: Problem, found: Selection) -> list[str]:
     for s in found.trace:
         if s.action == "dropped" and s.candidate is not None and s.test is not None:
             name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
-            shown = f"held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}, {s.why}"
-            out.append(f"{name} helped at first, but does not hold out beside the others ({shown}).")
+            shown = f"held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
+            out.append(f"{name} was tried and dropped: {s.why} ({shown}).")
     return out
 
 

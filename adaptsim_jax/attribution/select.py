@@ -30,9 +30,9 @@ from adaptsim_jax.attribution.estimate import (
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, blocks_of, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, shape_entries, table
+from adaptsim_jax.attribution.stays import steadiness, why_not
 from adaptsim_jax.effects.base import Reach
 
-TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
 BLOCKS = 24  # of consecutive stretches, about, whose losses a paired test compares
 EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 
@@ -308,20 +308,12 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(problem, model, c)))
         failing = []
         for c, less, test, steady in tests:
-            level = max(criteria.confidence, 1.01 * 2.0**-test.parts)
-            if (
-                test.p > level
-                or test.gain < criteria.size
-                or steady < criteria.steady
-                or _too_short(problem, model, c, criteria)
-                or _trifling(model, c, criteria)
-                or eased(problem, less, model) < 0.0
-            ):
-                failing.append((test.gain, c, less, test, steady))
+            if why := why_not(problem, model, less, c, test, steady, criteria):
+                failing.append((test.gain, c, less, test, why))
         if not failing:
             break
-        _, c, less, test, steady = min(failing, key=lambda f: f[0])
-        trace.append(Step("dropped", c, None, test, f"size over scatter {steady:.1f}"))
+        _, c, less, test, why = min(failing, key=lambda f: f[0])
+        trace.append(Step("dropped", c, None, test, why))
         own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
     named = tuple(
@@ -329,44 +321,6 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         for c, less, test, steady in tests
     )
     return model, named
-
-
-def eased(problem: Problem, less: Model, model: Model) -> float:
-    """Share of the held-out error of the angles that a model takes off another's: medians over stretches, geometric mean over joints.
-
-    What only the estimator's weights see is of no use to who simulates.
-    """
-    before, after = (
-        np.median(np.sqrt(m.held.squared[: len(problem.fold), : problem.joints]), 0) for m in (less, model)
-    )
-    return 1.0 - float(np.exp(np.mean(np.log(np.maximum(after, 1e-12) / np.maximum(before, 1e-12)))))
-
-
-def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
-    """Whether it is a shift in time of less than the log resolves."""
-    times = [
-        abs(z)
-        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        if e.owner == c.effect and e.unit == "s"
-    ]
-    return bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
-
-
-def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:
-    """Whether all that it does is to move what the file declares by a small share."""
-    keys = {e.key for e in c.entries}
-    own = [(e.off, z) for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key in keys]
-    return bool(own) and all(off != 0.0 and abs(z - off) < criteria.least_change * abs(off) for off, z in own)
-
-
-def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
-    """An effect's amplitude over its scatter between folds (jackknife): the largest of its amplitudes'."""
-    at = [i for i, e in enumerate(model.fit.vector.entries) if any(e.key == k.key for k in c.entries)]
-    folds = len(model.held.vectors)
-    values = model.held.vectors[:, at]
-    scatter = np.sqrt((folds - 1) / folds * np.square(values - values.mean(0)).sum(0))
-    off = np.array([model.fit.vector.entries[i].off for i in at])
-    return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))
 
 
 def look_alikes(

@@ -193,7 +193,8 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
     print_summary(result, Console(), out)
     model = next((out / name for name in ("model.toml", "model.xml") if (out / name).exists()), None)
     if model is not None and args.model is None:
-        next_step(f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the mended model over a recording")
+        which = "mended" if result["effects"] else "fitted"
+        next_step(f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the {which} model over a recording")
     return 0
 
 

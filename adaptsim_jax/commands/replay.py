@@ -6,6 +6,7 @@ import argparse
 import json
 import shlex
 import sys
+from pathlib import Path
 
 EXAMPLES = """
   adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared
@@ -62,7 +63,10 @@ def run(args: argparse.Namespace) -> int:
         from adaptsim_jax.commands.common import next_step
 
         _print(told)
-        next_step(f"diagnose {shlex.quote(args.data)} --out out    what does the declared model lack?")
+        if (Path(args.model).parent / "report.json").exists():  # what `diagnose` wrote
+            next_step(f"replay {shlex.quote(args.model)} OTHER    over a recording that had no part in the diagnosis")
+        else:
+            next_step(f"diagnose {shlex.quote(args.data)} --out out    what does the declared model lack?")
     return 0
 
 

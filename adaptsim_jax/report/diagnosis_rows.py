@@ -55,7 +55,8 @@ def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
 
 
 def declared_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Declared parameters: text before and after (no number where the data fix none), and where to draw."""
+    """Declared parameters: text before and after (no number where the data fix none), the model file's value, and where to draw."""
+    meanings = words.BASE if report["task"] == "pendulum" else {}
     before, after = report["declared"]["before"], report["declared"]["after"]
     rows = []
     for name in dict.fromkeys([*before, *after]):
@@ -66,7 +67,12 @@ def declared_rows(report: Mapping) -> list[dict[str, Any]]:
                 "texts": {stage: _declared_text(row) for stage, row in stages.items()},
                 "marks": _marks(stages),
                 "identifiable": all(row["identifiable"] for row in stages.values() if row),
-                "note": next((row["note"] for row in stages.values() if row and row.get("note")), ""),
+                "file": next(
+                    (fmt.quantity(row["file"], row["unit"]) for row in stages.values() if row and "file" in row), ""
+                ),
+                "note": next(
+                    (row["note"] for row in stages.values() if row and row.get("note")), meanings.get(name, "")
+                ),
             }
         )
     return rows

@@ -17,6 +17,16 @@ TONES = {
     "underpowered": "open",
     "data_fault": "bad",
 }
+BASE = {
+    "p1": "inertia about joint 1, I1 + m1 lc1² + I2 + m2 (l1² + lc2²)",
+    "p3": "inertia about joint 2, I2 + m2 lc2²",
+    "h1": "first moment, m1 lc1 + m2 l1",
+    "h2": "first moment, m2 lc2",
+    "b1": "damping of joint 1",
+    "b2": "damping of joint 2",
+}
+"""Of a double pendulum, the combinations that a motion fixes (rotors' inertias belong to them as well)."""
+MANY = 8  # names in one sentence: more are listed elsewhere in the page
 LOUD = 4.0  # times the sensors' noise: from here on a reader asks what the rest is
 LABELS = {
     "explained": "explained",
@@ -189,10 +199,11 @@ def not_established(report: Mapping) -> list[str]:
         if effect.get("alternatives"):
             lines.append(f"Which it is: {effect_name(effect)}.")
     loose = unidentified(report)
-    if loose:
+    if loose and not any(line.startswith(", ".join(loose)) for line in lines):
         one = len(loose) == 1
+        named = fmt.listing(loose) if len(loose) <= MANY else f"{len(loose)} numbers listed under Declared parameters"
         lines.append(
-            f"The value{'' if one else 's'} of {fmt.listing(loose)}: "
+            f"The value{'' if one else 's'} of {named}: "
             f"these motions show only {'a combination of it with others' if one else 'combinations of them'}."
         )
     if report["verdict"] in (

@@ -6,6 +6,7 @@ import pytest
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
+from adaptsim_jax.report.diagnosis_rows import declared_rows
 
 
 @pytest.mark.parametrize(
@@ -117,3 +118,20 @@ def test_figures_take_their_colours_from_the_page():
     text = svg.draw(lambda figure: figure.subplots().plot([0, 1], color=svg.AFTER), 2.0, 'a "figure" & more')
     assert "var(--after)" in text and svg.AFTER not in text
     assert 'aria-label="a &quot;figure&quot; &amp; more"' in text and not text.startswith("<?xml")
+
+
+def test_declared_parameters_stand_beside_the_model_files_and_combinations_are_explained():
+    row = {"value": 0.0552, "low": 0.055, "high": 0.0554, "unit": "kg m^2", "identifiable": True}
+    table = {"before": {"inertia about J": row | {"file": 0.0498}, "p1": row}, "after": {}}
+    of_machine, other = declared_rows({"task": "mechanism", "declared": table})
+    assert (of_machine["file"], other["file"], other["note"]) == ("0.0498 kg·m²", "", "")
+    assert "I1 + m1 lc1²" in declared_rows({"task": "pendulum", "declared": table})[1]["note"]
+
+
+def test_names_that_the_report_lists_already_are_not_listed_again_and_many_are_counted():
+    loose = {"value": 0.0, "low": None, "high": None, "unit": "kg", "identifiable": False}
+    report = {"effects": [], "verdict": "explained", "declared": {"before": {"m1": loose, "m2": loose}, "after": {}}}
+    said = "m1, m2 one by one: the motion fixes only the combinations listed."
+    assert sum("m1" in line for line in words.not_established(report | {"not_established": [said]})) == 1
+    report["declared"]["before"] = {f"mass of {k}": loose for k in range(18)}
+    assert words.not_established(report)[0].startswith("The values of 18 numbers listed under Declared parameters:")

@@ -1,0 +1,76 @@
+"""Whether an effect stays in the model, beside all others, and if not, why: the rules of `select.judged`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.score import Candidate
+
+if TYPE_CHECKING:
+    from adaptsim_jax.attribution.select import Model, Test
+
+TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
+
+
+def why_not(
+    problem: Problem, model: Model, less: Model, c: Candidate, test: Test, steady: float, criteria: Criteria
+) -> str:
+    """Why effect `c` of `model` does not stay, in words; empty if it stays.
+
+    less: the model without it, refitted; test: of the two over left-out blocks; steady: its size over its scatter (`steadiness`).
+    """
+    if test.p > max(criteria.confidence, 1.01 * 2.0**-test.parts):
+        return "left-out stretches do not confirm it"
+    if test.gain < criteria.size:
+        return f"takes less than {100 * criteria.size:.0f} % off the squared error"
+    if steady < criteria.steady:
+        return f"its size differs between trials: {steady:.1f} times its scatter"
+    if _too_short(problem, model, c, criteria):
+        return f"a shift in time of less than {criteria.least_shift:g} sampling intervals: how rows are read, not an effect"
+    if _trifling(model, c, criteria):
+        return f"changes what the model file declares by less than {100 * criteria.least_change:.0f} %"
+    if eased(problem, less, model) < 0.0:
+        return "the simulated angles do not come nearer to the measured ones"
+    return ""
+
+
+def eased(problem: Problem, less: Model, model: Model) -> float:
+    """Share of the held-out error of the angles that a model takes off another's: medians over stretches, geometric mean over joints.
+
+    What only the estimator's weights see is of no use to who simulates.
+    """
+    before, after = (
+        np.median(np.sqrt(m.held.squared[: len(problem.fold), : problem.joints]), 0) for m in (less, model)
+    )
+    return 1.0 - float(np.exp(np.mean(np.log(np.maximum(after, 1e-12) / np.maximum(before, 1e-12)))))
+
+
+def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether it is a shift in time of less than the log resolves."""
+    times = [
+        abs(z)
+        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        if e.owner == c.effect and e.unit == "s"
+    ]
+    return bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
+
+
+def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether all that it does is to move what the file declares by a small share."""
+    keys = {e.key for e in c.entries}
+    own = [(e.off, z) for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key in keys]
+    return bool(own) and all(off != 0.0 and abs(z - off) < criteria.least_change * abs(off) for off, z in own)
+
+
+def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
+    """An effect's amplitude over its scatter between folds (jackknife): the largest of its amplitudes'."""
+    at = [i for i, e in enumerate(model.fit.vector.entries) if any(e.key == k.key for k in c.entries)]
+    folds = len(model.held.vectors)
+    values = model.held.vectors[:, at]
+    scatter = np.sqrt((folds - 1) / folds * np.square(values - values.mean(0)).sum(0))
+    off = np.array([model.fit.vector.entries[i].off for i in at])
+    return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))

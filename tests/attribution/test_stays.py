@@ -1,0 +1,46 @@
+"""Why an effect does not stay is said by the rule that it failed."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.select import Test as Paired
+from adaptsim_jax.attribution.stays import why_not
+
+DT = 0.005  # s
+GOOD = Paired(0.4, 0.0001, 6, 6, 24)
+
+
+def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0):
+    """Of a delay [s] that leaves `angles` times the error of the angles without it."""
+    entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
+    candidate = Candidate("delay", (0,), "joint", (entry,))
+    vector = SimpleNamespace(entries=(entry,), values=np.array([delay]))
+    model, less = (
+        SimpleNamespace(fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2)))
+        for size in (angles, 1.0)
+    )
+    problem = SimpleNamespace(reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1)
+    return why_not(problem, model, less, candidate, test, steady, Criteria())
+
+
+def test_what_holds_out_stays():
+    assert judged() == ""
+
+
+@pytest.mark.parametrize(
+    "change, says",
+    [
+        ({"delay": 0.1 * DT}, "less than 0.25 sampling intervals"),
+        ({"test": Paired(0.4, 0.2, 4, 6, 24)}, "do not confirm"),
+        ({"test": Paired(0.005, 0.0001, 6, 6, 24)}, "less than 1 %"),
+        ({"steady": 1.2}, "1.2 times its scatter"),
+        ({"angles": 1.1}, "do not come nearer"),
+    ],
+)
+def test_the_rule_that_failed_is_told(change, says):
+    assert says in judged(**change)
