@@ -55,7 +55,18 @@ def pendulum_machine(recording: Recording, model: str | Path) -> Machine:
         raise BadInput(f'{model}: model = "{given.model}" has no mechanism; replay takes model = "rigid_body"')
     with TemporaryDirectory() as folder:
         made = declared_machine(recording, given.theta(given.plant()), Path(folder) / DECLARED)
-    return replace(made, declared=made.declared | _declared_effects(given))
+    notes = (*made.log.notes, *left_out(given))
+    return replace(made, declared=made.declared | _declared_effects(given), log=replace(made.log, notes=notes))
+
+
+def left_out(given: ModelFile) -> list[str]:
+    """What of the file's effects a mechanism does not simulate: `diagnose` simulated it, so that its error was less."""
+    out = []
+    for e in given.effects:
+        rest = [k for k in e.parameters if k not in SAME.get(e.name, e.parameters)]
+        if rest:
+            out.append(f"{e.name} at {e.where} is simulated without its {' and '.join(rest)}, which diagnose has")
+    return out
 
 
 def declared_machine(recording: Recording, theta: np.ndarray, path: Path) -> Machine:

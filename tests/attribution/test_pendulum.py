@@ -1,5 +1,8 @@
 """The double pendulum of `task = "pendulum"` as a mechanism."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +10,7 @@ import pytest
 
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.partly import partly_explained
-from adaptsim_jax.attribution.pendulum import base_parameters
+from adaptsim_jax.attribution.pendulum import base_parameters, left_out
 from adaptsim_jax.attribution.problem import tilted
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.mechanisms import dynamics
@@ -57,3 +60,9 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
 
 FILES = ("declared.xml", "model.xml", "model.toml")
 RUN = {"version": "0", "seed": 0, "command": "adaptsim diagnose", "seconds": 0.0}
+
+
+def test_what_a_replay_leaves_out_of_a_mended_model_is_told():
+    effect = SimpleNamespace(name="coulomb", where="joint1", parameters={"level": 0.3, "width": 1e-3})
+    model: Any = SimpleNamespace(effects=(effect,))
+    assert left_out(model) == ["coulomb at joint1 is simulated without its width, which diagnose has"]

@@ -1,6 +1,7 @@
 """Why an effect does not stay is said by the rule that it failed."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +20,12 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0):
     """Of a delay [s] that leaves `angles` times the error of the angles without it."""
     entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
     candidate = Candidate("delay", (0,), "joint", (entry,))
-    vector = SimpleNamespace(entries=(entry,), values=np.array([delay]))
-    model, less = (
-        SimpleNamespace(fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2)))
-        for size in (angles, 1.0)
+    vector: Any = SimpleNamespace(entries=(entry,), values=np.array([delay]))
+    of: Any = lambda size: SimpleNamespace(
+        fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2))
     )
-    problem = SimpleNamespace(reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1)
-    return why_not(problem, model, less, candidate, test, steady, Criteria())
+    problem: Any = SimpleNamespace(reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1)
+    return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
 
 def test_what_holds_out_stays():
