@@ -17,6 +17,8 @@ from adaptsim_jax.attribution.select import Model, Named, Selection
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.report.schema import new_report
 
+SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
+
 
 def place(problem: Problem, c: Candidate) -> str:
     """Where a candidate acts, in words."""
@@ -64,7 +66,7 @@ def reported(
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=_doubts(problem, found), remaining=remaining,
-        notes=[*log.notes, *machine.mechanism.notes, *_unused(machine), *fixed],
+        notes=[*log.notes, *machine.mechanism.notes, *_unused(machine), *fixed, *_soft(named, kind, over)],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
                 for m in (*found.stages, found.final)],
     )  # fmt: skip
@@ -201,6 +203,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
                 f"{s.action}: {s.why} (held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g})"
             )
     total = max(found.null.fit.total, 1e-12)
+    other = "predicts left-out trials less well than what was chosen" if names else "no clear gain on left-out trials"
     rows = []
     for s in found.first:
         key = s.candidate.effect, s.candidate.joints
@@ -210,7 +213,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
         rows.append({
             "name": key[0], "where": place(problem, s.candidate), "held_out_gain": float(np.clip(s.held_out / total, -1.0, 1.0)),
             "p_value": float(min(1.0, s.p * len(found.first))), "accepted": key in names, "status": status,
-            "why": why.get(key, "named" if key in names else "does as well" if key in alike else "gains less than what was taken"),
+            "why": why.get(key, "named" if key in names else "does as well" if key in alike else other),
         })  # fmt: skip
     return rows[:40]
 
@@ -244,6 +247,15 @@ def _unused(machine: Machine) -> list[str]:
         return []
     return [
         "[known] in meta.toml is not used of a mechanism: put the value into its model file, and take the body out of [fit] inertias"
+    ]
+
+
+def _soft(named: tuple[Named, ...], kind: str, over: float) -> list[str]:
+    """That a simulated log may be the reason why a little more is left."""
+    if kind != "partly_explained" or over > SOFT or all(n.candidate.effect != "coulomb" for n in named):
+        return []
+    return [
+        "Where MuJoCo made these logs, its own Coulomb friction, which is a little soft (solreffriction), leaves such a rest."
     ]
 
 

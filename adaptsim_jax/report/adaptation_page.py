@@ -74,6 +74,7 @@ _NORMALISED = (
     "one."
 )
 _BESIDE = {False: "Beside each mean its 95 % interval over seeds.", True: "One seed, no interval."}
+_TARGETS = " Targets: WD is within Omega, the box of parameters that may be simulated; OOD are outside of it."
 _MAP = (
     "What each seed's best policy was trained on. Colours are the largest reward that a pair of masses can earn in the "
     "target; the box is Omega, and the star the target's own masses, which no method may choose."
@@ -99,6 +100,8 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
 
 def _scale(results: Mapping[str, Any]) -> str:
     beside = _BESIDE[look.one_seed(results["rows"])]
+    if any(r["setting"] in look.SETTINGS for r in results["rows"]):
+        beside += _TARGETS
     if "reward" in results:
         return f"{look.reward_of(results, long=True)}. {beside}"
     return _NORMALISED.format(beside=beside, starts=results["starts"])

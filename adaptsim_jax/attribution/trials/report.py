@@ -234,7 +234,7 @@ def candidate_rows(found: TrialSelection) -> list[dict[str, Any]]:
         name = s.effect.name
         status = "accepted" if name in names else "look-alike" if name in alike else "rejected"
         why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
-            name, "gains less than what was taken"
+            name, "predicts left-out trials less well than what was chosen"
         )
         rows.append(
             {
