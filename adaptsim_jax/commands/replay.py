@@ -75,13 +75,15 @@ def _print(told: dict) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from adaptsim_jax.report.diagnosis_format import quantity
+
     console = Console()
     title = f"error over {told['horizon']:g} s, {told['stretches']} stretches"
     box = HEAVY_HEAD if console.is_terminal else None  # a program or a file gets columns without a frame
     table = Table("", "median", "rms", "ran away", title=title, box=box, title_justify="left")
     size = lambda row, unit: (
-        f"{row['median']:.4g} {unit}",
-        f"{row['rms']:.4g} {unit}",
+        quantity(row["median"], unit, 4),
+        quantity(row["rms"], unit, 4, like=row["median"]),
         f"{100 * row['ran_away']:.0f} %",
     )
     table.add_row("all", *size(told, told["unit"]))

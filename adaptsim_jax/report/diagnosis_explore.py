@@ -23,6 +23,8 @@ def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
     if not trials:
         return "", 0
     channels = list(dict.fromkeys(channel for trial in trials for channel in trial["measured"]))
+    if _kind(channels) == "joint":  # what a reader looks for comes first: where the declared model is furthest off
+        channels.sort(key=lambda c: -((error["per_channel"].get(c) or {}).get("before") or 0.0))
     models = 2 if trials[0].get("after") is None else 3
     most, kept = points([len(trial["time"]) for trial in trials], 1 + models * len(channels))
     columns, views = Columns(), {}

@@ -6,6 +6,7 @@ import pytest
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
+from adaptsim_jax.report.diagnosis_explore import held_out
 from adaptsim_jax.report.diagnosis_rows import declared_rows
 
 
@@ -135,3 +136,12 @@ def test_names_that_the_report_lists_already_are_not_listed_again_and_many_are_c
     assert sum("m1" in line for line in words.not_established(report | {"not_established": [said]})) == 1
     report["declared"]["before"] = {f"mass of {k}": loose for k in range(18)}
     assert words.not_established(report)[0].startswith("The values of 18 numbers listed under Declared parameters:")
+
+
+def test_the_joint_that_is_furthest_off_is_shown_first():
+    flat = np.zeros(5)
+    trial = {"trial": "a", "time": np.arange(5.0), "measured": {"shoulder": flat, "elbow": flat}, "after": None}
+    trial |= {"before": {"shoulder": flat + 0.1, "elbow": flat + 1.0}, "units": {"shoulder": "rad", "elbow": "rad"}}
+    channels = {name: {"before": size, "unit": "rad"} for name, size in (("shoulder", 0.1), ("elbow", 1.0))}
+    html, _ = held_out([trial], {"per_channel": channels, "per_trial": []})
+    assert html.index(">elbow</option>") < html.index(">shoulder</option>")
