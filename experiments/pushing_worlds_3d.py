@@ -30,6 +30,12 @@ SEEN = (
 )
 
 
+def gravity(tilt_x: float, tilt_y: float) -> tuple[float, float, float]:
+    """Gravity m/s2 over a table tilted by angles in rad, positive downhill towards +x, +y."""
+    downhill = np.array([np.sin(tilt_x), np.sin(tilt_y)])
+    return tuple((model.GRAVITY * np.array([*downhill, -np.sqrt(1 - downhill @ downhill)])).tolist())
+
+
 def simulate(engine: str, lanes: dict[str, np.ndarray], **settings) -> np.ndarray:
     """Places `[pushes, N, 2]` m every `1 / RATE` s of one world's lanes (see `pushing_worlds.world`), moved by `engine`."""
     p, one = lanes, {k: float(v[0]) for k, v in lanes.items()}
@@ -38,10 +44,7 @@ def simulate(engine: str, lanes: dict[str, np.ndarray], **settings) -> np.ndarra
         spin = model.NOMINAL_MASS / one["light"]
         turning = {"com": (one["com_x"], one["com_y"], model.PAPER.com[2]), "inertia": (*model.PAPER.inertia[:2], spin)}
     options = model.PushOptions(duration=round(LENGTH + LATE, 3), row=ROW, **turning)
-    downhill = np.array([np.sin(one["tilt_x"]), np.sin(one["tilt_y"])])
-    gravity = model.GRAVITY * np.array([*downhill, -np.sqrt(1 - downhill @ downhill)])
-    if np.any(downhill):
-        settings["gravity"] = tuple(gravity.tolist())
+    settings["gravity"] = gravity(one["tilt_x"], one["tilt_y"])
     params = np.stack([p[k] for k in ("mu", "e", "mu_p", "y_p")], 1)
     actions = np.stack([p["speed"] * (1 + p["speed_scale"]) + p["speed_offset"], p["angle"] + p["heading_offset"]], 1)
     starts = np.array(model.START) + np.stack([p["start_x"], p["start_y"]], 1)

@@ -2,12 +2,14 @@
 
 import json
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.trials.fit import fitted, settled
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
 from adaptsim_jax.attribution.trials.report import _standing_out, finished
 from adaptsim_jax.attribution.trials.select import select
@@ -58,6 +60,30 @@ def test_two_effects_that_do_the_same_are_told_as_a_class():
     found = select(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
     (named,) = found.named
     assert {named.effect.name, *[e.name for e, _ in named.alternatives]} == {"b", "d"}
+
+
+def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
+    """Another law of motion, the same in all trials, beside an effect of its size and beside one that is far larger."""
+    other = 1.6 * np.sin(np.arange(ROWS))
+    for size, names in ((1.5, []), (4.5, ["c"])):
+        linear = problem((0.7, 0.0, size, 0.0))
+        odd = replace(linear, residuals=lambda values, r=linear.residuals: r(values) + other)
+        assert [n.effect.name for n in select(odd, Criteria()).named] == ["c"]
+        assert [n.effect.name for n in select(odd, Criteria(beyond=0.9)).named] == names
+
+
+def test_a_fit_that_leaves_structure_is_begun_again_from_beside():
+    """Two minima, of which the nearer is the worse."""
+    wells = lambda a: np.stack([10.0 * (a**2 - 1.0), 2.0 * (a - 1.0)], 1)
+    slopes = lambda values, basis: np.tile(np.array([20.0 * values[0], 2.0])[:, None] * basis[:, 0], (TRIALS, 1, 1))
+    two = TrialProblem(
+        (Quantity("a", "", 0.0, -5.0, 5.0, 1.8, 100.0),), ("a",), (), lambda values: -wells(values[:, 0]), slopes,
+        np.full(TRIALS, 2.0), tuple(map(str, range(TRIALS))), np.zeros((1, 1)),
+    )  # fmt: skip
+    begin = np.array([-1.2])
+    assert fitted(two, ["a"], begin, 10)[0][0] < -0.9
+    assert settled(two, ["a"], begin, 10)[0][0] < -0.9  # nothing is declared that may be moved
+    assert abs(settled(replace(two, again=("a",)), ["a"], begin, 10)[0][0] - 1.0) < 1e-3
 
 
 def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_earlier_run(tmp_path):

@@ -43,7 +43,8 @@ class TrialProblem:
     residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
     nothing was measured. columns: `values [P]`, `basis [K, P]` -> derivatives `[T, R, K]` of what is simulated over the noise.
     counts: measured numbers of each trial `[T]`. channels: coordinates of a row, of which `R` is a multiple. starts: points `[S, P]`
-    from which the declared fit may begin; begun: from how many of them, the best, it does. What each trial has of its own (where it
+    from which the declared fit may begin; begun: from how many of them, the best, it does; again: declared quantities beside whose
+    values a fit is begun again where it leaves structure, for there are minima close by. What each trial has of its own (where it
     started) is the task's: it fits it inside of `residuals`, and takes out of `columns` what it would take up.
     """
 
@@ -61,6 +62,7 @@ class TrialProblem:
     index: Mapping[str, int] = field(default_factory=dict)
     channels: int = 2
     begun: int = 4
+    again: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "index", {q.name: i for i, q in enumerate(self.quantities)})

@@ -12,7 +12,15 @@ from scipy import stats
 
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.select import Test, sign_flip
-from adaptsim_jax.attribution.trials.fit import TrialFit, completed, declared_fit, fitted, jacobian
+from adaptsim_jax.attribution.trials.fit import (
+    TrialFit,
+    completed,
+    declared_fit,
+    fitted,
+    jacobian,
+    mean_square,
+    settled,
+)
 from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
 
 LAGS = 40  # rows over which residuals are asked whether they hang together
@@ -130,7 +138,7 @@ def finished(problem: TrialProblem, effects, values, rounds: int) -> TrialModel:
     names = list(problem.declared)
     for e in effects:
         names += [q for q in e.quantities if q not in names]
-    return TrialModel(tuple(effects), completed(problem, names, fitted(problem, names, values, rounds)[0]))
+    return TrialModel(tuple(effects), completed(problem, names, settled(problem, names, values, rounds)[0]))
 
 
 def without(problem: TrialProblem, model: TrialModel, gone: TrialEffect, rounds: int) -> TrialModel:
@@ -207,6 +215,20 @@ def _beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
     return (large if test.gain > criteria.size and test.p < criteria.confidence else small) is model
 
 
+def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria: Criteria) -> float:
+    """Share that an effect takes off of the squared error beyond the noise that `less`, the model without it, leaves: of the sum or of
+    the median over trials, the larger. 1 where the model leaves next to nothing.
+
+    A body that moves by other laws than the model's is followed better by any effect that resembles the difference.
+    """
+    middle = lambda m: float(np.median(mean_square(problem, m.fit.residual)))
+    if middle(model) <= criteria.explained**2:
+        return 1.0
+    noise = float(problem.counts.sum())
+    share = lambda before, after, floor: (before - after) / max(before - floor, 1e-9)
+    return max(share(less.fit.loss, model.fit.loss, noise), share(middle(less), middle(model), 1.0))
+
+
 def _judged(problem, model: TrialModel, criteria: Criteria, refused, say):
     """The model of what holds out, its effects as named, and the declared models that it was compared with."""
     bare = []
@@ -223,13 +245,15 @@ def _judged(problem, model: TrialModel, criteria: Criteria, refused, say):
                 test.p > _level(criteria, test.folds, len(tests) - rank)
                 or test.gain < criteria.size
                 or steady < criteria.steady
+                or beyond(problem, less, model, criteria) < criteria.beyond
             ):
                 failing.append((test.gain, e, less, test, steady))
         if not failing:
             break
         _, e, less, test, steady = min(failing, key=lambda f: f[0])
         refused[e.name] = (
-            f"dropped: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}, size over scatter {steady:.1f}"
+            f"dropped: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}, size over scatter {steady:.1f}, "
+            f"{100 * beyond(problem, less, model, criteria):.0f} % of what is beyond the noise"
         )
         model = less
     named = tuple(

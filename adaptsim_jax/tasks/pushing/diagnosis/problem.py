@@ -128,6 +128,7 @@ def prepare(
         pushed.names,
         np.zeros((0, 0)),
         scan,
+        again=DECLARED,
     )
     starts = []
     for values in itertools.product(
