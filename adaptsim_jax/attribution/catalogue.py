@@ -124,7 +124,17 @@ def _lags(reach, joint):
 
 
 def _cuts(reach, joint):
-    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.25, 0.45)]
+    """Limits from nearly what is exceeded now and then down to a twelfth of it."""
+    peak, torque = float(reach.peak[joint]), float(reach.torque[joint])
+    return [{"cut": 1.0 - 0.9 * torque * 0.8**k / peak, "peak": peak} for k in range(12)]
+
+
+def _stops(reach, joint):
+    """Stops as hard as most are, where the motion ends and a little before."""
+    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
+    hard = [(0.01 * s * (high - low), k * float(reach.torque[joint])) for s in range(4) for k in (10.0, 30.0)]
+    upper = [{"angle": high - d, "side": 1.0, "stiffness": k} for d, k in hard]
+    return upper + [{"angle": low + d, "side": -1.0, "stiffness": k} for d, k in hard]
 
 
 def _widths(reach, joint):
@@ -194,7 +204,7 @@ OWN: tuple[Effect, ...] = (
          Parameter("damping", "s", 0.0, 0.5, 0.0, None, held=True, optional=True),
          Parameter("exponent", "1", 0.7, 2.5, 1.0, None, held=True, optional=True)),
         elastic.hard_stop, "an end stop beyond an angle", "motion into the stop, and well inside it", ("spring",),
-        grid=grids.stops, formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
+        grid=grids.stops, starts=_stops, formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
     ),
     Effect(
         "armature", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),), inertia.rotor_inertia,
@@ -227,10 +237,10 @@ OWN: tuple[Effect, ...] = (
     ),
     Effect(
         "saturation", "force",
-        (Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest torque"),
+        (Parameter("cut", "1", 0.0, 0.99, 0.0, sign=1, meaning="share cut off the largest torque"),
          Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest torque; not fitted")),
         saturation, "the torque cannot exceed a limit", "torques near and below the limit", ("torque_gain",), jump=True,
-        grid=_cuts, formula="torque within +-(1 - cut) peak",
+        grid=_cuts, starts=_cuts, formula="torque within +-(1 - cut) peak",
     ),
     Effect(
         "dead_zone", "force", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),), dead_zone,

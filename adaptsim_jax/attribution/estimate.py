@@ -131,7 +131,7 @@ def picked(problem: Problem) -> np.ndarray:
 def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
     """Weights from the residuals themselves, by medians over stretches, so that none that ran away decides."""
     n, width = problem.joints, problem.groups[0].stretches.count
-    channel, share = np.zeros(2 * n), np.zeros((width, 2 * n))
+    channel, share, over = np.zeros(2 * n), np.zeros((width, 2 * n)), []
     for group, path in zip(problem.groups, paths, strict=True):
         r = residuals(group, path)
         seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1)
@@ -143,11 +143,14 @@ def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
             if have.any():
                 size = np.median(rms[have, k])
                 channel[at] = 1.0 / max(size, problem.floor[at], 1e-9)
+                over.append(size / max(problem.floor[at], 1e-9))
                 share[:, at] = rms[:, k] * channel[at]
     used = channel > 0
     size = np.sqrt(np.square(share[:, used]).mean(1))
     usual = max(float(np.median(size[size > 0])), 1e-12) if np.any(size > 0) else 1.0
-    return Weights(channel, 1.0 / np.square(np.maximum(1.0, size / (WILD * usual))))
+    # what a model lacks moves a stretch's residuals together: beside the prior, they count as one where it is most of them
+    alike = np.clip(np.median(over), 1.0, np.sqrt(SAMPLES)) if over else 1.0
+    return Weights(channel / alike, 1.0 / np.square(np.maximum(1.0, size / (WILD * usual))))
 
 
 def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.estimate import normal
+from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import ETA, INERTIA
 from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.select import Model
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.mechanisms.inertia_frames import Frame, central, in_frame, inverse, moved, six_of, symmetric_of
 

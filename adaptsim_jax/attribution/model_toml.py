@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS
 from adaptsim_jax.attribution.problem import Problem, tilted, values_of
-from adaptsim_jax.attribution.select import Model
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 

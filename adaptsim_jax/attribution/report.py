@@ -9,11 +9,12 @@ import numpy as np
 from adaptsim_jax.attribution import inertias_told
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import run
+from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.select import Model, Named, Selection
+from adaptsim_jax.attribution.select import FEW, Named, Selection
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.report.schema import new_report
 
@@ -29,11 +30,6 @@ def place(problem: Problem, c: Candidate) -> str:
     return ", ".join(problem.joint_names[j] for j in c.joints)
 
 
-def held_error(problem: Problem, model: Model) -> np.ndarray:
-    """Held-out error of each stretch and joint [W, n], rad or m."""
-    return np.sqrt(model.held.squared[: len(problem.fold), : problem.joints])
-
-
 def _numbers(error: np.ndarray) -> float:
     return float(np.median(error))
 
@@ -45,9 +41,9 @@ def reported(
     before, after = held_error(problem, found.null), held_error(problem, found.final)
     noise = problem.floor[: problem.joints]
     floor = float(np.median(noise))
-    over = float(np.median(after / np.maximum(noise, 1e-12)))
+    over = over_floor(problem, found.final)
     named = found.named
-    odd = _odd(problem, after, criteria)
+    odd = _odd(problem, found, criteria)
     kind = _kind(named, over, bool(odd), criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
     log = machine.log
@@ -60,7 +56,7 @@ def reported(
     after_rows = _declared(machine, problem, found.final)
     fixed = inertias_told.sentence(problem, found.final, after_rows)
     report = new_report(
-        "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over, odd), data,
+        "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over, odd, criteria), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
@@ -76,13 +72,17 @@ def reported(
     return report, evidence
 
 
-def _odd(problem: Problem, after: np.ndarray, criteria: Criteria) -> list[tuple[str, str, float]]:
-    """Trials of which much is left, however little on the whole: name, joint, times the noise floor (median over its stretches)."""
-    noise = np.maximum(problem.floor[: problem.joints], 1e-12)
+def _odd(problem: Problem, found: Selection, criteria: Criteria) -> list[tuple[str, str, float]]:
+    """Trials of which much is left, however little on the whole: name, joint, times the noise floor (median over its stretches, or
+    over those that are far off where there are a few such)."""
+    noise, after = np.maximum(problem.floor[: problem.joints], 1e-12), held_error(problem, found.final)
+    far = astray(problem, found.final, criteria)
     out = []
     for k, name in enumerate(problem.folds):
-        if np.any(problem.fold == k):
-            over = np.median(after[problem.fold == k], 0) / noise
+        mine = problem.fold == k
+        some = mine & far if far.sum() >= FEW and np.any(mine & far) else mine
+        if np.any(some):
+            over = np.median(after[some], 0) / noise
             worst = int(np.argmax(over))
             if over[worst] > criteria.odd:
                 out.append((name, problem.joint_names[worst], float(over[worst])))
@@ -105,14 +105,21 @@ def message(
     after: np.ndarray,
     over: float,
     odd: list[tuple[str, str, float]],
+    criteria: Criteria,
 ) -> str:
     """What was found, in a few sentences. odd: trials of which much is left."""
     told = _found(problem, found, before, after, over, bool(odd))
-    if not odd or len(odd) > 0.5 * len(problem.folds):
+    if not odd:
         return told
-    names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
     _, joint, times = odd[0]
-    more = f"But of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
+    far = int(astray(problem, found.final, criteria).sum())
+    few = f"in {far} of {len(problem.fold)} stretches " if far >= FEW else ""
+    if len(odd) > 0.5 * len(problem.folds):
+        return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}." if few else told
+    names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
+    more = (
+        f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
+    )
     return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
 
 

@@ -20,6 +20,7 @@ from adaptsim_jax.effects.base import Effect, Reach
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
            "drive_compliance")  # fmt: skip
 """Effects on the torque of an actuator: not of a joint that has none."""
+BEYOND = 1.5  # of the amplitude at which an effect that does not act linearly is scored, up to which the score is good for it
 
 
 @dataclass(frozen=True)
@@ -222,16 +223,22 @@ class _Sums:
                 out[np.ix_(np.arange(len(out)), mine, mine)] = curve[:, cols[mine] - first][:, :, cols[mine] - first]
         return out
 
+    def _most(self, c: Candidate) -> float:
+        """What an amplitude that does not act linearly may be, of that at which it is scored."""
+        scored = at_scored(self.problem, c)
+        return np.inf if scored is None else BEYOND * abs(scored - c.entries[0].start)
+
     def score(self, c: Candidate, cols: np.ndarray) -> Score:
         slope, curve = self.slope[:, cols], self._curve(cols)
         folds = range(len(curve))
         by_fold = np.stack([slope[self.fold == k].sum(0) for k in folds])
         total, bend = by_fold.sum(0), curve.sum(0)
-        amplitude = _solved(c, bend, total)
+        most = self._most(c)
+        amplitude = _solved(c, bend, total, most)
         gain = float(amplitude @ total - 0.5 * amplitude @ bend @ amplitude)
         each = []
         for k in folds:
-            a = _solved(c, bend - curve[k], total - by_fold[k])
+            a = _solved(c, bend - curve[k], total - by_fold[k], most)
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
         p = score_p(slope[:, amplitude != 0.0])
         return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))
@@ -271,10 +278,16 @@ def _hotelling(t: np.ndarray, alike: np.ndarray, count: int) -> float:
     return float(stats.f.sf(square * (count - k) / (k * (count - 1)), k, count - k))
 
 
-def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """Amplitudes within their bounds; those that would leave them at once are left out."""
-    low = np.array([e.low - e.start for e in c.entries])
-    high = np.array([e.high - e.start for e in c.entries])
+def at_scored(problem: Problem, c: Candidate) -> float | None:
+    """The amplitude at which a candidate that does not act linearly is scored; None where it acts so."""
+    effect = problem.effect(c.effect)
+    return c.shaped().get(effect.amplitudes[0].name) if effect.jump else None
+
+
+def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray, most: float) -> np.ndarray:
+    """Amplitudes within their bounds and none above `most`; those that would leave them at once are left out."""
+    low = np.array([max(e.low - e.start, -most) for e in c.entries])
+    high = np.array([min(e.high - e.start, most) for e in c.entries])
     on = np.diagonal(bend) > 1e-12
     bend = bend + np.diag([e.prior**-2.0 for e in c.entries])
     out = np.zeros(len(total))

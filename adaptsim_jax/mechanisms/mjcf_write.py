@@ -38,7 +38,8 @@ def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
     for joint in spec.joints:
         for key, table in changes.joints.items():
             if joint.name in table:
-                _put(joint, key, float(table[joint.name]))
+                turns = key == "springref" and joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+                _put(joint, key, float(np.rad2deg(table[joint.name]) if turns else table[joint.name]))
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
     step = float(spec.option.timestep)

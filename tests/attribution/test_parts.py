@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import sensor_delay
+from adaptsim_jax.attribution.held_out import sign_flip
 from adaptsim_jax.attribution.parameters import ETA, inertial_of, inertias, pseudo_inertia
-from adaptsim_jax.attribution.select import sign_flip
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
 

@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+import pytest
 
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf, write_mjcf
@@ -49,3 +50,12 @@ def test_nothing_changed_is_the_same_machine(tmp_path):
     out = tmp_path / "same.xml"
     out.write_text(mended_mjcf(arm, Changes(np.array(arm.tree.inertial))))
     np.testing.assert_allclose(read_mechanism(out).tree.inertial, arm.tree.inertial, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", ["", '<compiler angle="radian"/>', '<compiler angle="degree"/>'])
+def test_a_rest_angle_is_in_rad_whatever_the_file_has_its_angles_in(tmp_path, angle):
+    path, out = tmp_path / "arm.xml", tmp_path / "model.xml"
+    path.write_text(ARM.replace('<compiler angle="radian"/>', angle))
+    table = {"stiffness": {"elbow": 0.12}, "springref": {"elbow": 0.25}}
+    write_mjcf(read_mechanism(path), out, Changes(joints=table))
+    np.testing.assert_allclose(mujoco.MjModel.from_xml_path(str(out)).qpos_spring, [0.0, 0.25], atol=1e-6)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.select import Test, sign_flip
+from adaptsim_jax.attribution.held_out import Test, sign_flip
 from adaptsim_jax.attribution.trials.fit import (
     TrialFit,
     completed,

@@ -1,0 +1,251 @@
+"""Models as they predict trials left out: parameters of a fold from the others, its prediction, and the test of two models by it.
+
+Parameters of a fold come from the normal equations without it, one step from the whole fit (exact for a linear model; the
+infinitesimal jackknife otherwise), and the prediction is simulated, with starts fitted to the fold's own stretches by least squares.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.estimate import (
+    WILD,
+    Fit,
+    Linear,
+    Weights,
+    bounded_step,
+    candidate_columns,
+    fit,
+    linear,
+    losses,
+    normal,
+    padded_fold,
+    residuals,
+    run,
+    settled,
+    start_steps,
+)
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Problem, blocks_of
+from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
+from adaptsim_jax.effects.base import Effect, Reach
+
+BLOCKS = 24  # of consecutive stretches, about, whose losses a paired test compares
+EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over a stretch), parameters [F, P]."""
+
+    loss: np.ndarray
+    squared: np.ndarray
+    vectors: np.ndarray
+
+
+@dataclass(frozen=True)
+class Model:
+    """A set of effects fitted, its linearisation and its held-out prediction."""
+
+    added: tuple[Candidate, ...]
+    fit: Fit
+    lin: Linear
+    held: HeldOut
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard errors [P] by the jackknife over folds."""
+        v = self.held.vectors
+        return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
+
+
+@dataclass(frozen=True)
+class Test:
+    """Of one model against another. gain: the share of the loss that it takes off (geometric mean over folds); p of a sign-flip test
+    over `parts` blocks; better: folds in which it is better."""
+
+    gain: float
+    p: float
+    better: int
+    folds: int
+    parts: int
+
+
+def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> HeldOut:
+    """Each fold predicted with parameters from the others."""
+    now = lin.fit
+    weights = now.weights if weights is None else weights
+    n = normal(problem, lin.residual, lin.start, lin.shared)
+    hess, vector = n.hess.sum(0), now.vector
+    inside = (vector.values > vector.low) & (vector.values < vector.high)
+    # one step from the fit, which is taken for the best there is (a step that gained nothing, where dry friction bends the loss, no
+    # fold takes either), or for what its slope says of it (a fit that a kink has stopped short): of both the shorter one. The prior
+    # holds at the fit, not at what was declared: where only it decides, a fold has nothing else to say.
+    prior = vector.precision * (vector.values - vector.start)
+    slopes = np.where(inside, 0.0, n.slope.sum(0)) + prior, n.slope.sum(0) + prior
+    without = lambda slope: [
+        bounded_step(hess - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)
+    ]
+    both = np.array([without(slope) for slope in slopes])
+    length = np.einsum("mfp,pq,mfq->mf", both, hess + np.diag(vector.precision), both)
+    steps = both[np.argmin(length, 0), np.arange(len(n.hess))]
+    fold = padded_fold(problem, len(now.loss))
+    rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
+    starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
+    _, _, kept = settled(problem, lin, now.vector, (starts, now.starts), rows, refine=2)
+    loss = losses(problem, kept, weights)
+    width, joints = len(loss), problem.joints
+    squared = np.zeros((width, 2 * joints))
+    for group, path in zip(problem.groups, kept, strict=True):
+        r = residuals(group, path)
+        seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
+        j = np.array(group.joints)
+        squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
+    return HeldOut(loss, squared, now.vector.values + steps)
+
+
+def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
+    """One model against another by their held-out losses [W] (one-sided: is the second better?): logarithms of each stretch's ratio,
+    averaged over a fold or a block, so that no stretch that runs away decides for its trial. The test takes blocks of consecutive
+    stretches: a few trials alone could not show what is not in each of them."""
+    a, b = without[: len(problem.fold)], with_[: len(problem.fold)]
+    usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
+    ratio = np.log((a + usual) / (b + usual))
+    mean = lambda unit: np.bincount(unit, ratio) / np.bincount(unit)
+    d, parts = mean(problem.fold), mean(blocks_of(problem.groups[0].stretches.trial[: len(ratio)], BLOCKS))
+    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts))
+
+
+def held_error(problem: Problem, model: Model) -> np.ndarray:
+    """Held-out error of each stretch and joint [W, n], rad or m."""
+    return np.sqrt(model.held.squared[: len(problem.fold), : problem.joints])
+
+
+def over_floor(problem: Problem, model: Model) -> float:
+    """The same over the noise floor, median."""
+    return float(np.median(held_error(problem, model) / _noise(problem)))
+
+
+def _noise(problem: Problem) -> np.ndarray:
+    return np.maximum(problem.floor[: problem.joints], 1e-12)
+
+
+def astray(problem: Problem, model: Model, criteria: Criteria) -> np.ndarray:
+    """Stretches [W] of which much more is left than of most."""
+    error = held_error(problem, model)
+    return np.any(error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0)), 1)
+
+
+def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:
+    """A fit in whose weights some stretches count as any other, up to those that are far off among them."""
+    plain = replace(fitted.weights, stretch=np.ones_like(fitted.weights.stretch))
+    loss = losses(problem, run(problem, fitted.vector, fitted.starts), plain)
+    weight = 1.0 / np.maximum(1.0, loss / (WILD**2 * np.median(loss[some])))
+    return replace(fitted, weights=replace(plain, stretch=weight), loss=loss * weight)
+
+
+def sign_flip(d: np.ndarray) -> float:
+    """One-sided p of the mean of paired differences [F] under random signs (Fisher's permutation test): all patterns, or 20,000."""
+    count = len(d)
+    if count <= EXACT:
+        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
+    else:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (10_000, count))
+        signs[0] = 1.0
+    return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
+
+
+def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights: Weights | None = None) -> Model:
+    lin = linear(problem, fitted)
+    return Model(tuple(added), fitted, lin, held_out(problem, lin, weights))
+
+
+def refit(
+    problem: Problem,
+    base: Fit,
+    vector: Vector,
+    starts,
+    joints: Sequence[int],
+    rounds: int,
+    weights: Weights | None,
+    tolerance: float = 1e-4,
+) -> Fit:
+    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
+    touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
+    owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
+    shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
+    if shared or weights is None or len(touched) == len(problem.groups):
+        return fit(problem, vector, starts, rounds=rounds, weights=weights, tolerance=tolerance)
+    part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
+    inside = {j for k in touched for j in problem.groups[k].joints}
+    at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
+    local = fit(
+        part,
+        Vector(tuple(vector.entries[i] for i in at), vector.values[at]),
+        [starts[k] for k in touched],
+        rounds=rounds,
+        weights=weights,
+        tolerance=tolerance,
+    )
+    values, starts = vector.values.copy(), list(starts)
+    values[at] = local.vector.values
+    for k, x in zip(touched, local.starts, strict=True):
+        starts[k] = x
+    whole = vector.at(values)
+    loss = losses(problem, run(problem, whole, starts), weights)
+    return replace(local, vector=whole, starts=tuple(starts), loss=loss)
+
+
+Begun = tuple[Vector, tuple[np.ndarray, ...], np.ndarray]
+
+
+def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begun:
+    """The base with a candidate added, one step on: vector, starts, and loss [W] of the best of a few lengths of the step."""
+    c = score.candidate
+    columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
+    wide = replace(
+        base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True))
+    )
+    vector = base.fit.vector.with_entries(c.entries)
+    n = normal(problem, wide.residual, wide.start, wide.shared)
+    step = bounded_step(n.hess.sum(0), n.slope.sum(0), vector, 1e-6)
+    shapes = shape_entries(problem, reach, c)
+    own = np.array([e.owner == c.effect for e in vector.entries])
+    # what sets in at a size of its own is nothing at a fifth of it: then the others' step is shortened
+    whole = own & problem.effect(c.effect).jump
+    tries = [np.where(whole, step, length * step) for length in (1.0, 0.5, 0.2)]
+    best = None
+    for step in tries:
+        moved = [x + d for x, d in zip(base.fit.starts, start_steps(wide, step), strict=True)]
+        trial = vector.at(vector.values + step).with_entries(shapes)
+        starts, by_lane, _ = settled(problem, base.lin, trial, (moved, base.fit.starts))
+        if best is None or by_lane.sum() < best[2].sum():
+            best = (trial, starts, by_lane)
+        if by_lane.sum() < 0.9 * base.fit.total:
+            break
+    assert best is not None
+    return best
+
+
+def placed(problem: Problem, base: Model, reach: Reach, c: Candidate) -> list[tuple[Candidate, Begun]]:
+    """The base with an effect put in at each of its `starts`, nothing else changed, as `attempted` has it. Where the base is far off,
+    only this shows what an effect does that acts now and then."""
+    effect, joint = problem.effect(c.effect), c.joints[0]
+    out = []
+    for point in effect.starts(reach, joint) if effect.starts and len(c.joints) == 1 else ():
+        at = {p.name: point[p.name] for p in effect.shapes if p.name in point}
+        here = replace(c, shape=tuple(sorted((k, float(z)) for k, z in (at | _on_grid(effect, point)).items())))
+        vector = base.fit.vector.with_entries(c.entries)
+        own = {e.key: float(point[e.name]) for e in c.entries}
+        values = [own.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
+        vector = vector.at(np.array(values)).with_entries(shape_entries(problem, reach, here))
+        starts, by_lane, _ = settled(problem, base.lin, vector, (base.fit.starts,))
+        out.append((here, (vector, starts, by_lane)))
+    return out
+
+
+def _on_grid(effect: Effect, point: Mapping[str, float]) -> dict[str, float]:
+    """The amplitude too, of an effect whose grid has it."""
+    return {p.name: point[p.name] for p in effect.amplitudes if p.name in point} if effect.jump else {}
