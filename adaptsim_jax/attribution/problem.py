@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.parameters import (
 )
 from adaptsim_jax.attribution.simulate import Model, Values
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
-from adaptsim_jax.effects.base import Effect, Reach
+from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 from adaptsim_jax.sysid.segments import local_motion
@@ -199,7 +199,16 @@ def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> V
         start = problem.declared["viscous", "damping"]
         top = 5.0 * problem.reach.torque / problem.reach.speed + 10.0 * start
         entries += [
-            Entry("viscous", "damping", (j,), float(start[j]), 0.0, 0.0, float(top[j]), "N m s/rad")
+            Entry(
+                "viscous",
+                "damping",
+                (j,),
+                float(start[j]),
+                0.0,
+                0.0,
+                float(top[j]),
+                unit_at("N m s/rad", problem.kinds[j]),
+            )
             for j in range(problem.joints)
         ]
     vector = Vector(tuple(entries), np.array([e.start for e in entries]))

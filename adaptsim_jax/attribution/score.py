@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, Entry, Vector, inertia_entries
 from adaptsim_jax.attribution.problem import Problem, off_value
-from adaptsim_jax.effects.base import Effect, Reach
+from adaptsim_jax.effects.base import Effect, Reach, unit_at
 
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
            "drive_compliance")  # fmt: skip
@@ -66,7 +66,18 @@ def entries_of(
             start = off_value(problem, effect.name, p.name, j[0])
             low, high = min(e[0] for e in ends), max(e[1] for e in ends)
             low = 0.0 if p.sign > 0 else low
-            out.append(Entry(effect.name, p.name, j, start, start, min(low, start), high + start, p.unit))
+            out.append(
+                Entry(
+                    effect.name,
+                    p.name,
+                    j,
+                    start,
+                    start,
+                    min(low, start),
+                    high + start,
+                    unit_at(p.unit, problem.kinds[j[0]]),
+                )
+            )
     return tuple(out)
 
 
@@ -87,7 +98,11 @@ def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple
                 low, high = value - 0.2 * span, value + 0.2 * span
             else:
                 low, high = max(low, value / 3.0 if value > 0 else low), min(high, value * 3.0 if value > 0 else high)
-            out.append(Entry(effect.name, p.name, j, value, value, low, high, p.unit, prior=np.inf))
+            out.append(
+                Entry(
+                    effect.name, p.name, j, value, value, low, high, unit_at(p.unit, problem.kinds[j[0]]), prior=np.inf
+                )
+            )
     return tuple(out)
 
 

@@ -22,7 +22,17 @@ UNITS = {
     "rad/(N m)": (-1, 0),
 }  # fmt: skip
 """Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
+OF_A_SLIDE = {
+    "rad": "m", "rad/s": "m/s", "1/rad": "1/m", "1/rad^2": "1/m^2", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m",
+    "N m s^2/rad^2": "N s^2/m^2", "kg m^2": "kg", "N m s": "N s", "rad/(N m)": "m/N",
+}  # fmt: skip
+"""The units of a joint that slides, where those of one that turns are written."""
 SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motion could do
+
+
+def unit_at(unit: str, kind: str) -> str:
+    """A parameter's unit at a joint of that kind, `hinge` or `slide`."""
+    return OF_A_SLIDE.get(unit, unit) if kind == "slide" else unit
 
 
 @dataclass(frozen=True)

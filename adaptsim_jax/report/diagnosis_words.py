@@ -59,8 +59,8 @@ NEXT = {
     "partly_explained": "Use the mended model for motions like these, and look where the rest sits.",
     "confounded_with_declared": "Measure the declared value again and put it right in meta.toml, "
     "or record motions that part the two.",
-    "structured_unattributed": "Look where the structure sits, and add a candidate effect for it.",
-    "within_noise": "Keep the declared model.",
+    "structured_unattributed": "Look where the structure sits: an effect of your own can be added for it (adaptsim new effect).",
+    "within_noise": "Add no effect; take the fitted values (below, and in model.toml) for those of the file.",
     "underpowered": "Record more trials, longer ones, or with more excitation; then run this again.",
     "data_fault": "Mend the recording as the audit says, then run this again.",
 }

@@ -1,0 +1,120 @@
+"""What a report on a mechanism says in sentences: its message, its notes, what must not be taken for granted."""
+
+import numpy as np
+
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.held_out import astray
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import TILT
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.select import FEW, Named, Selection
+
+SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
+
+
+def place(problem: Problem, c: Candidate) -> str:
+    """Where a candidate acts, in words."""
+    if c.effect == TILT:
+        return "base"
+    if len(c.joints) == problem.joints and problem.joints > 1:
+        return "all joints"
+    return ", ".join(problem.joint_names[j] for j in c.joints)
+
+
+def message(
+    problem: Problem,
+    found: Selection,
+    before: np.ndarray,
+    after: np.ndarray,
+    over: float,
+    odd: list[tuple[str, str, float]],
+    criteria: Criteria,
+) -> str:
+    """What was found, in a few sentences. odd: trials of which much is left."""
+    told = _found(problem, found, before, after, over, bool(odd))
+    if not odd:
+        return told
+    _, joint, times = odd[0]
+    far = int(astray(problem, found.final, criteria).sum())
+    few = f"in {far} of {len(problem.fold)} stretches " if far >= FEW else ""
+    if len(odd) > 0.5 * len(problem.folds):
+        return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}." if few else told
+    names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
+    more = (
+        f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
+    )
+    return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
+
+
+def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool) -> str:
+    unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
+    size = lambda e: f"{1e3 * np.median(e):.3g}"
+    if not found.named:
+        told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor."
+        if over <= 1.5:
+            return told if odd else f"{told} Nothing need be added."
+        return f"{told} No effect of the catalogue holds out.{_closest(problem, found)}"
+    lines = []
+    for n in found.named:
+        c, t = n.candidate, n.test
+        lines.append(
+            f"{c.effect.replace('_', ' ')} at {place(problem, c)} holds out in {t.better} of {t.folds} "
+            f"(takes {100 * t.gain:.0f} % off the squared error beside all others, p {t.p:.2g})"
+        )
+    told = "; ".join(lines)
+    told = told[:1].upper() + told[1:]
+    rest = f"Left-out error {size(before)} to {size(after)} {unit}; what remains is {over:.1f} times the noise floor"
+    worst = int(np.argmax(np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)))
+    where = f", most of it at {problem.joint_names[worst]}" if over > 1.5 and problem.joints > 1 else ""
+    return f"{told}. {rest}{where}."
+
+
+def _closest(problem: Problem, found: Selection) -> str:
+    """The candidates that a score test favours, where none holds out."""
+    near = [s for s in found.first if s.p * len(found.first) < 0.01 and s.held_out > 0.05 * found.null.fit.total][:3]
+    names = ", ".join(f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}" for s in near)
+    return f" Closest by a linear test, though no fit bears them out: {names}." if near else ""
+
+
+def unused(machine: Machine) -> list[str]:
+    """What meta.toml says and no fit of a mechanism goes by."""
+    if not machine.log.meta.known:
+        return []
+    return [
+        "[known] in meta.toml is not used of a mechanism: put the value into its model file, and take the body out of [fit] inertias"
+    ]
+
+
+def soft_friction(named: tuple[Named, ...], kind: str, over: float) -> list[str]:
+    """That a simulated log may be the reason why a little more is left."""
+    if kind != "partly_explained" or over > SOFT or all(n.candidate.effect != "coulomb" for n in named):
+        return []
+    return [
+        "Where MuJoCo made these logs, its own Coulomb friction, which is a little soft (solreffriction), leaves such a rest."
+    ]
+
+
+def early_commands(problem: Problem, found: Selection) -> list[str]:
+    """What a delay below zero means."""
+    delays = [
+        z
+        for e, z in zip(found.final.fit.vector.entries, found.final.fit.vector.values, strict=True)
+        if e.owner == "delay"
+    ]
+    if not delays or min(delays) >= 0.0:
+        return []
+    return [
+        "a delay below zero is the log's, not the machine's: commands were logged late, or changed between two rows (of a controller "
+        "that runs faster than its log, half of the difference of both intervals)"
+    ]
+
+
+def doubts(problem: Problem, found: Selection) -> list[str]:
+    out = []
+    for s in found.trace:
+        if s.action == "dropped" and s.candidate is not None and s.test is not None:
+            name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
+            shown = f"held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
+            out.append(f"{name} was tried and dropped: {s.why} ({shown}).")
+    return out
