@@ -12,12 +12,13 @@ class Criteria:
         that are in the model).
     size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming.
     gap: share of the loss by which an alternative may be worse and still be told as doing as well.
+    alike: share of what an effect gains (in logarithms) by which an alternative may be worse all the same.
     steady: an effect's size over its scatter between folds.
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
     least_change: share of a value that the model file declares (armature, dry friction) below which it is not worth correcting.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
-    glance: rounds by which candidates are sorted (twice as many of mechanisms); the best is fitted whole.
+    glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they gain); the best is fitted whole.
     explained: held-out error over the noise floor up to which nothing is left to explain.
     quiet: what the declared fit of short trials leaves over the noise, below which no effect is looked for; 0: always.
     beyond: where a fit of short trials leaves more than `explained`, the share that an effect must take off of the squared error
@@ -29,6 +30,7 @@ class Criteria:
     confidence: float = 0.05
     size: float = 0.01
     gap: float = 0.02
+    alike: float = 0.1
     steady: float = 3.0
     least_shift: float = 0.25
     least_change: float = 0.1

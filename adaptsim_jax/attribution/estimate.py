@@ -18,6 +18,10 @@ from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, valu
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start, simulate
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
+CONVERGED, GOING_ON = (
+    1e-4,
+    0.03,
+)  # share of the loss that a round takes off, below which a fit ends; the second of a glance
 WILD = 3.0  # times the median error of a stretch, from which it counts less
 STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
 MOST_SUBSTEPS = 12
@@ -372,9 +376,10 @@ def fit(
     *,
     rounds: int = 12,
     weights: Weights | None = None,
-    tolerance: float = 1e-4,
+    glance: int | None = None,
 ) -> Fit:
-    """Fit the vector and all starts. weights: fixed ones (made anew along the way where None). Codes: converged, stopped (rounds
+    """Fit the vector and all starts. weights: fixed ones (made anew along the way where None); glance: rounds after which a fit
+    that is only to be compared ends once a round gains little. Codes: converged, stopped (rounds
     are used up), stuck (no step lowers the loss), diverged (the start itself runs away)."""
     starts = starts_of(problem) if starts is None else tuple(starts)
     paths = run(problem, vector, starts)
@@ -403,7 +408,7 @@ def fit(
         if own:
             weights = weigh(problem, paths)
             now = replace(now, weights=weights, loss=losses(problem, paths, weights))
-        if fall < tolerance:
+        if fall < (CONVERGED if glance is None or k + 1 < glance else GOING_ON):
             return replace(now, code="converged")
     return now
 

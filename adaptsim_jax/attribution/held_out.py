@@ -170,14 +170,14 @@ def refit(
     joints: Sequence[int],
     rounds: int,
     weights: Weights | None,
-    tolerance: float = 1e-4,
+    glance: int | None = None,
 ) -> Fit:
     """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
     touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
     owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
     shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
     if shared or weights is None or len(touched) == len(problem.groups):
-        return fit(problem, vector, starts, rounds=rounds, weights=weights, tolerance=tolerance)
+        return fit(problem, vector, starts, rounds=rounds, weights=weights, glance=glance)
     part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
     inside = {j for k in touched for j in problem.groups[k].joints}
     at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
@@ -187,7 +187,7 @@ def refit(
         [starts[k] for k in touched],
         rounds=rounds,
         weights=weights,
-        tolerance=tolerance,
+        glance=glance,
     )
     values, starts = vector.values.copy(), list(starts)
     values[at] = local.vector.values

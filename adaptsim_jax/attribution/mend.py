@@ -29,18 +29,22 @@ DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
 
 
 def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> Model:
-    """The final model, refitted without what the model file cannot hold; Coulomb friction stands in for other dry friction."""
+    """The final model, refitted without what the model file cannot hold; in its place stands a look-alike from its class, and Coulomb
+    friction for other dry friction."""
     model = found.final
+    alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
         if not _holds(machine, model, c):
             model = without(problem, model, c, criteria.rounds)
-            if c.effect in DRY:
-                rows = [k for k in candidates(problem, model.fit.vector, found.reach)
-                        if k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"]  # fmt: skip
-                for row in table(problem, model.lin, rows)[:1]:
-                    vector, starts, _ = attempted(problem, model, found.reach, row)
-                    fitted = refit(problem, model.fit, vector, starts, c.joints, criteria.rounds, model.fit.weights)
-                    model = modelled(problem, (*model.added, row.candidate), fitted, model.fit.weights)
+            level = lambda k, c=c: (
+                c.effect in DRY and k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"
+            )
+            rows = [k for k in candidates(problem, model.fit.vector, found.reach)
+                    if k.effect in HELD and (k.key in alike.get(c.key, ()) or level(k))]  # fmt: skip
+            for row in table(problem, model.lin, rows)[:1]:
+                vector, starts, _ = attempted(problem, model, found.reach, row)
+                fitted = refit(problem, model.fit, vector, starts, c.joints, criteria.rounds, model.fit.weights)
+                model = modelled(problem, (*model.added, row.candidate), fitted, model.fit.weights)
     return model
 
 

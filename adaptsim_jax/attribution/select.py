@@ -31,7 +31,6 @@ from adaptsim_jax.effects.base import Reach
 
 FEW = 3  # stretches that are far off, from which on they are looked at
 SHARE = 1 / 3  # of their error, at most, that an effect may leave
-GOING_ON = 0.03  # share of the loss that a round must take off while candidates are compared
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,9 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     best, weights = None, base.fit.weights
     for score, vector, starts, _ in begun:
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
-        whole = refit(problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights, GOING_ON)
+        whole = refit(
+            problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance
+        )
         model = modelled(problem, (*base.added, score.candidate), whole, weights)
         test = paired(problem, base.held.loss, model.held.loss)
         passed = good(model, test)
@@ -151,7 +152,21 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     trace.append(Step("added", score.candidate, score, test, ""))
     # its own weights from here on: the residual has become smaller, and with it what matters in it
     again = fit(problem, model.fit.vector, model.fit.starts, rounds=criteria.rounds)
-    return modelled(problem, model.added, again)
+    acting, still = _acting(again.vector, score.candidate)
+    again = replace(again, vector=again.vector.without(still))
+    return modelled(problem, (*base.added, acting), again)
+
+
+def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
+    """A candidate at the joints where it does anything, and the keys of its entries at the others."""
+    values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
+    if c.sharing != "all" or all(values[e.key] == e.off for e in c.entries):
+        return c, []
+    still = [e for e in c.entries if values[e.key] == e.off]
+    acting = tuple(e for e in c.entries if e not in still)
+    joints = tuple(j for e in acting for j in e.joints)
+    sharing = "joint" if len(joints) == 1 else c.sharing
+    return replace(c, joints=joints, entries=acting, sharing=sharing), [e.key for e in still]
 
 
 def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
@@ -207,6 +222,8 @@ def look_alikes(
         if s.candidate.key != c.key and not (s.candidate.effect == c.effect and set(c.joints) & set(s.candidate.joints))
         and s.held_out > (0.5 if s.candidate.effect in alike else 0.8) * own
     ]  # fmt: skip
+    gained = paired(problem, less.held.loss, model.held.loss).gain
+    gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
     out = []
     for score in rivals[:3]:
         say(f"{score.candidate.effect} in place of {c.effect}")
@@ -216,7 +233,7 @@ def look_alikes(
         )
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
         test = paired(problem, other.held.loss, model.held.loss)
-        if test.gain < criteria.gap or test.p > criteria.confidence:
+        if test.gain < gap or test.p > criteria.confidence:
             out.append(score.candidate)
     return tuple(out)
 

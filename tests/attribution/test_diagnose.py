@@ -80,6 +80,20 @@ def test_a_torque_that_acts_on_two_joints_is_named(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "given"), [(821, {}), (830, {"effect": "saturation"}), (832, {"effect": "saturation"})]
+)
+def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp_path, seed, given):
+    write_world(tmp_path / "world", "single", seed, **given)
+    (hidden,) = json.loads((tmp_path / "world/truth.json").read_text())["effects"]
+    report = diagnose(tmp_path / "world/recording")
+    (named,) = report["effects"]
+    assert (named["name"], named["joints"], report["verdict"]) == ("saturation", hidden["joints"], "explained")
+    size = {k: row["value"] for k, row in named["parameters"].items()}
+    assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(hidden["size"][hidden["joints"][0]]["limit"], rel=0.01)
+
+
+@pytest.mark.slow
 def test_where_nothing_is_hidden_nothing_is_named(tmp_path):
     report = diagnose(record(tmp_path / "null", friction=0.0, seed=3))
     assert report["verdict"] == "within_noise" and report["effects"] == []
