@@ -24,6 +24,8 @@ class Criteria:
     beyond: where a fit of short trials leaves more than `explained`, the share that an effect must take off of the squared error
         beyond the noise (0.9: it is three times what is left); what is smaller may name a part of that. 0: no such rule.
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
+    few: stretches beyond `odd` from which on they are looked at by themselves, where all else is explained.
+    left: of the error of these, at most, that an effect which acts now and then may leave.
     """
 
     alpha: float = 0.01
@@ -42,3 +44,5 @@ class Criteria:
     quiet: float = 0.0
     beyond: float = 0.0
     odd: float = 10.0
+    few: int = 3
+    left: float = 1 / 3

@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
@@ -112,7 +114,8 @@ def examined(
         say(share[0], 1.0, note)
 
     say(0.05, 1.0, "declared model")
-    found = select(problem, narrow(declared_vector(machine, problem)), criteria, step)
+    with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
+        found = select(problem, narrow(declared_vector(machine, problem)), criteria, step)
     return *reported(machine, problem, found, criteria, horizon), problem, found
 
 

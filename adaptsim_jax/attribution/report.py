@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_fl
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.select import FEW, Named, Selection
+from adaptsim_jax.attribution.select import Named, Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, soft_friction, unused
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.report.schema import new_report
@@ -70,7 +70,7 @@ def _odd(problem: Problem, found: Selection, criteria: Criteria) -> list[tuple[s
     out = []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k
-        some = mine & far if far.sum() >= FEW and np.any(mine & far) else mine
+        some = mine & far if far.sum() >= criteria.few and np.any(mine & far) else mine
         if np.any(some):
             over = np.median(after[some], 0) / noise
             worst = int(np.argmax(over))

@@ -29,9 +29,6 @@ from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import steadiness, why_not
 from adaptsim_jax.effects.base import Reach
 
-FEW = 3  # stretches that are far off, from which on they are looked at
-SHARE = 1 / 3  # of their error, at most, that an effect may leave
-
 
 @dataclass(frozen=True)
 class Step:
@@ -112,7 +109,7 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
     """The same of effects that act now and then only (a limit that few torques reach, a stop that few motions come to), where all else
     is explained and a few stretches are far off. Among all stretches these have next to no weight, and a score test sees few."""
     far = astray(problem, base, criteria)
-    if far.sum() < FEW or over_floor(problem, base) > criteria.explained:
+    if far.sum() < criteria.few or over_floor(problem, base) > criteria.explained:
         return None
     plain = modelled(problem, base.added, evenly_weighted(problem, base.fit, np.flatnonzero(far)))
     every = candidates(problem, base.fit.vector, reach)
@@ -126,7 +123,7 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
                 begun[key] = (replace(scores[key], candidate=c), *there)
     good = lambda model, test: (
         test.p < criteria.confidence
-        and np.median(held_error(problem, model)[far] / held_error(problem, plain)[far]) < SHARE
+        and np.median(held_error(problem, model)[far] / held_error(problem, plain)[far]) < criteria.left
     )
     return _best(problem, plain, sorted(begun.values(), key=left)[: criteria.tried], good, criteria, trace, say)
 

@@ -8,7 +8,7 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import TILT
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.select import FEW, Named, Selection
+from adaptsim_jax.attribution.select import Named, Selection
 
 SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
 
@@ -37,7 +37,7 @@ def message(
         return told
     _, joint, times = odd[0]
     far = int(astray(problem, found.final, criteria).sum())
-    few = f"in {far} of {len(problem.fold)} stretches " if far >= FEW else ""
+    few = f"in {far} of {len(problem.fold)} stretches " if far >= criteria.few else ""
     if len(odd) > 0.5 * len(problem.folds):
         return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}." if few else told
     names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
