@@ -37,8 +37,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run one command line (default: `sys.argv`); returns the exit code and never raises for bad input."""
     argv = sys.argv[1:] if argv is None else list(argv)
     args = None
-    surroundings.legible_streams()
     try:
+        surroundings.legible_streams()
         args = parse(argv)
         surroundings.check_process()
         for word in surroundings.computing():

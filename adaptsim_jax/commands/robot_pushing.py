@@ -76,7 +76,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     config, pushes = _config(session), _pushes(session, state)
-    found = measured.measured_trajectory(table.columns, at, str(path), pushes, config)
+    found = measured.measured_trajectory(table.columns, at, str(path), pushes, config, session.as_declared)
     if not session.as_declared:
         ends = np.asarray(found.points[:, -1], float)
         if slight := check_frame(pushes.actions[:, 1], ends - np.array(START), str(path)):

@@ -83,7 +83,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     scoops = _scoops(session, state)
-    found = measured.measured_trajectory(table.columns, at, str(path), scoops)
+    found = measured.measured_trajectory(table.columns, at, str(path), scoops, session.as_declared)
     if not session.as_declared:
         measured.check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist())
     return found

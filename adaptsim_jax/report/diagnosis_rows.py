@@ -8,6 +8,13 @@ from typing import Any
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 
+FACTORS = {
+    "torque_gain": "gain", "position_gain": "gain", "encoder_scale": "scale", "camera_scale": "scale",
+    "camera_scale_at_start": "scale_start", "length_scale": "scale", "speed_scale": "speed_scale", "lift_scale": "lift_scale",
+    "clock_scale": "clock",
+}  # fmt: skip
+"""Parameters of effects that report.json has as a share more (0: none), and people read as a factor (1: none)."""
+
 
 def effect_rows(report: Mapping) -> list[dict[str, Any]]:
     """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with intervals; not those that a finer shape
@@ -16,8 +23,8 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
     for effect in report["effects"]:
         parameters = [
             {
-                "name": name.replace("_", " "),
-                "value": fmt.between(p["value"], p["low"], p["high"], p["unit"]),
+                "name": name.replace("_", " ") + (" (1: none)" if _is_factor(effect, name) else ""),
+                "value": fmt.between(*_shown(p, _is_factor(effect, name)), p["unit"]),
                 "interval": None not in (p["low"], p["high"]),
             }
             for name, p in effect["parameters"].items()
@@ -32,6 +39,17 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _is_factor(effect: Mapping, name: str) -> bool:
+    return FACTORS.get(effect["name"]) == name
+
+
+def _shown(p: Mapping, factor: bool) -> tuple[float | None, float | None, float | None]:
+    """Value, low and high as people read them."""
+    more = 1.0 if factor else 0.0
+    value, low, high = (None if p[key] is None else more + p[key] for key in ("value", "low", "high"))
+    return value, low, high
 
 
 def candidate_rows(report: Mapping) -> list[dict[str, Any]]:

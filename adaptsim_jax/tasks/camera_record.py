@@ -19,12 +19,27 @@ def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarr
         raise BadInput(f"{at(i)}: trial {number:g} was never asked for; asked are {now}, see actions.csv")
 
 
-def check_unit(columns: Mapping[str, np.ndarray], at: Callable[[int], str], far: float, what: str) -> None:
-    """BadInput at the first place farther than `far` m."""
+UNITS = {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
+"""Units that lengths are written in by mistake, in m."""
+
+
+def unit_like(size: float, usual: float) -> str:
+    """Which of `UNITS` brings `size` nearest to `usual` m, and which does about as well."""
+    off = {name: abs(float(np.log(size * unit / usual))) for name, unit in UNITS.items()}
+    return " or ".join(sorted((name for name in off if off[name] < min(off.values()) + 0.5), key=lambda n: off[n]))
+
+
+def check_unit(
+    columns: Mapping[str, np.ndarray], at: Callable[[int], str], far: float, what: str, usual: float = 0.0
+) -> None:
+    """BadInput at the first place farther than `far` m; usual: how far from the origin bodies are seen, 0 where that may be any."""
     for name in ("x", "y"):
         for i in np.flatnonzero(np.abs(columns[name]) > far)[:1]:
-            value = columns[name][i]
-            raise BadInput(f"{at(i)}: {name} = {value:.6g} m is beyond any {what}; is it in mm or cm? write metres")
+            value, same = columns[name][i], columns["trial"] == columns["trial"][i] if usual else [i]
+            size = float(np.median(np.hypot(columns["x"][same], columns["y"][same])))
+            looks = f"it looks like {unit_like(size, usual)}" if usual else "is it in mm or cm?"
+            mend = f"; {looks}: write metres" if usual else f"; {looks} write metres"
+            raise BadInput(f"{at(i)}: {name} = {value:.6g} m is beyond any {what}{mend}")
 
 
 def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
@@ -46,6 +61,13 @@ def check_increasing(time: np.ndarray, told: Callable[[int], str]) -> None:
             raise BadInput(f"{told(0)}: {lost}")
         word = "repeats" if time[k] == time[k - 1] else "runs backwards"
         raise BadInput(f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such rows")
+
+
+def check_times(time: np.ndarray, most: float, told: Callable[[int], str]) -> None:
+    """BadInput where `time [T]` s of one trial does not increase, or lasts longer than `most` s."""
+    check_increasing(time, told)
+    if time[-1] - time[0] > most:
+        raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
 
 
 HOLE = 0.1  # s without a row that is told

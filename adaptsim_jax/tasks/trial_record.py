@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.table import Table, read_table
 from adaptsim_jax.tasks.camera_record import check_clock_set, check_different, check_increasing, check_unit, holes
+from adaptsim_jax.tasks.trial_clock import began
+from adaptsim_jax.tasks.trial_frozen import check_frozen
 
 LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 LEAST_NOISE = 1e-4  # m
@@ -20,7 +22,7 @@ LEAST_NOISE = 1e-4  # m
 class Kind:
     """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther no body goes; fastest m/s, slip m: a
     row farther than this from the one before is another thing; moves m: less in all is no trial; ends s: later rows are left out;
-    optional: columns that are read where they are there."""
+    optional: columns that are read where they are there; usual m: how far from the origin bodies are seen."""
 
     trial: str
     trials: str
@@ -33,10 +35,20 @@ class Kind:
     ends: float
     least: int = 5
     optional: tuple[str, ...] = ()
+    usual: float = 0.0
 
 
-Tracks = dict[float, tuple[np.ndarray, np.ndarray, str]]
-"""By trial: times `[R]` s, places `[R, C]` m, and the file's name."""
+class Track(NamedTuple):
+    """Of one trial: times `[R]` s, places `[R, C]` m, the file's name, and when the body began to move s and how fast m/s."""
+
+    time: np.ndarray
+    places: np.ndarray
+    file: str
+    began: tuple[float, float]
+
+
+Tracks = dict[float, Track]
+"""By trial."""
 
 
 def track_files(folder: Path) -> list[Path]:
@@ -70,10 +82,15 @@ def read_actions(path: Path, needed: Mapping[str, str], optional: Sequence[str],
 
 
 def read_tracks(
-    paths: Sequence[Path], numbers: np.ndarray, actions: Path, kind: Kind, without: Sequence[str] = ()
+    paths: Sequence[Path],
+    numbers: np.ndarray,
+    actions: Path,
+    kind: Kind,
+    without: Sequence[str] = (),
+    as_declared: bool = False,
 ) -> tuple[Tracks, tuple[str, ...]]:
     """The tracks of all files but those of the trials `without`, which are not looked at, and which of the optional columns each of
-    them has. Raises BadInput with the row."""
+    them has. as_declared: bodies may stand still as they like. Raises BadInput with the row."""
     if unknown := sorted(set(without) - {f"{n:g}" for n in numbers}):
         raise BadInput(
             f"no {kind.trial} is named {unknown[0]!r}; --without takes of {', '.join(f'{n:g}' for n in numbers)}"
@@ -83,13 +100,26 @@ def read_tracks(
     tables = [(path, read_table(path, columns, least=1, lost=("x", "y"))) for path in paths]
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
     for path, table in tables:
-        _read_tracks(path, table, numbers, actions, kind, more, without, found)
-    check_different({n: track[1] for n, track in found.items()}, str(paths[0] if len(paths) == 1 else paths[0].parent))
+        _read_tracks(path, table, numbers, actions, kind, more, without, as_declared, found)
+    check_different({n: track.places for n, track in found.items()}, place_of(paths))
     return found, more
 
 
+def place_of(paths: Sequence[Path]) -> str:
+    """How messages call the tracks of all files."""
+    return str(paths[0] if len(paths) == 1 else paths[0].parent)
+
+
 def _read_tracks(
-    path: Path, table: Table, numbers, actions: Path, kind: Kind, more, without: Sequence[str], found: Tracks
+    path: Path,
+    table: Table,
+    numbers,
+    actions: Path,
+    kind: Kind,
+    more,
+    without: Sequence[str],
+    free: bool,
+    found: Tracks,
 ) -> None:
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     for name in ("trial", "time", "x", "y"):
@@ -98,14 +128,14 @@ def _read_tracks(
     c = table.columns
     for i in np.flatnonzero(~np.isin(c["trial"], numbers))[:1]:
         raise BadInput(f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its {kind.trial} there")
-    check_unit(c, at, kind.far, kind.trial)
+    check_unit(c, at, kind.far, kind.trial, kind.usual)
     for n in np.unique(c["trial"]):
         if f"{n:g}" in without:
             continue
         i = np.flatnonzero(c["trial"] == n)
         told = lambda k, i=i, n=n: f"{at(int(i[k]))}: trial {n:g}"
         if n in found:
-            raise BadInput(f"{told(0)}: has a track in {found[n][2]} already; keep one")
+            raise BadInput(f"{told(0)}: has a track in {found[n].file} already; keep one")
         t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
         check_increasing(t, told)
         if t[-1] - t[0] > 60.0:
@@ -116,12 +146,13 @@ def _read_tracks(
             raise BadInput(
                 f"{told(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract that of each trial"
             )
-        if len(t) < LEAST_ROWS or np.median(np.diff(t)) > SLOWEST:
-            raise BadInput(
-                f"{told(0)}: {len(t)} rows {np.median(np.diff(t)) if len(t) > 1 else 0:.2g} s apart; 20 Hz at least are needed"
-            )
+        if len(t) < LEAST_ROWS:
+            raise BadInput(f"{told(0)}: {len(t)} rows; {LEAST_ROWS} at least are needed, at 20 Hz or more")
         if t[0] < -0.5:
             raise BadInput(f"{told(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm starts")
+        if not free:
+            seen = t <= kind.ends
+            check_frozen(t[seen], p[seen, :2], told, kind.body)
         leap = np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1)
         for k in np.flatnonzero(leap > kind.fastest * np.diff(t) + kind.slip)[:1] + 1:
             raise BadInput(
@@ -137,7 +168,7 @@ def _read_tracks(
             raise BadInput(
                 f"{told(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; write seconds since that start"
             )
-        found[n] = t[keep], p[keep], path.name
+        found[n] = Track(t[keep], p[keep], path.name, began(t, p[:, :2]))
 
 
 def tracked(numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: str) -> tuple[list[float], list[str]]:
@@ -147,8 +178,19 @@ def tracked(numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: 
         raise BadInput(
             f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are needed, {serve} serve"
         )
-    gaps = [f"trial {n:g}: {hole}" for n in names for hole in holes(found[n][0])]
+    gaps = [f"trial {n:g}: {hole}" for n in names for hole in holes(found[n].time)]
     return names, [f"trial {n:g} has no track and is left out" for n in numbers if n not in found] + gaps
+
+
+def check_spacing(names: Sequence[float], found: Tracks) -> None:
+    """BadInput at the first trial whose rows are too far apart, by a clock that was checked before."""
+    for n in names:
+        step = float(np.median(np.diff(found[n].time)))
+        if step > SLOWEST:
+            raise BadInput(
+                f"{found[n].file}: trial {n:g}: rows {step:.2g} s apart; 20 Hz at least are needed: record it so, or mend time where "
+                "the camera did"
+            )
 
 
 def check_starts(names: Sequence[float], aside: np.ndarray, most: float, body: str, where: Path) -> None:
@@ -163,15 +205,15 @@ def check_starts(names: Sequence[float], aside: np.ndarray, most: float, body: s
 
 def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times `[T, R]`, places `[T, R, C]` and mask `[T, R]`, each track held after its last row."""
-    longest = max(len(found[n][0]) for n in names)
-    width = found[names[0]][1].shape[1]
+    longest = max(len(found[n].time) for n in names)
+    width = found[names[0]].places.shape[1]
     time, places, mask = (
         np.zeros((len(names), longest)),
         np.zeros((len(names), longest, width)),
         np.zeros((len(names), longest)),
     )
     for k, n in enumerate(names):
-        t, p, _ = found[n]
+        t, p = found[n].time, found[n].places
         time[k], places[k] = (
             np.pad(t, (0, longest - len(t)), "edge"),
             np.pad(p, ((0, longest - len(t)), (0, 0)), "edge"),
@@ -182,7 +224,7 @@ def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarra
 
 def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: float) -> np.ndarray:
     """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `quiet` s; 0 where there are none."""
-    rows = [found[n][1][found[n][0] < quiet, :2] for n in names]
+    rows = [found[n].places[found[n].time < quiet, :2] for n in names]
     return np.array([r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)])
 
 

@@ -156,3 +156,22 @@ def test_interrupt_of_a_real_process():
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
     assert process.returncode == 130 and err == "adaptsim: stopped; go on\n"
+
+
+def test_ctrl_c_while_modules_are_loaded_is_quiet():
+    """SIGINT as the command line's first module is looked for: no traceback, ended by the signal."""
+    code = HEED + (
+        "import os, sys\n"
+        "class Impatient:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'adaptsim_jax.cli':\n            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Impatient())\n"
+        "from adaptsim_jax.__main__ import run\n"
+        "sys.exit(run())"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == -signal.SIGINT and done.stdout == done.stderr == ""
+    plain = subprocess.run(
+        [sys.executable, "-m", "adaptsim_jax", "--version"], capture_output=True, text=True, timeout=60
+    )
+    assert plain.returncode == 0 and plain.stdout.startswith("adaptsim_jax ") and plain.stderr == ""

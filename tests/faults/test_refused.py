@@ -131,3 +131,19 @@ def test_trials_to_leave_out_are_checked(tmp_path, capsys):
     assert "01.csv" in refused(capsys, "diagnose", data, "--out", tmp_path / "o")
     assert read_recording(data, without=["01"]).trials[0].name == "00"
     assert "leave some" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "00,01")
+
+
+THOUSANDS = {
+    "quoted": ('"{:,.3f}"', "1234.5, nothing between the digits"),
+    "whole": ('"{:,.0f}"', "thousands or decimals behind a comma"),
+    "bare": ("{:,.3f}", "commas between thousands suspected"),
+    "apostrophes": ("{:,.3f}", "1234.5, nothing between the digits"),
+}
+
+
+@pytest.mark.parametrize("name", THOUSANDS)
+def test_commas_between_thousands_are_told_from_decimal_commas(tmp_path, capsys, name):
+    form, says = THOUSANDS[name]
+    cell = lambda v: form.format(v).replace(",", "'" if name == "apostrophes" else ",")
+    data = write(tmp_path / "data", [c | {"time": [cell(1e3 * t + 1e3) for t in c["time"]]} for c in arm(count=2)])
+    assert says in refused(capsys, "diagnose", data, "--out", tmp_path / "out")

@@ -7,7 +7,7 @@ from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.report.diagnosis_explore import held_out
-from adaptsim_jax.report.diagnosis_rows import declared_rows
+from adaptsim_jax.report.diagnosis_rows import declared_rows, effect_rows
 
 
 @pytest.mark.parametrize(
@@ -145,3 +145,17 @@ def test_the_joint_that_is_furthest_off_is_shown_first():
     channels = {name: {"before": size, "unit": "rad"} for name, size in (("shoulder", 0.1), ("elbow", 1.0))}
     html, _ = held_out([trial], {"per_channel": channels, "per_trial": []})
     assert html.index(">elbow</option>") < html.index(">shoulder</option>")
+
+
+def test_a_gain_is_read_as_a_factor():
+    """report.json has what it is more than 1 by; of parameters of other effects nothing is changed."""
+    found = {"value": -0.3, "low": -0.31, "high": -0.29, "unit": "1"}
+    rows = [{"name": "torque_gain", "where": "joint1", "alternatives": [], "parameters": {"gain": found}},
+            {"name": "own", "where": "joint1", "alternatives": [], "parameters": {"gain": found}},
+            {"name": "camera_scale", "where": "", "alternatives": [], "parameters": {"scale": found | {"low": None}}}]  # fmt: skip
+    texts = [(p["name"], p["value"]) for row in effect_rows({"effects": rows}) for p in row["parameters"]]
+    assert dict(texts) == {
+        "gain (1: none)": "0.700 [0.690, 0.710]",
+        "gain": "−0.300 [−0.310, −0.290]",
+        "scale (1: none)": "0.700",
+    }

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import re
 from codecs import BOM_UTF8
 from collections.abc import Mapping
@@ -18,6 +19,8 @@ MIN_ROWS = 20
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}([,' \u00a0\u2009\u202f]\d{3})+(\.\d*)?([eE][-+]?\d+)?")
+"""A number with its thousands apart: `1,234.5`; without a point one comma alone may as well be a decimal one."""
 EMPTY = "is empty; remove it or record the trial again"
 
 
@@ -170,9 +173,16 @@ def _is_number(cell: str) -> bool:
 def _ragged(path: Path, line: int, row: list[str], n: int) -> None:
     if len(row) in (2 * n, 2 * n - 1) and all(_is_number(c) for c in row if c.strip()):
         why = "decimal commas suspected: write decimals with a point"
+    elif len(row) > n and any(_in_thousands(a, b) for a, b in itertools.pairwise(row)):
+        why = "commas between thousands suspected: write 1234.5, nothing between the digits"
     else:
         why = "complete or remove that line"
     raise BadInput(f"{path}: line {line}: has {len(row)} values, the header has {n} columns; {why}")
+
+
+def _in_thousands(before: str, cell: str) -> bool:
+    """Whether two neighbouring cells look like a number that was cut at the comma of its thousands."""
+    return bool(re.fullmatch(r"[-+]?[1-9]\d{0,2}", before.strip()) and re.fullmatch(r"\d{3}(\.\d*)?", cell.strip()))
 
 
 def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> tuple[np.ndarray, np.ndarray | None]:
@@ -185,13 +195,28 @@ def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) ->
     for row, cell in enumerate(cells):
         if empty[row] or _is_number(cell):
             continue
-        cell = cell.strip()
-        if DECIMAL_COMMA.fullmatch(cell):
-            why = f"column {name} is {cell!r}, a decimal comma; write decimals with a point"
-        else:
-            why = f"column {name} is {cell[:40]!r}, not a number; mend or remove that row"
-        raise BadInput(f"{path}: line {lines[row]}: {why}")
+        raise BadInput(f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, {_no_number(cell, cells)}")
     return np.array([np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]), empty
+
+
+def _no_number(cell: str, cells: tuple[str, ...]) -> str:
+    """What a cell is that is no number, and its mend, by what the column's other cells look like."""
+    apart, decimal = THOUSANDS.fullmatch(cell.strip()), DECIMAL_COMMA.fullmatch(cell.strip())
+    if apart and decimal:
+        others = [c.strip() for c in cells if "," in c]
+        if any("." in c for c in cells):
+            decimal = None
+        elif any(not THOUSANDS.fullmatch(c) for c in others):
+            apart = None
+    if apart and decimal:
+        return (
+            "thousands or decimals behind a comma; write thousands without one (1234.5), decimals with a point (1.2345)"
+        )
+    if decimal:
+        return "a decimal comma; write decimals with a point"
+    if apart:
+        return "with its thousands apart; write 1234.5, nothing between the digits"
+    return "not a number; mend or remove that row"
 
 
 def _read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:

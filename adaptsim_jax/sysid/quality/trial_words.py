@@ -88,6 +88,7 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
             f"{_differs(differ.kind)} from trial to trial, {_spread(differ.kind, differ.size, channels)}: that is "
             f"{100 * differ.takes:.0f} % of what the model leaves unexplained"
             + (f" ({' or '.join(alike)} would do as well)" if alike else "")
+            + ", or an effect without a name that acts otherwise in each trial"
             + f"; {_mend(differ)}"
         )
     out += [_odd(o, channels) for o in differ.odd]
@@ -129,7 +130,10 @@ def _amount(kind: str, size: float, hinge: bool) -> str:
 
 
 def _odd(o: Odd, channels: Channels) -> str:
-    why = "nothing simple explains it: did a drive trip, a sensor drop out, or are its columns or units other?"
+    why = (
+        "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or units other, or does an effect act that "
+        "the other trials hardly show?"
+    )
     if o.kind == "load":
         why = f"it looks to carry another load ({100 * o.size[0]:+.2g} % of the torque)"
     elif o.kind:

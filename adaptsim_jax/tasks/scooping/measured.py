@@ -15,22 +15,25 @@ import numpy as np
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.camera_record import check_increasing, check_numbers, check_unit
+from adaptsim_jax.tasks.camera_record import check_different, check_numbers, check_times, check_unit
 from adaptsim_jax.tasks.saved_policy import read_saved
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.corrections import Told
+from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.reach import check_reach
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
+from adaptsim_jax.tasks.trial_clock import began
+from adaptsim_jax.tasks.trial_frozen import check_frozen
 
 COLUMNS = ("trial", "time", "x", "y", "on")
 GAP = 0.1  # s without a row that can be filled
 LATE = 0.2  # s; the spatula cannot touch the piece before
 FAR = 2.0  # m; no piece goes so far, so it is another unit
 FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the piece
-LEAST, AHEAD = (
-    0.03,
-    0.5,
-)  # m that a piece must have gone for its way to say anything; cosine of that way and the spatula's
+LEAST, AHEAD = 0.03, 0.5  # m that a piece must have gone for its way to count; cosine of that way and the spatula's
+WIDE = 0.02  # m over which pieces must have been laid for a mirror to show
+USUAL = 0.1  # m from the middle of the box of places at which pieces are seen
 _PLACES = 0x5C00  # tells the places' keys from those that policies are trained with
 
 
@@ -92,33 +95,55 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray], at: Callable[[int], str], where: str, scoops: Scoops
+    columns: Mapping[str, np.ndarray], at: Callable[[int], str], where: str, scoops: Scoops, as_declared: bool = False
 ) -> ScoopingTrajectory:
     """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time, x, y, on of `[T]` each.
 
     `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight times and counted from
-    where the piece lay. Raises BadInput.
+    where the piece lay. as_declared: whatever they say of clock and frame. Raises BadInput.
     """
     for name in COLUMNS:
         if name not in columns:
             raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s, m, 0 or 1)")
     check_numbers(columns["trial"], at, scoops.numbers)
-    check_unit(columns, at, FAR, "scoop")
+    check_unit(columns, at, FAR, "scoop", USUAL)
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
         raise BadInput(f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, else 0")
-    points, lies = [], []
+    tracks = {}
     for number in scoops.numbers:
         rows = np.flatnonzero(columns["trial"] == number)
         if not len(rows):
             known = ", ".join(map(str, scoops.numbers))
             raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
         told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
-        time, track = columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1)
+        tracks[int(number)] = rows, columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1), told
+    check_different({n: track for n, (_, _, track, _) in tracks.items()}, where)
+    for _, time, _, told in tracks.values():
+        check_times(time, 50 * model.SECONDS, told)
+    if not as_declared:
+        check_reach(
+            [began(time, track) for _, time, track, _ in tracks.values()], scoops.actions, ScoopOptions(), where
+        )
+        check_mirrored(scoops.places[:, 1], np.array([track[0, 1] for _, _, track, _ in tracks.values()]), where)
+    points, lies = [], []
+    for rows, time, track, told in tracks.values():
+        if not as_declared:
+            check_frozen(time, track, told, "the piece")
         _check_track(time, track, told)
         points.append(np.stack([np.interp(model.SEEN_AT, time, track[:, k]) for k in range(2)], 1) - track[0])
         lies.append(columns["on"][rows[-1]])
     success = jnp.asarray(lies, jnp.float32)
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
+
+
+def check_mirrored(declared: np.ndarray, seen: np.ndarray, where: str) -> None:
+    """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the right, `seen [N]`, from anywhere."""
+    spread = lambda v: float(np.median(np.abs(v - np.median(v))))
+    if len(seen) > 1 and np.ptp(declared) > WIDE and spread(seen + declared) < 0.3 * spread(seen - declared):
+        raise BadInput(
+            f"{where}: pieces lie to the right where they are declared to the left: tracks are mirrored; turn the sign of y (or of "
+            "place_y); if all is as declared, add --as-declared"
+        )
 
 
 def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
@@ -142,9 +167,6 @@ def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
 
 def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]) -> None:
     """A piece seen from the arm's start to the end of the trial, that never jumped."""
-    check_increasing(time, told)
-    if time[-1] - time[0] > 50 * model.SECONDS:
-        raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
     if time[0] > LATE:
         raise BadInput(
             f"{told(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or subtract that time"

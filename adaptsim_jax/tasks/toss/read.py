@@ -15,6 +15,7 @@ from adaptsim_jax.tasks.camera_record import check_clock_set, check_increasing, 
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import Body, read_body
 from adaptsim_jax.tasks.toss.frame import check_blows
+from adaptsim_jax.tasks.trial_frozen import check_frozen
 
 PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 COLUMNS = ("time", *PLACE, *TURN)
@@ -75,7 +76,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     found: dict[str, tuple[np.ndarray, ...]] = {}
     notes: list[str] = []
     for path in files:
-        _read_file(path, found, notes)
+        _read_file(path, found, notes, as_declared)
     if len(found) < LEAST_TRIALS:
         raise BadInput(
             f"{folder}: holds {len(found)} tosses; to judge effects {LEAST_TRIALS} are needed, 20 to 30 serve"
@@ -91,7 +92,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     )
 
 
-def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str]) -> None:
+def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str], as_declared: bool) -> None:
     """The tosses of a file into `found`: one by the file's name, or as many as its column `trial` numbers."""
     table = read_table(path, ("trial", *COLUMNS), least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
@@ -119,17 +120,20 @@ def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list
             np.stack([c[n][i] for n in PLACE], 1),
             np.stack([c[n][i] for n in TURN], 1) / norm[i, None],
             told,
+            as_declared,
         )
         notes += [f"toss {name}: {hole}" for hole in holes(found[name][0])]
 
 
-def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told) -> tuple[np.ndarray, ...]:
+def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declared: bool) -> tuple[np.ndarray, ...]:
     check_increasing(time, told)
     if len(time) < LEAST_ROWS or np.median(np.diff(time)) > SLOWEST:
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
         raise BadInput(
             f"{told(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {LEAST_ROWS} at 50 Hz or more, time in seconds"
         )
+    if not as_declared:
+        check_frozen(time, place, told, "the body", grip=np.inf)  # a blow may stop it at once
     gaps = np.diff(time)
     leap = np.linalg.norm(np.diff(place, axis=0), axis=1)
     for k in np.flatnonzero(leap > FASTEST * gaps)[:1] + 1:

@@ -12,7 +12,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.frame import check_each, check_frame, check_order
-from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL
+from adaptsim_jax.tasks.pushing.hit import check_hits
+from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL, USUAL
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients, check_options
 
@@ -20,7 +21,7 @@ QUIET = 0.15  # s; no plate within the bounds touches the bottle so early
 ASIDE = 0.15  # m between start and first row from which it is another frame
 KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise")
 KIND = trial_record.Kind(
-    "push", "pushes", "the bottle", far=3.0, fastest=FASTEST, slip=SLIP, moves=2 * STILL, ends=3.0,
+    "push", "pushes", "the bottle", far=3.0, fastest=FASTEST, slip=SLIP, moves=2 * STILL, ends=3.0, usual=USUAL,
     never="the hit never came, or the track ends before",
 )  # fmt: skip
 
@@ -76,7 +77,7 @@ def assemble(
         if abs(angle) > 1.2:
             raise BadInput(f"{told(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write radians")
     numbers = c["trial"]
-    found, _ = trial_record.read_tracks(tracks, numbers, actions, KIND, without)
+    found, _ = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
     row = {n: i for i, n in enumerate(numbers)}
     at = np.array([row[n] for n in names])
@@ -88,6 +89,9 @@ def assemble(
     _check_start(starts, aside, where)
     trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
     ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
+    if not as_declared:
+        check_hits([found[n].began for n in names], acts, starts, trial_record.place_of(tracks))
+    trial_record.check_spacing(names, found)
     if not as_declared:
         check_frame(acts[:, 1], ends, str(where))  # a slight turn is an effect of the catalogue
         check_order(names, acts[:, 1], ends, str(where))

@@ -11,8 +11,9 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.measured import FAR, FASTEST, SLIP, check_way
+from adaptsim_jax.tasks.scooping.measured import FAR, FASTEST, SLIP, USUAL, check_mirrored, check_way
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
+from adaptsim_jax.tasks.scooping.reach import check_reach
 
 QUIET = 0.05  # s; no blade within the bounds touches the piece so early
 ASIDE = 0.10  # m between place and first rows from which it is another frame
@@ -21,7 +22,7 @@ REPEATS = (5e-4, 2e-3, 1e-4)
 """How well an arm repeats a scoop: pitch rad, rate rad/s, distance m, one standard deviation."""
 KIND = trial_record.Kind(
     "scoop", "scoops", "the piece", far=FAR, fastest=FASTEST, slip=SLIP, moves=0.01, ends=model.SECONDS,
-    never="the blade never came, or the track ends before", optional=("z",),
+    never="the blade never came, or the track ends before", optional=("z",), usual=USUAL,
 )  # fmt: skip
 _LIMITS = {"pitch": (0.0, 0.35, "rad"), "rate": (-0.6, 0.6, "rad/s"), "distance": (0.0, 0.1, "m")}
 
@@ -84,18 +85,23 @@ def assemble(
             mend = "in degrees? write radians" if name != "distance" else "in mm? write metres"
             raise BadInput(f"{told(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it {mend}")
     numbers = c["trial"]
-    found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without)
+    found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
     at = np.array([int(np.flatnonzero(numbers == n)[0]) for n in names])
     starts = np.stack([c["place_x"], c["place_y"]], 1)[at]
+    acts = np.stack([c[name] for name in _LIMITS], 1)[at]
+    options = replace(ScoopOptions(), **{k: float(meta[k]) for k in ("clearance", "press") if k in meta})
+    if not as_declared:
+        check_reach([found[n].began for n in names], acts, check_options(options), trial_record.place_of(tracks))
+        check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
+    trial_record.check_spacing(names, found)
     if own_frame:
         apart = trial_record.aside(names, found, starts, QUIET)
         for n, off in zip(names, apart, strict=True):
-            t, p, file = found[n]
-            found[n] = t, p - np.pad(off, (0, p.shape[1] - 2)), file
+            p = found[n].places
+            found[n] = found[n]._replace(places=p - np.pad(off, (0, p.shape[1] - 2)))
         notes.append("places are counted from where each piece lay: a shifted camera or piece would not show")
     time, places, mask = trial_record.padded(names, found)
-    acts = np.stack([c[name] for name in _LIMITS], 1)[at]
     aside = trial_record.aside(names, found, starts, QUIET)
     if not as_declared:
         _check_frame(names, starts, aside, places, mask, where)
@@ -106,9 +112,8 @@ def assemble(
     if not more:
         notes.append("no heights were seen (column z): a blade's lift and a piece's height show less")
     shape, height = _piece(meta, where)
-    options = replace(ScoopOptions(), **{k: float(meta[k]) for k in ("clearance", "press") if k in meta})
     return Scooped(
-        tuple(f"{n:g}" for n in names), acts, starts, aside, time, places, mask, noise, source, check_options(options),
+        tuple(f"{n:g}" for n in names), acts, starts, aside, time, places, mask, noise, source, options,
         shape, height, _repeats(meta, where), tuple(notes),
     )  # fmt: skip
 
@@ -130,7 +135,7 @@ def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
 
 
 def _check_frame(names, starts, aside, places, mask, where: Path) -> None:
-    """Another frame, a mirrored camera: told before anything is fitted."""
+    """Another frame, told before anything is fitted."""
     off = float(np.linalg.norm(np.median(aside, 0)))
     if off > ASIDE:
         x, y = np.median(aside, 0)
@@ -140,10 +145,3 @@ def _check_frame(names, starts, aside, places, mask, where: Path) -> None:
         )
     trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
     check_way(np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)]), str(where), names)
-    wide = np.ptp(starts[:, 1]) > 0.02
-    y = aside[:, 1] + starts[:, 1]
-    spread = lambda v: float(np.median(np.abs(v - np.median(v))))
-    if wide and spread(y + starts[:, 1]) < 0.3 * spread(y - starts[:, 1]):
-        raise BadInput(
-            f"{where}: pieces lie to the right where they are declared to the left: tracks are mirrored; turn the sign of y"
-        )
