@@ -35,11 +35,14 @@ def check_unit(
     """BadInput at the first place farther than `far` m; usual: how far from the origin bodies are seen, 0 where that may be any."""
     for name in ("x", "y"):
         for i in np.flatnonzero(np.abs(columns[name]) > far)[:1]:
-            value, same = columns[name][i], columns["trial"] == columns["trial"][i] if usual else [i]
-            size = float(np.median(np.hypot(columns["x"][same], columns["y"][same])))
-            looks = f"it looks like {unit_like(size, usual)}" if usual else "is it in mm or cm?"
-            mend = f"; {looks}: write metres" if usual else f"; {looks} write metres"
-            raise BadInput(f"{at(i)}: {name} = {value:.6g} m is beyond any {what}{mend}")
+            mend = "is it in mm or cm? write metres"
+            if usual:
+                same = columns["trial"] == columns["trial"][i]
+                x, y = columns["x"][same], columns["y"][same]
+                alone = np.sum(np.maximum(np.abs(x), np.abs(y)) > far) < 3
+                unit = unit_like(float(np.median(np.hypot(x, y))), usual)
+                mend = f"{mend}, or remove that row" if alone else f"it looks like {unit}: write metres"
+            raise BadInput(f"{at(i)}: {name} = {columns[name][i]:.6g} m is beyond any {what}; {mend}")
 
 
 def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:

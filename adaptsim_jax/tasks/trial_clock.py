@@ -38,10 +38,10 @@ class Touch:
 
 def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
     """When a body with `places [R, 2]` m at `time [R]` s has moved by `MOVED`, s, and its greatest speed from then on, m/s; NaN
-    where it never does, or before it is first seen."""
+    where it never does, or moves as it is first seen."""
     far = np.linalg.norm(places - places[0], axis=1)
     k = int(np.argmax(far > MOVED))
-    if k < 1 or len(time) < 8:
+    if k < 1 or len(time) < 8 or far[2] > MOVED / 2:
         return float("nan"), float("nan")
     at = float(np.interp(MOVED, [far[k - 1], far[k]], [time[k - 1], time[k]]))
     # a few rows at least, so that noise is no speed

@@ -147,7 +147,7 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
         assert says in error and str(tmp_path / name) in error and error.count("\n") == 1
         assert contents(folder) == before
 
-    refuse("mm.csv", "is it in mm or cm? write metres")
+    refuse("mm.csv", "looks like mm: write metres")
     refuse("torn.csv", "trial 2: ends at 1 s")
     refuse("none.csv", "check the path")
     straight(folder, tmp_path / "mirrored.csv", turn=-1.0)

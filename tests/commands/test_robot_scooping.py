@@ -31,13 +31,13 @@ def run(tmp_path_factory):
 
 
 def scooped(folder, out, on):
-    """Tracks of pieces that go 0.2 m ahead, the last of which ends on the spatula if `on`."""
+    """Tracks of pieces that go 0.2 m ahead as the blade comes, the last of which ends on the spatula if `on`."""
     with open(folder / "actions.csv", newline="") as file:
         asked = list(csv.DictReader(file))
     rows = ["trial,time,x,y,on"]
     for i, scoop in enumerate(asked):
         for time in np.arange(0, 1.02, 1 / 30):
-            x = float(scoop["place_x"]) + 0.4 * np.clip(time - 0.3, 0, 0.5)
+            x = float(scoop["place_x"]) + 0.6 * np.clip(time - 0.16, 0, 0.34)
             rows.append(f"{scoop['trial']},{time:.4f},{x:.5f},{scoop['place_y']},{int(on and i > 0)}")
     out.write_text("\n".join([*rows, ""]))
     return out

@@ -116,10 +116,9 @@ def measured_trajectory(
             known = ", ".join(map(str, scoops.numbers))
             raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
         told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
+        check_times(columns["time"][rows], 50 * model.SECONDS, told)
         tracks[int(number)] = rows, columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1), told
     check_different({n: track for n, (_, _, track, _) in tracks.items()}, where)
-    for _, time, _, told in tracks.values():
-        check_times(time, 50 * model.SECONDS, told)
     if not as_declared:
         check_reach(
             [began(time, track) for _, time, track, _ in tracks.values()], scoops.actions, ScoopOptions(), where

@@ -107,7 +107,7 @@ def scaled(*columns, by):
 
 FRAMES = 81  # of a trial
 BAD = {
-    "millimetres": (scaled(2, 3, by=1000), "line 2: x = 560 m is beyond any push; is it in mm or cm? write metres"),
+    "millimetres": (scaled(2, 3, by=1000), "line 2: x = 560 m is beyond any push; it looks like mm: write metres"),
     "milliseconds": (scaled(1, by=1000), "line 82: trial 3: lasts 1333.33 s; is time in ms? write seconds"),
     "a trial never asked": (changed(0, 7), "line 12: trial 7 was never asked for; asked are 3 and 4"),
     "trial 0": (changed(0, 0), "line 12: trial 0 was never asked for"),

@@ -19,11 +19,17 @@ AT = lambda i: f"record.csv: line {i + 2}"
 
 
 def record(fps=60):
-    """Both scoops: pieces that lie for 0.3 s and then go 0.2 m at 0.4 m/s; the first ends on the spatula."""
+    """Both scoops: pieces that lie for 0.2 s and then go 0.2 m at 0.4 m/s; the first ends on the spatula."""
     time = np.arange(0, 1.02, 1 / fps)
     rows = [
         np.stack(
-            [np.full_like(time, n), time, 0.5 + 0.4 * np.clip(time - 0.3, 0, 0.5), 0.02 + 0 * time, on * (time > 0.9)],
+            [
+                np.full_like(time, n),
+                time,
+                0.5 + 0.001 * n + 0.4 * np.clip(time - 0.2, 0, 0.5),
+                0.02 + 0 * time,
+                on * (time > 0.9),
+            ],
             1,
         )
         for n, on in zip(SCOOPS.numbers, (1.0, 0.0), strict=True)
@@ -47,7 +53,7 @@ def test_the_same_session_asks_for_the_same_scoops():
 
 def test_a_record_is_seen_from_where_the_piece_lay():
     got = told(record())
-    expected = 0.4 * np.clip(np.array(model.SEEN_AT) - 0.3, 0, 0.5)
+    expected = 0.4 * np.clip(np.array(model.SEEN_AT) - 0.2, 0, 0.5)
     np.testing.assert_allclose(got.points[:, :, 0], np.tile(expected, (2, 1)), atol=4e-3)
     np.testing.assert_allclose(got.points[:, :, 1], 0.0, atol=1e-6)
     assert got.success.tolist() == [1.0, 0.0] and float(got.tested) == 0.5
