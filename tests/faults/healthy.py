@@ -4,7 +4,8 @@
     python -m tests.faults.healthy FOLDER 7300 mechanisms 10      so many of one kind
 
 Said are refusals, warnings of the audit and of conventions, and trials that differ, which `diagnose` tells only after its search (not
-run here) and only where the mended model does not explain them. Noise, jitter, coarse encoders and missing speeds are among the sets; lost rows are not.
+run here) and only where the mended model does not explain them. Noise, jitter, coarse encoders and missing speeds are among the
+sets; lost rows are not.
 """
 
 import sys
