@@ -109,8 +109,8 @@ def examined(
     )  # fmt: skip
     share = [0.05]
 
-    def step(note: str) -> None:
-        share[0] += 0.05 * (1.0 - share[0])
+    def step(note: str) -> None:  # the declared fit is about a third of it all; how many steps follow, nobody knows
+        share[0] = max(0.35, share[0] + 0.1 * (1.0 - share[0]))
         say(share[0], 1.0, note)
 
     say(0.05, 1.0, "declared model")

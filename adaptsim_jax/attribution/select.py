@@ -72,6 +72,7 @@ def select(
 ) -> Selection:
     """Forward, then each effect beside the others, then against its look-alikes."""
     fitted = fit(problem, null, rounds=15)
+    say("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, fitted.vector))
     base = first = modelled(problem, (), fitted)
     trace: list[Step] = []

@@ -50,11 +50,15 @@ def message(
 def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool) -> str:
     unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
     size = lambda e: f"{1e3 * np.median(e):.3g}"
+    median = np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)
+    worst = int(np.argmax(median))
+    many = f", most of it at {problem.joint_names[worst]}" if over > 1.5 and problem.joints > 1 else ""
     if not found.named:
-        told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor."
+        told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor"
         if over <= 1.5:
-            return told if odd else f"{told} Nothing need be added."
-        return f"{told} No effect of the catalogue holds out.{_closest(problem, found)}"
+            return f"{told}." if odd else f"{told}. Nothing need be added."
+        at = f"{many} ({median[worst]:.0f} times)" if many else ""
+        return f"{told}{at}. No effect of the catalogue holds out.{_closest(problem, found)}"
     lines = []
     for n in found.named:
         c, t = n.candidate, n.test
@@ -65,9 +69,7 @@ def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.nda
     told = "; ".join(lines)
     told = told[:1].upper() + told[1:]
     rest = f"Left-out error {size(before)} to {size(after)} {unit}; what remains is {over:.1f} times the noise floor"
-    worst = int(np.argmax(np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)))
-    where = f", most of it at {problem.joint_names[worst]}" if over > 1.5 and problem.joints > 1 else ""
-    return f"{told}. {rest}{where}."
+    return f"{told}. {rest}{many}."
 
 
 def _closest(problem: Problem, found: Selection) -> str:
