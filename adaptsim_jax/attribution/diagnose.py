@@ -13,6 +13,7 @@ from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.held_out import over_floor
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
@@ -20,7 +21,7 @@ from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gain
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
-from adaptsim_jax.attribution.select import Selection, select
+from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder, write_bytes
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
@@ -115,7 +116,10 @@ def examined(
 
     say(0.05, 1.0, "declared model")
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
-        found = select(problem, narrow(declared_vector(machine, problem)), criteria, step)
+        null = narrow(declared_vector(machine, problem))
+        found = select(problem, null, criteria, step)
+        if not found.named and over_floor(problem, found.final) > criteria.odd:
+            found = select_shorter(problem, null, criteria, found, step)
     return *reported(machine, problem, found, criteria, horizon), problem, found
 
 

@@ -125,6 +125,18 @@ def prepare(
     )  # fmt: skip
 
 
+def beginnings(problem: Problem, share: float) -> Problem:
+    """The same of which only the first share of each stretch was seen."""
+
+    def begun(g: Group) -> Group:
+        s, seen, seen_v = g.stretches, g.stretches.seen.copy(), g.stretches.seen_v.copy()
+        last = max(2, round(share * s.rows))
+        seen[last + 1 :] = seen_v[last + 1 :] = 0
+        return replace(g, stretches=replace(s, seen=seen, seen_v=seen_v))
+
+    return replace(problem, groups=tuple(begun(g) for g in problem.groups))
+
+
 def _nameless(tree: Tree) -> Tree:
     """The same with names that say nothing, so that four like legs share one compiled program."""
     count = range(len(tree.joint_names))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
     Model,
     Test,
@@ -24,9 +24,9 @@ from adaptsim_jax.attribution.held_out import (
     refit,
 )
 from adaptsim_jax.attribution.parameters import TILT, Vector
-from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import steadiness, why_not
+from adaptsim_jax.attribution.stays import eased, steadiness, why_not
 from adaptsim_jax.effects.base import Reach
 
 
@@ -55,7 +55,7 @@ class Named:
 @dataclass(frozen=True)
 class Selection:
     """What a search found. null: the declared model; stages: (model, added) in turn; final; trace; scores at the declared model and
-    at the final one."""
+    at the final one; shorter: over the beginnings of stretches only."""
 
     null: Model
     final: Model
@@ -65,6 +65,7 @@ class Selection:
     first: tuple[Score, ...]
     last: tuple[Score, ...]
     reach: Reach
+    shorter: bool = False
 
 
 def select(
@@ -88,6 +89,29 @@ def select(
         scores = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
     final, named = judged(problem, base, reach, criteria, trace, say)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
+
+
+def select_shorter(
+    problem: Problem, null: Vector, criteria: Criteria, found: Selection, say: Callable[[str], None] = lambda note: None
+) -> Selection:
+    """A search over the beginnings of the stretches, where one over the whole named nothing and far more than noise is left.
+
+    A joint that friction holds still, or a motion that runs away, has as many minima as it has turns; over a short while it has few
+    (progressive horizons in multiple shooting). What is named there is put into the whole, refitted only if that predicts better.
+    """
+    short = beginnings(problem, criteria.beginning)
+    near = select(short, null, criteria, say)
+    if not near.named:
+        return found
+    vector = near.final.fit.vector
+    starts, loss, _ = settled(problem, found.null.lin, vector, (near.final.fit.starts, found.null.fit.starts), refine=3)
+    kept = replace(found.null.fit, vector=vector, starts=starts, loss=loss, code="stopped")
+    refitted = fit(problem, vector, starts, rounds=criteria.rounds)
+    models = [modelled(problem, near.final.added, f) for f in (kept, refitted)]
+    final = min(models, key=lambda m: over_floor(problem, m))
+    if eased(problem, found.null, final) < 0.0:
+        return found
+    return replace(near, null=found.null, final=final, stages=(found.null,), shorter=True)
 
 
 def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say) -> Model | None:

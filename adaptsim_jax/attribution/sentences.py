@@ -120,3 +120,13 @@ def doubts(problem: Problem, found: Selection) -> list[str]:
             shown = f"held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
             out.append(f"{name} was tried and dropped: {s.why} ({shown}).")
     return out
+
+
+def shorter(found: Selection, criteria: Criteria, horizon: float) -> list[str]:
+    """That names come of the beginnings of the stretches."""
+    if not found.shorter:
+        return []
+    return [
+        f"Over {horizon:g} s no fit of an effect held out; what is named was found, and tested, over the first "
+        f"{criteria.beginning * horizon:.2g} s of each stretch"
+    ]
