@@ -24,7 +24,7 @@ class Criteria:
     beyond: where a fit of short trials leaves more than `explained`, the share that an effect must take off of the squared error
         beyond the noise (0.9: it is three times what is left); what is smaller may name a part of that. 0: no such rule.
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
-    beginning: share of the stretches over which is searched again where nothing was named and more than `odd` is left.
+    beginning: share of the stretches over which is fitted, and searched again where nothing was named, if more than `odd` is left.
     few: stretches beyond `odd` from which on they are looked at by themselves, where all else is explained.
     left: of the error of these, at most, that an effect which acts now and then may leave.
     """

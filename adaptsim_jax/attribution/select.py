@@ -29,6 +29,8 @@ from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import eased, steadiness, why_not
 from adaptsim_jax.effects.base import Reach
 
+ROUNDS = 15  # of the declared model's fit
+
 
 @dataclass(frozen=True)
 class Step:
@@ -72,10 +74,9 @@ def select(
     problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None
 ) -> Selection:
     """Forward, then each effect beside the others, then against its look-alikes."""
-    fitted = fit(problem, null, rounds=15)
+    base = first = declared(problem, null, criteria)
     say("candidates")
-    reach = scaled_reach(problem, *own_inertia(problem, fitted.vector))
-    base = first = modelled(problem, (), fitted)
+    reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     trace: list[Step] = []
     stages = [first]
     scores = opening = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
@@ -89,6 +90,16 @@ def select(
         scores = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
     final, named = judged(problem, base, reach, criteria, trace, say)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
+
+
+def declared(problem: Problem, null: Vector, criteria: Criteria) -> Model:
+    """The declared model fitted; where that leaves far more than noise, also by way of the stretches' beginnings, over which a fit
+    has fewer minima: of both the one that predicts better."""
+    models = [modelled(problem, (), fit(problem, null, rounds=ROUNDS))]
+    if over_floor(problem, models[0]) > criteria.odd:
+        begun = fit(beginnings(problem, criteria.beginning), null, rounds=ROUNDS)
+        models.append(modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=ROUNDS)))
+    return min(models, key=lambda m: over_floor(problem, m))
 
 
 def select_shorter(
