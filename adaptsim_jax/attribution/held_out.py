@@ -132,10 +132,12 @@ def _noise(problem: Problem) -> np.ndarray:
     return np.maximum(problem.floor[: problem.joints], 1e-12)
 
 
-def astray(problem: Problem, model: Model, criteria: Criteria) -> np.ndarray:
-    """Stretches [W] of which much more is left than of most."""
+def astray(problem: Problem, model: Model, criteria: Criteria, null: Model | None = None) -> np.ndarray:
+    """Stretches [W] of which much more is left than of most; and, where the declared model `null` is given, nearly as much as that
+    leaves there (dry friction that a simulator lets creep, say, leaves more now and then, though it is the right effect)."""
     error = held_error(problem, model)
-    return np.any(error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0)), 1)
+    far = error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0))
+    return np.any(far if null is None else far & (error > (1.0 - criteria.left) * held_error(problem, null)), 1)
 
 
 def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:

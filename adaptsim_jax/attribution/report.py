@@ -67,7 +67,7 @@ def _odd(problem: Problem, found: Selection, criteria: Criteria) -> list[tuple[s
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor (median over its stretches, or
     over those that are far off where there are a few such)."""
     noise, after = np.maximum(problem.floor[: problem.joints], 1e-12), held_error(problem, found.final)
-    far = astray(problem, found.final, criteria)
+    far = astray(problem, found.final, criteria, found.null)
     out = []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k

@@ -36,7 +36,7 @@ def message(
     if not odd:
         return told
     _, joint, times = odd[0]
-    far = int(astray(problem, found.final, criteria).sum())
+    far = int(astray(problem, found.final, criteria, found.null).sum())
     few = f"in {far} of {len(problem.fold)} stretches " if far >= criteria.few else ""
     if len(odd) > 0.5 * len(problem.folds):
         return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}." if few else told
