@@ -43,17 +43,19 @@ class Guess:
 def guess(columns: dict[str, np.ndarray], model: ModelNames | None) -> Guess:
     """What the columns of one trial (by the file's names, as written) seem to be. `model`: its joints, where known."""
     joints = model.joints if model else ()
+    actuators = {a.name for a in (model.actuators or ())} if model else set()
     names: dict[str, str] = {}
     ignored: list[str] = []
     unknown: list[str] = []
     for name in columns:
         told = role(name, joints)
-        known = told and (not isinstance(told.joint, str) or not joints or told.joint in joints)
+        named = told and (told.joint in joints or (told.stem == "ctrl" and told.joint in actuators))
+        known = told and (not isinstance(told.joint, str) or not joints or named)
         ours = name if known else _ours(name, joints)
         if ours is not None and ours not in names.values():
             names[name] = ours
         elif told and isinstance(told.joint, str):
-            unknown.append(told.joint)
+            unknown.append(name if told.joint in actuators else told.joint)  # ctrl_ACTUATOR is kept
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):

@@ -205,7 +205,8 @@ def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
 def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta) -> None:
     if names.actuators and meta.input != "none":
         a = names.actuators[0]
+        column = f"ctrl_{a.name}" if a.kind == "motor" else f"target_{a.joint}"
         raise BadInput(
-            f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add column target_{a.joint} (or "
+            f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add column {column} (or "
             f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off'
         )

@@ -8,7 +8,7 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.sysid.io.guess import guess, guess_units
-from adaptsim_jax.sysid.io.log import ModelNames
+from adaptsim_jax.sysid.io.log import ActuatorName, ModelNames
 from adaptsim_jax.sysid.io.read import read_log, read_with_model
 from tests.sysid.io.log_files import motion, named, numbered, write_csv
 
@@ -154,6 +154,15 @@ def test_joints_of_other_names_and_joints_that_the_model_lacks(tmp_path, capsys)
     assert table["ignore"] == ["gripper"]
     assert table["columns"]["q_elbow"] == "q_elbow_joint"
     np.testing.assert_array_equal(read_log(tmp_path / "logs").trials[0].u, m["tau"][:, :2])
+
+
+def test_a_command_by_its_actuators_name_is_no_joint_that_the_model_lacks():
+    cart = ModelNames(("rail", "pivot"), slides=("rail",), actuators=(ActuatorName("belt", "rail"),))
+    columns = {name: np.linspace(0.0, 1.0, 5) for name in ("time", "q_rail", "q_pivot", "ctrl_belt", "tau_belt")}
+    found = guess(columns, cart)
+    assert found.unknown_joints == ("tau_belt",)  # the column alone: a torque is named for its joint
+    assert found.columns == {} and found.ignored == ()
+    assert guess({name: columns[name] for name in list(columns)[:4]}, cart).unknown_joints == ()
 
 
 def test_a_bag_with_its_topics(tmp_path, capsys):
