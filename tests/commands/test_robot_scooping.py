@@ -37,7 +37,8 @@ def scooped(folder, out, on):
     rows = ["trial,time,x,y,on"]
     for i, scoop in enumerate(asked):
         for time in np.arange(0, 1.02, 1 / 30):
-            x = float(scoop["place_x"]) + 0.6 * np.clip(time - 0.16, 0, 0.34)
+            gone = np.clip(time - 0.16, 0, 2 / 3)
+            x = float(scoop["place_x"]) + 0.6 * gone - 0.45 * gone**2
             rows.append(f"{scoop['trial']},{time:.4f},{x:.5f},{scoop['place_y']},{int(on and i > 0)}")
     out.write_text("\n".join([*rows, ""]))
     return out
