@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import os
 import tempfile
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,9 @@ def _mp4(frames: Iterable[np.ndarray], path: str, fps: float) -> None:
                 writer = ffmpeg.write_frames(
                     path, size, fps=fps, quality=8, macro_block_size=2, ffmpeg_log_level="error"
                 )
-                writer.send(None)
+                with warnings.catch_warnings():  # JAX warns of the fork, whose child is the encoder at once
+                    warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
+                    writer.send(None)
             writer.send(np.ascontiguousarray(frame))
     finally:
         if writer is not None:
