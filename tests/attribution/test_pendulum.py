@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.mend import HELD
 from adaptsim_jax.attribution.partly import partly_explained
 from adaptsim_jax.attribution.pendulum import base_parameters, left_out
 from adaptsim_jax.attribution.problem import tilted
@@ -54,8 +55,10 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
     assert "coulomb" in {e["name"] for e in report["effects"]}
     held_out = {m: replay(load(folder, tmp_path / m).without([t.name for t in some])).told() for m in FILES}
     assert set(held_out["model.toml"]["trials"]) == set(others)
-    assert held_out["model.toml"]["median"] < 0.7 * held_out["declared.xml"]["median"]
-    assert held_out["model.xml"]["median"] == pytest.approx(held_out["model.toml"]["median"], rel=0.05)
+    for mended in ("model.toml", "model.xml"):  # the second has a look-alike for what MJCF cannot hold
+        assert held_out[mended]["median"] < 0.7 * held_out["declared.xml"]["median"]
+    if {e["name"] for e in report["effects"]} <= set(HELD):
+        assert held_out["model.xml"]["median"] == pytest.approx(held_out["model.toml"]["median"], rel=0.05)
 
 
 FILES = ("declared.xml", "model.xml", "model.toml")
