@@ -86,3 +86,8 @@ def test_masses_that_are_somewhat_off_and_late_logs_are_warned_of(healthy):
     assert found.severity == "warn" and "times those that the masses of" in found.message
     (found,) = check_conventions(spoiled(healthy, u=lambda u: np.roll(u, 3, axis=0)))
     assert "ahead of the torque that makes it" in found.message
+
+
+def test_inertias_a_little_off_are_no_lengths_far_off(tmp_path):
+    write_world(tmp_path / "world", "null", 10043)
+    assert check_conventions(load(tmp_path / "world/recording", None)) == ()

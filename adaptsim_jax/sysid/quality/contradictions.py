@@ -19,6 +19,7 @@ from adaptsim_jax.sysid.quality.hypotheses import (
     Hypothesis,
     Motion,
     Track,
+    linear_fit,
     motion_of,
     unexplained,
 )
@@ -34,6 +35,8 @@ MOST_SWAPPED = 8
 """Joints up to which every pair is tried."""
 SURE = 0.7
 """Share of what is left at no shift that the best shift may leave."""
+NEAR = 4.0
+"""Times the declared torques up to which those that the motion needs are of their size."""
 SHORTEST = 1e-3
 
 
@@ -98,6 +101,12 @@ def contradiction(
             best = other, h
     if best is None or best[0] > GOOD or best[0] * (TIMES if left >= POOR else FAR) > left:
         return None
+    if (
+        left < POOR
+        and best[1] in more
+        and 1.0 / NEAR < linear_fit(motion, design, first=motion.tau.shape[1]).scale < NEAR
+    ):
+        return None  # inertias that are a little off look like lengths that are far off; but torques are then of the right size
     return Told(best[1].name, best[1].says, best[1].mend, left, best[0])
 
 
