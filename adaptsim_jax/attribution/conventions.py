@@ -10,7 +10,15 @@ from adaptsim_jax.attribution.load import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.dynamics import regressor
 from adaptsim_jax.mechanisms.tree import Tree
-from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, POOR, Words, contradiction, late_finding, lateness
+from adaptsim_jax.sysid.quality.contradictions import (
+    AS_DECLARED,
+    NEAR,
+    POOR,
+    Words,
+    contradiction,
+    late_finding,
+    lateness,
+)
 from adaptsim_jax.sysid.quality.findings import Finding
 from adaptsim_jax.sysid.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
 from adaptsim_jax.sysid.quality.trial_words import Channels
@@ -18,8 +26,8 @@ from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}
-OFF, WILD = 4.0, 30.0
-"""Times that all torques may be those of the declared masses without a word; from which on that is refused."""
+WILD = 30.0
+"""Times that all torques are those of the declared masses from which on that is refused; below `NEAR` not a word is said."""
 ALIKE = 0.99
 
 
@@ -64,10 +72,10 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     if len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any():  # a free swing says nothing of the torques' unit
         return ()
     found = linear_fit(motion, declared, first=machine.tree.n)
-    if found.left > POOR or 1.0 / OFF < found.scale < OFF:
+    if found.left > POOR or 1.0 / NEAR < found.scale < NEAR:
         return ()
     near = min(UNITS, key=lambda u: abs(np.log(found.scale / u)))
-    unit = f" ({UNITS[near]}?)" if 1.0 / OFF < found.scale / near < OFF else ""
+    unit = f" ({UNITS[near]}?)" if 1.0 / NEAR < found.scale / near < NEAR else ""
     times = f"{float(f'{found.scale:.2g}'):g} times those that the masses of {machine.mechanism.path} need"
     says = f"the torques that make this motion are {times}{unit}"
     mend = "write masses in kg and torques in N m, or the torques' unit under [units]"

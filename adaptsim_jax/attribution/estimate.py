@@ -18,10 +18,8 @@ from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, valu
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start, simulate
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
-CONVERGED, GOING_ON = (
-    1e-4,
-    0.03,
-)  # share of the loss that a round takes off, below which a fit ends; the second of a glance
+CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
+GOING_ON = 0.03  # the same of a fit that is only to be compared
 WILD = 3.0  # times the median error of a stretch, from which it counts less
 STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
 MOST_SUBSTEPS = 12

@@ -32,7 +32,8 @@ def reported(
     floor = float(np.median(noise))
     over = over_floor(problem, found.final)
     named = found.named
-    odd = _odd(problem, found, criteria)
+    far = astray(problem, found.final, criteria, found.null)
+    odd = _odd(problem, found, far, criteria)
     kind = _kind(named, over, bool(odd), criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
     log = machine.log
@@ -45,7 +46,8 @@ def reported(
     after_rows = _declared(machine, problem, found.final)
     fixed = inertias_told.sentence(problem, found.final, after_rows)
     report = new_report(
-        "mechanism", Path(machine.mechanism.path).name, kind, message(problem, found, before, after, over, odd, criteria), data,
+        "mechanism", Path(machine.mechanism.path).name, kind,
+        message(problem, found, before, after, over, odd, int(far.sum()), criteria), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
@@ -63,11 +65,10 @@ def reported(
     return report, evidence
 
 
-def _odd(problem: Problem, found: Selection, criteria: Criteria) -> list[tuple[str, str, float]]:
+def _odd(problem: Problem, found: Selection, far: np.ndarray, criteria: Criteria) -> list[tuple[str, str, float]]:
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor (median over its stretches, or
-    over those that are far off where there are a few such)."""
+    over those that are `far` [W] off where there are a few such)."""
     noise, after = np.maximum(problem.floor[: problem.joints], 1e-12), held_error(problem, found.final)
-    far = astray(problem, found.final, criteria, found.null)
     out = []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k

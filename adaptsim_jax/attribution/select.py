@@ -96,7 +96,7 @@ def declared(problem: Problem, null: Vector, criteria: Criteria) -> Model:
     """The declared model fitted; where that leaves far more than noise, also by way of the stretches' beginnings, over which a fit
     has fewer minima: of both the one that predicts better."""
     models = [modelled(problem, (), fit(problem, null, rounds=ROUNDS))]
-    if over_floor(problem, models[0]) > criteria.odd:
+    if criteria.beginning < 1.0 and over_floor(problem, models[0]) > criteria.odd:
         begun = fit(beginnings(problem, criteria.beginning), null, rounds=ROUNDS)
         models.append(modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=ROUNDS)))
     return min(models, key=lambda m: over_floor(problem, m))
@@ -111,7 +111,7 @@ def select_shorter(
     (progressive horizons in multiple shooting). What is named there is put into the whole, refitted only if that predicts better.
     """
     short = beginnings(problem, criteria.beginning)
-    near = select(short, null, criteria, say)
+    near = select(short, null, replace(criteria, beginning=1.0), say)  # beginnings have none of their own
     if not near.named:
         return found
     vector = near.final.fit.vector

@@ -3,7 +3,6 @@
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.held_out import astray
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import TILT
 from adaptsim_jax.attribution.problem import Problem
@@ -29,14 +28,14 @@ def message(
     after: np.ndarray,
     over: float,
     odd: list[tuple[str, str, float]],
+    far: int,
     criteria: Criteria,
 ) -> str:
-    """What was found, in a few sentences. odd: trials of which much is left."""
-    told = _found(problem, found, before, after, over, bool(odd))
+    """What was found, in a few sentences. odd: trials of which much is left; far: stretches that are far off."""
+    told = _found(problem, found, before, after, over, bool(odd), criteria.explained)
     if not odd:
         return told
     _, joint, times = odd[0]
-    far = int(astray(problem, found.final, criteria, found.null).sum())
     few = f"in {far} of {len(problem.fold)} stretches " if far >= criteria.few else ""
     if len(odd) > 0.5 * len(problem.folds):
         return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}." if few else told
@@ -47,15 +46,17 @@ def message(
     return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
 
 
-def _found(problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool) -> str:
+def _found(
+    problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool, explained: float
+) -> str:
     unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
     size = lambda e: f"{1e3 * np.median(e):.3g}"
     median = np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)
     worst = int(np.argmax(median))
-    many = f", most of it at {problem.joint_names[worst]}" if over > 1.5 and problem.joints > 1 else ""
+    many = f", most of it at {problem.joint_names[worst]}" if over > explained and problem.joints > 1 else ""
     if not found.named:
         told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor"
-        if over <= 1.5:
+        if over <= explained:
             return f"{told}." if odd else f"{told}. Nothing need be added."
         at = f"{many} ({median[worst]:.0f} times)" if many else ""
         return f"{told}{at}. No effect of the catalogue holds out.{_closest(problem, found)}"

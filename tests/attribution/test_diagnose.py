@@ -8,8 +8,13 @@ import pytest
 
 from adaptsim_jax import cli
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.held_out import over_floor
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.replay import replay_files
+from adaptsim_jax.attribution.select import Selection, declared, select_shorter
 from adaptsim_jax.sysid.report.schema import read_report
 from tests.attribution.pendulum import record
 from tests.generators.mechanism_worlds import write_world
@@ -91,6 +96,18 @@ def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp
     assert (named["name"], named["joints"], report["verdict"]) == ("saturation", hidden["joints"], "explained")
     size = {k: row["value"] for k, row in named["parameters"].items()}
     assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(hidden["size"][hidden["joints"][0]]["limit"], rel=0.01)
+
+
+@pytest.mark.slow
+def test_over_the_beginnings_of_stretches_friction_is_found_too(tmp_path):
+    machine = load(record(tmp_path / "rub", friction=0.4), None)
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    null, criteria = declared_vector(machine, problem), Criteria()
+    model = declared(problem, null, criteria)
+    nothing = Selection(model, model, (), (model,), (), (), (), problem.reach)
+    found = select_shorter(problem, null, criteria, nothing)
+    assert found.shorter and "coulomb" in {n.candidate.effect for n in found.named}
+    assert over_floor(problem, found.final) < 0.2 * over_floor(problem, model)
 
 
 @pytest.mark.slow

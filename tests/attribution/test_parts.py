@@ -1,5 +1,7 @@
 """Stretches, parameters and tests by themselves."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,9 +9,13 @@ import pytest
 
 from adaptsim_jax.attribution.catalogue import sensor_delay
 from adaptsim_jax.attribution.held_out import sign_flip
-from adaptsim_jax.attribution.parameters import ETA, inertial_of, inertias, pseudo_inertia
+from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
+from adaptsim_jax.attribution.problem import Group, Problem, beginnings
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.select import _acting
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.base import unit_at
 
 ROD = np.array([0.6, 0.0, 0.0, -0.09, 0.02, 0.0, 0.0, 0.02, 0.0, 1e-4])
 
@@ -91,3 +97,28 @@ def test_a_late_sensor_says_what_was_before_between_uneven_rows(delay):
     np.testing.assert_allclose(
         q[:known], angle(t - delay)[:known], atol=2e-3
     )  # the motion went on at its first acceleration
+
+
+def test_of_a_stretch_only_the_beginning_is_seen():
+    group = Group(cast(Any, None), (0, 1), cut([track()], 0.5), np.zeros((6, 2)), np.ones(2), inertias(ROD[None]))
+    whole = Problem(
+        (group,), ("a", "b"), ("hinge",) * 2, (), cast(Any, None), np.zeros(4, int), ("a",), False, {}, np.zeros(4)
+    )
+    (short,) = beginnings(whole, 0.2).groups
+    assert short.stretches.seen[:26].all() and not short.stretches.seen[26:].any()
+    assert group.stretches.seen.all()
+
+
+def test_an_effect_at_all_joints_is_told_where_it_acts():
+    entries = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 1.0, "N m") for j in range(3))
+    everywhere = Candidate("coulomb", (0, 1, 2), "all", entries)
+    acting, still = _acting(Vector(entries, np.array([0.0, 0.2, 0.0])), everywhere)
+    assert (acting.joints, acting.sharing, still) == ((1,), "joint", [entries[0].key, entries[2].key])
+    assert _acting(Vector(entries, np.zeros(3)), everywhere) == (everywhere, [])
+
+
+@pytest.mark.parametrize(
+    ("unit", "slide"), [("N m", "N"), ("kg m^2", "kg"), ("rad/(N m)", "m/N"), ("1", "1"), ("s", "s")]
+)
+def test_units_are_those_of_the_joint(unit, slide):
+    assert (unit_at(unit, "hinge"), unit_at(unit, "slide")) == (unit, slide)
