@@ -55,6 +55,7 @@ WRONG = {
     "signs": (lambda m: spoiled(m, u=lambda u: -u), "all torques have the other sign"),
     "angle": (lambda m: spoiled(m, times(1, -1.0)), "turn the signs of columns q_"),
     "degrees": (lambda m: spoiled(m, times(1, 180 / np.pi)), '= "deg" under'),
+    "radians": (lambda m: spoiled(m, times(1, np.pi / 180)), '= "rad" under'),
     "turns": (lambda m: spoiled(m, times(1, 0.5 / np.pi)), '= "rev" under'),
     "zero": (lambda m: spoiled(m, lambda q: moved(m, q)), "a quarter turn from where the model has its zero"),
     "mm": (lambda m: model(m, length=1e3), "lengths 0.001 times those"),

@@ -170,26 +170,10 @@ def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] 
                            lambda m, small=small: replace(m, tau=m.tau * small))
             )  # fmt: skip
         if words.hinges[j]:
-            deg = np.where(np.arange(n) == j, np.pi / 180.0, 1.0)
-            out.append(
-                Hypothesis("degrees", f"{words.q[j]} looks to be in degrees", f'write {words.q[j]} = "deg" under [units] in meta.toml',
-                           lambda m, deg=deg: _scaled(m, deg))
-            )  # fmt: skip
-            rev = np.where(np.arange(n) == j, 2 * np.pi, 1.0)
-            unit = f'write {words.q[j]} = "rev" under [units] in meta.toml'
-            out.append(
-                Hypothesis("revolutions", f"{words.q[j]} looks to be in revolutions", unit,
-                           lambda m, rev=rev: _scaled(m, rev))
-            )  # fmt: skip
+            own = lambda factor, j=j: np.where(np.arange(n) == j, factor, 1.0)
+            out += _units(f"{words.q[j]} looks to be", words.q[j], own)
     if n > 1 and all(words.hinges):
-        out.append(
-            Hypothesis("degrees", "all angles look to be in degrees", 'write angle = "deg" under [units] in meta.toml',
-                       lambda m: _scaled(m, np.full(n, np.pi / 180.0)))
-        )  # fmt: skip
-        out.append(
-            Hypothesis("revolutions", "all angles look to be in revolutions", 'write angle = "rev" under [units] in meta.toml',
-                       lambda m: _scaled(m, np.full(n, 2 * np.pi)))
-        )  # fmt: skip
+        out += _units("all angles look to be", "angle", lambda factor: np.full(n, factor))
     for j, parent in enumerate(chain):
         if parent < 0:
             continue
@@ -212,6 +196,19 @@ def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] 
         )
     )  # fmt: skip
     return out
+
+
+def _units(says: str, key: str, factors: Callable[[float], np.ndarray]) -> list[Hypothesis]:
+    """Angles in another unit than declared: `factors(factor)` `[n]` by which each joint's would have to be multiplied."""
+    mend = f'write {key} = "{{}}" under [units] in meta.toml'
+    each = lambda name, unit, factor, words: Hypothesis(
+        name, f"{says} {words}", mend.format(unit), lambda m: _scaled(m, factors(factor))
+    )
+    return [
+        each("degrees", "deg", np.pi / 180.0, "in degrees"),
+        each("radians", "rad", 180.0 / np.pi, "in radians already, and to be taken for degrees"),
+        each("revolutions", "rev", 2 * np.pi, "in revolutions"),
+    ]
 
 
 def _ordered(q: list[int], tau: list[int]):
