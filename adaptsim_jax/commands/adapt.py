@@ -33,7 +33,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 2 of a trained run: result.json, and a few lines for a person."""
-    from adaptsim_jax.commands.task_parts import adapt_part
+    from adaptsim_jax.commands.task_parts import ROBOT, adapt_part
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.store import RunFolder
 
@@ -65,7 +65,10 @@ def run(args: argparse.Namespace) -> int:
     print(f"written: {out / 'result.json'}")
     for line in lines:
         print(line)
-    next_step(f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot")
+    if folder.task in ROBOT:
+        next_step(f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot")
+    else:
+        next_step(f"compare {folder.task} --out compared    against other methods")
     return 0
 
 
@@ -123,6 +126,8 @@ def _show(found: dict[str, Any]) -> None:
     print(f"target {found['target']['name']}: best reward {_digits(best['reward'])} of {found['trials']} trials")
     for start, visits in enumerate(found["history"], 1):
         print(f"  start {start}: reward {' '.join(_digits(visit['reward']) for visit in visits)}")
+    if not any(visit["reward"] for visits in found["history"] for visit in visits):
+        print("  no visit earned a reward: it tells no policies apart here; widen Omega, or reward what comes near")
     for name, value in best["params"].items():
         print(f"  {name} {value:.4g} (target {found['target']['params'][name]:.4g})")
 

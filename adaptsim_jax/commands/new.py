@@ -21,7 +21,7 @@ KNOWN = {  # entry points: group, name, object, and where it then stands
     "baseline": ("baselines", ("exact.{name}",), "{name}", "`adaptsim compare pendulum --methods {name}`"),
 }
 PYPROJECT = """[project]
-name = "my-{dashed}"
+name = "{project}"
 version = "0.1"
 
 [tool.setuptools]
@@ -76,7 +76,7 @@ def _make_known(kind: str, name: str, folder: Path) -> None:
     if file.exists():
         print(f"add to {file}, and '{name}' to its py-modules or packages:\n\n{lines}")
     else:
-        text = PYPROJECT.format(name=name, dashed=name.replace("_", "-"))
+        text = PYPROJECT.format(name=name, project=f"my-{name.replace('_', '-').removeprefix('my-')}")
         write_bytes(file, f"{text}\n{lines}".encode())
         print(f"written: {file}")
     print(f"once installed (pip install -e {folder}) it is known to {where.format(name=name)}")

@@ -116,6 +116,11 @@ def test_the_first_file_comes_with_a_pyproject(kind, group, name, names, tmp_pat
     assert '[project.entry-points."adaptsim.baselines"]\n"exact.hill" = "hill:hill"' in capsys.readouterr().out
 
 
+def test_a_name_that_begins_with_my_is_not_doubled(tmp_path):
+    assert main(["new", "effect", "my_effect", "--dir", str(tmp_path)]) == 0
+    assert tomllib.loads((tmp_path / "pyproject.toml").read_text())["project"]["name"] == "my-effect"
+
+
 def test_a_mechanism_is_one_that_logs_can_be_read_with(tmp_path):
     assert main(["new", "mechanism", "arm", "--dir", str(tmp_path)]) == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))

@@ -276,3 +276,13 @@ def test_ctrl_c_while_training_can_be_resumed(straight, tmp_path):
     assert error.splitlines()[-1].startswith("adaptsim: stopped; continue with: adaptsim train pendulum --run ")
     assert main(train(folder, "--resume")) == 0
     assert contents(folder) == contents(straight)
+
+
+@pytest.mark.parametrize("reward, said", [(0.0, True), (0.2, False)])
+def test_adapt_says_where_no_visit_earned_a_reward(reward, said, capsys):
+    from adaptsim_jax.commands.adapt import _show
+
+    visits = [{"reward": 0.0, "params": {}}, {"reward": reward, "params": {}}]
+    target = {"name": "wet", "params": {}}
+    _show({"target": target, "best": {"reward": reward, "params": {}}, "trials": 2, "history": [visits]})
+    assert ("no visit earned a reward" in capsys.readouterr().out) == said
