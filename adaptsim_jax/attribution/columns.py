@@ -13,12 +13,12 @@ import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, off_value
-from adaptsim_jax.attribution.simulate import Motion, Path, actuated, carried, command_rows, wound
+from adaptsim_jax.attribution.simulate import Motion, Path, actuated, carried, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
-SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance")
+SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance", "drive_play")
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
 
 Shapes = Mapping[str, float]
@@ -102,11 +102,17 @@ def _command(model, values, stamp, command, path: Path, p, size, past: int, effe
 _carried = jax.jit(carried)
 
 
-@jax.jit
-def _carried_between(values, x, u):
-    """Torque of the drives in the middle of the rows, [L, n, W] N m."""
+@partial(jax.jit, static_argnames=("effect", "parameter"))
+def _answered(values, x, u, p, effect: str, parameter: str):
+    """Change of the actuators' forces in the middle of the rows [n, L, W] per unit of a parameter of an effect that they see."""
     n = x.shape[1] // 2
-    return jax.vmap(lambda x, u: actuated(values, x[:n], x[n:], u)[0])(0.5 * (x[1:] + x[:-1]), u)
+    between = 0.5 * (x[1:] + x[:-1])
+
+    def force(value):
+        lanes = values._replace(effects=values.effects | {effect: p | {parameter: value}})
+        return jax.vmap(lambda x, u: actuated(lanes, x[:n], x[n:], u)[0], out_axes=1)(between, u)
+
+    return jax.jvp(force, (p[parameter],), (jnp.ones_like(p[parameter]),))[1]
 
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
@@ -213,13 +219,16 @@ class Columns:
         part = y[:, 10 * body : 10 * body + 10]
         return -np.einsum("niLW,i->nLW", part, slope[body, :, ETA.index(name)])
 
-    def yielding(self, at: int) -> np.ndarray:
-        """Change of a controlled joint's angle on the motor's side [W, L] per unit of its drive's compliance."""
-        if "between" not in self._made:
+    def answered(self, effect: Effect, parameter: str, shape: Shapes | None) -> np.ndarray:
+        """Change of the actuators' forces [n, L, W] per unit of a parameter of what their controllers' encoders see."""
+        key = ("answered", effect.name, parameter, tuple(sorted((shape or {}).items())))
+        if key not in self._made:
             with jax.enable_x64(True):
-                self._made["between"] = np.asarray(_carried_between(self.values, self.path.x, self.path.u))
-        law, gear = self.values.actuator, self.values.gear
-        return self._made["between"][:, at].T / (1.0 - float((wound(self.values) * gear**2 * law[2])[at, 0]))
+                p = {k: jnp.asarray(z)[:, None] for k, z in self.at(effect, shape).items()}
+                self._made[key] = np.asarray(
+                    _answered(self.values, self.path.x, self.path.u, p, effect.name, parameter)
+                )
+        return self._made[key]
 
     def tilt(self, name: str) -> np.ndarray:
         g = np.asarray(self.group.model.tree.gravity)
@@ -252,7 +261,6 @@ class Columns:
                 output = np.zeros((width, rows + 1, 2 * self.n, len(entries))) if output is None else output
                 for c in (at, self.n + at):
                     output[:, :, c, k] += z[:, c].T
-                if e.owner in SEEN_BY_CONTROLLERS:
-                    push = float((self.values.actuator[2, at] * self.values.gear[at] ** 2)[0])
-                    force[:, :, at, k] += push * (1.0 if e.owner == "encoder_offset" else self.yielding(at))
+                if e.owner in SEEN_BY_CONTROLLERS and np.any(self.values.actuator[2, at]):
+                    force[:, :, at, k] += self.answered(self.problem.effect(e.owner), e.name, shape)[at].T
         return force, output

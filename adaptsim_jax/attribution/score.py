@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
-           "drive_compliance")  # fmt: skip
+           "drive_compliance", "drive_play")  # fmt: skip
 """Effects on the torque of an actuator: not of a joint that has none."""
 BEYOND = 1.5  # of the amplitude at which an effect that does not act linearly is scored, up to which the score is good for it
 

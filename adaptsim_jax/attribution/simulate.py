@@ -80,14 +80,25 @@ def actuated(values: Values, q, v, u):
     g = values.gear
     q = q + sensed_offset(values)
     pull = gain * u + bias + per_q * g * q
-    # a controller's encoder on the motor's side sees the drive's wind-up, too
+    # a controller's encoder on the motor's side sees the drive's wind-up and play, too
     yields = 1.0 - wound(values) * g * g * per_q
+    pull = pull - _played(values, g * (pull + per_v * g * v)) / g
     return g * jnp.clip((pull + per_v * g * v) / yields, low, high), g * pull / yields
 
 
 def wound(values: Values):
     """Wind-up of the drives under torque, [n, .] rad/(N m)."""
     return values.effects["drive_compliance"]["compliance"] if "drive_compliance" in values.effects else 0.0
+
+
+def _played(values: Values, torque):
+    """What a controller on the motor's side gives less, since its encoder turns through the play towards where it pulls: it lies
+    against a side of the play as `drive_play` has it of the torque that is left."""
+    if "drive_play" not in values.effects:
+        return 0.0
+    p = values.effects["drive_play"]
+    most = -0.5 * p["gap"] * values.gear**2 * values.actuator[2]
+    return most * jnp.clip(torque / jnp.maximum(most + p["width"], 1e-12), -1.0, 1.0)
 
 
 def carried(values: Values, x, u):

@@ -21,7 +21,7 @@ LAWS = {
     "torque": None,
     "position": np.array([[40.0] * 2, [0.0] * 2, [-40.0] * 2, [-1.0] * 2, [-np.inf] * 2, [np.inf] * 2]),
 }
-NAMES = ("torque_gain", "torque_coupling", "friction_coupling", "drive_compliance", "encoder_offset")
+NAMES = ("torque_gain", "torque_coupling", "friction_coupling", "drive_compliance", "drive_play", "encoder_offset")
 
 
 @pytest.fixture(scope="module", params=LAWS)

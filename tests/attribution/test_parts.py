@@ -7,12 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.catalogue import sensor_delay
+from adaptsim_jax.attribution.catalogue import drive_play, sensor_delay
 from adaptsim_jax.attribution.held_out import sign_flip
 from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, Problem, beginnings
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
+from adaptsim_jax.attribution.simulate import Values, actuated
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import unit_at
@@ -122,3 +123,17 @@ def test_an_effect_at_all_joints_is_told_where_it_acts():
 )
 def test_units_are_those_of_the_joint(unit, slide):
     assert (unit_at(unit, "hinge"), unit_at(unit, "slide")) == (unit, slide)
+
+
+@pytest.mark.parametrize("target", [-1.0, -0.01, 0.003, 0.03, 1.0])
+def test_a_controller_behind_play_answers_to_what_its_encoder_reads(target):
+    """kp (target - reading), with the link held at 0: none of it acts while the motor is between the sides of the play."""
+    kp, gap, width = 40.0, 0.0625, 0.01
+    wide = lambda z: jnp.full((1, 1), z)
+    law = jnp.array([kp, 0.0, -kp, 0.0, -np.inf, np.inf])[:, None, None]
+    effects = {"drive_play": {"gap": wide(gap), "width": wide(width)}}
+    torque = actuated(Values(None, None, law, wide(1.0), effects), wide(0.0), wide(0.0), wide(target))[0]
+    time, still = jnp.arange(4.0)[:, None], jnp.zeros((4, 1))
+    reading = drive_play({"gap": gap, "width": width}, time, still, still, still[0], torque + still)[0]
+    np.testing.assert_allclose(torque[0], kp * (target - reading[0]), rtol=1e-4, atol=1e-5)
+    assert abs(float(reading[0, 0])) <= gap / 2 and (abs(target) > gap / 2 or abs(float(torque[0, 0])) < width)
