@@ -14,6 +14,7 @@ from adaptsim_jax.attribution.estimate import (
     WILD,
     Fit,
     Linear,
+    Normal,
     Weights,
     bounded_step,
     candidate_columns,
@@ -38,11 +39,13 @@ EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over a stretch), parameters [F, P]."""
+    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over a stretch), parameters [F, P];
+    normal equations by fold."""
 
     loss: np.ndarray
     squared: np.ndarray
     vectors: np.ndarray
+    normal: Normal
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
         seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
         j = np.array(group.joints)
         squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
-    return HeldOut(loss, squared, now.vector.values + steps)
+    return HeldOut(loss, squared, now.vector.values + steps, n)
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:

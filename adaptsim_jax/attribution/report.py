@@ -149,7 +149,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
     alike = {(a.effect, a.joints) for n in found.named for a in n.alternatives}
     why = {}
     for s in found.trace:
-        if s.candidate is not None and s.test is not None and s.action in ("refused", "dropped"):
+        if s.candidate is not None and s.test is not None and s.action in ("refused", "dropped", "replaced"):
             why[s.candidate.effect, s.candidate.joints] = (
                 f"{s.action}: {s.why} (held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g})"
             )

@@ -219,34 +219,52 @@ def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Mod
 
 
 def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
-    """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes."""
+    """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes, of which
+    the simplest has the name."""
+    gone: set[tuple] = set()
     while True:
         tests = []
         for c in model.added:
             say(f"without {c.effect} at {_where(problem, c)}")
             less = without(problem, model, c, criteria.rounds)
-            tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(problem, model, c)))
+            tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)))
         failing = []
         for c, less, test, steady in tests:
             if why := why_not(problem, model, less, c, test, steady, criteria):
                 failing.append((test.gain, c, less, test, why))
-        if not failing:
-            break
-        _, c, less, test, why = min(failing, key=lambda f: f[0])
-        trace.append(Step("dropped", c, None, test, why))
+        if failing:
+            _, c, less, test, why = min(failing, key=lambda f: f[0])
+            trace.append(Step("dropped", c, None, test, why))
+        else:
+            alike = [look_alikes(problem, model, less, c, reach, criteria, say) for c, less, _, _ in tests]
+            simpler = [
+                (c, other, test)
+                for (c, *_), others in zip(tests, alike, strict=True)
+                for other, test in others
+                if other.added[-1].key not in gone
+                and len(other.fit.vector) < len(model.fit.vector)
+                and test.gain < criteria.gap
+            ]
+            if not simpler:
+                break
+            c, less, test = min(simpler, key=lambda s: s[2].gain)
+            gone.add(c.key)
+            trace.append(
+                Step("replaced", c, None, test, f"{less.added[-1].effect} has fewer parameters and does as well")
+            )
         own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
-    named = tuple(
-        Named(c, test, look_alikes(problem, model, less, c, reach, criteria, say), steady, test.p)
-        for c, less, test, steady in tests
+    return model, tuple(
+        Named(c, test, tuple(other.added[-1] for other, _ in others), steady, test.p)
+        for (c, _, test, steady), others in zip(tests, alike, strict=True)
     )
-    return model, named
 
 
 def look_alikes(
     problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
-) -> tuple[Candidate, ...]:
-    """Effects that do as well as `c` in its place: of those that gain most without it, and of those that it is mistaken for."""
+) -> list[tuple[Model, Test]]:
+    """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
+    those that gain most without it, and of those that it is mistaken for."""
     scores = table(problem, less.lin, candidates(problem, less.fit.vector, reach))
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
@@ -267,8 +285,8 @@ def look_alikes(
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
         test = paired(problem, other.held.loss, model.held.loss)
         if test.gain < gap or test.p > criteria.confidence:
-            out.append(score.candidate)
-    return tuple(out)
+            out.append((other, test))
+    return out
 
 
 def _where(problem: Problem, c: Candidate) -> str:

@@ -59,11 +59,18 @@ def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:
     return bool(own) and all(off != 0.0 and abs(z - off) < criteria.least_change * abs(off) for off, z in own)
 
 
-def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
-    """An effect's amplitude over its scatter between folds (jackknife): the largest of its amplitudes'."""
+def steadiness(model: Model, c: Candidate) -> float:
+    """An effect's amplitude over its scatter between folds (jackknife, all other values held): the largest of its amplitudes'.
+
+    With the others free, an amplitude that trades places with inertias would scatter, though every fold wants it.
+    """
     at = [i for i, e in enumerate(model.fit.vector.entries) if any(e.key == k.key for k in c.entries)]
-    folds = len(model.held.vectors)
-    values = model.held.vectors[:, at]
-    scatter = np.sqrt((folds - 1) / folds * np.square(values - values.mean(0)).sum(0))
+    n, folds = model.held.normal, len(model.held.vectors)
+    hess, own = n.hess[:, at][:, :, at], n.slope[:, at]
+    ridge = 1e-9 * np.diag(np.diagonal(hess.sum(0)))
+    moved = np.array(
+        [np.linalg.lstsq(hess.sum(0) - h + ridge, -s, rcond=1e-12)[0] for h, s in zip(hess, own, strict=True)]
+    )
+    scatter = np.sqrt((folds - 1) / folds * np.square(moved - moved.mean(0)).sum(0))
     off = np.array([model.fit.vector.entries[i].off for i in at])
     return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))

@@ -99,6 +99,22 @@ def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp
 
 
 @pytest.mark.slow
+def test_an_effect_whose_size_trades_places_with_inertias_is_named(tmp_path):
+    write_world(tmp_path / "world", "single", 776)
+    report = diagnose(tmp_path / "world/recording")
+    assert [(e["name"], e["joints"]) for e in report["effects"]] == [("position_gain", ["rail"])]
+    assert report["error"]["after"] < 0.3 * report["error"]["before"]
+
+
+@pytest.mark.slow
+def test_of_effects_that_do_as_well_the_simplest_has_the_name(tmp_path):
+    write_world(tmp_path / "world", "single", 761)  # a constant torque, for which a score test takes a stop
+    (named,) = diagnose(tmp_path / "world/recording")["effects"]
+    assert (named["name"], named["joints"]) == ("bias", ["pole"])
+    assert named["parameters"]["torque"]["value"] == pytest.approx(-0.0432, rel=0.02)
+
+
+@pytest.mark.slow
 def test_over_the_beginnings_of_stretches_friction_is_found_too(tmp_path):
     machine = load(record(tmp_path / "rub", friction=0.4), None)
     problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)

@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Test as Paired
-from adaptsim_jax.attribution.stays import why_not
+from adaptsim_jax.attribution.stays import steadiness, why_not
 
 DT = 0.005  # s
 GOOD = Paired(0.4, 0.0001, 6, 6, 24)
@@ -44,3 +44,15 @@ def test_what_holds_out_stays():
 )
 def test_the_rule_that_failed_is_told(change, says):
     assert says in judged(**change)
+
+
+def test_steadiness_is_that_of_an_effect_all_else_held():
+    """Two folds' equations in an effect and an inertia that trade places: each fold wants the effect, whatever it wants of both."""
+    entries = tuple(Entry(k, k, (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in ("coulomb", "inertia"))
+    hess = np.array([[[1.0, 1.0], [1.0, 1.001]], [[1.0, 1.0], [1.0, 1.002]]])
+    slope = np.array([[0.01, 0.011], [-0.01, -0.011]])
+    model: Any = SimpleNamespace(
+        fit=SimpleNamespace(vector=SimpleNamespace(entries=entries, values=np.array([0.5, 0.2]))),
+        held=SimpleNamespace(vectors=np.zeros((2, 2)), normal=SimpleNamespace(hess=hess, slope=slope)),
+    )
+    assert steadiness(model, Candidate("coulomb", (0,), "joint", entries[:1])) == pytest.approx(50.0, rel=1e-3)
