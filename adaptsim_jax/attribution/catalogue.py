@@ -34,6 +34,12 @@ def stribeck(p, m):
     return Dry(p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
 
 
+def presliding(p, m):
+    """Bristles that bend before the joint slides (Dahl, 1968; the integrator has their state); their own damping, which LuGre's model
+    (Canudas de Wit et al., 1995) adds, is not modelled."""
+    return Dry(0.0 * m.q, yielding=p["compliance"] + 0.0 * m.q)
+
+
 def load_friction(p, m):
     return Dry(p["share"] * jnp.abs(m.u))
 
@@ -153,6 +159,12 @@ def _sides(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.05, 0.2)]
 
 
+def _bristles(reach, joint):
+    """Compliances with which friction of a tenth of the torque breaks away after these shares of the range of motion."""
+    span = float(reach.q_high[joint] - reach.q_low[joint])
+    return [{"compliance": s * span / (0.1 * float(reach.torque[joint]))} for s in (0.001, 0.003, 0.01, 0.03, 0.1)]
+
+
 def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.03, 0.08)]
 
@@ -184,6 +196,12 @@ OWN: tuple[Effect, ...] = (
         stribeck, "dry friction that is higher at creeping speed (Bo and Pavelescu, 1982)",
         "long stretches of slow motion beside fast ones", ("coulomb", "load_friction"), grid=grids.speeds,
         formula="-excess exp(-(v / speed)^2) sign(v), beside what is there at speed",
+    ),
+    Effect(
+        "presliding", "force", (Parameter("compliance", "rad/(N m)", 0.0, 5.0, 0.0, sign=1),), presliding,
+        "dry friction that gives way as a spring before the joint slides (Dahl, 1968; LuGre)",
+        "many small reversals", ("coulomb", "stribeck", "backlash"), jump=True, grid=_bristles,
+        formula="what dry friction there is builds up as deflection / compliance",
     ),
     Effect(
         "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1),), load_friction,

@@ -13,12 +13,14 @@ import numpy as np
 
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, off_value
-from adaptsim_jax.attribution.simulate import Motion, Path, actuated, carried, command_rows
+from adaptsim_jax.attribution.simulate import BENT, Motion, Path, actuated, carried, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
 SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance", "drive_play")
+NEAR = 0.02  # of a value, by which it is moved at most
+SLIDING = 0.99  # of its level, that dry friction takes over a row in which the joint slides
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
 
 Shapes = Mapping[str, float]
@@ -43,6 +45,26 @@ def _mean_sign(x, n):
     return jnp.where(even, jnp.sign(after), (jnp.abs(after) - jnp.abs(before)) / jnp.where(even, 1.0, change))
 
 
+def _bent(path: Path, yielding, rub, bristly, n: int):
+    """What bristles of some compliance [n, L, W] change of dry friction `rub` (level, mean direction) along a path: as they bend by
+    the angle and slide at the level. A joint that is held still says nothing of them, unless
+    it has some already (bristly [n, 1, 1])."""
+    level, turned = rub
+    most = yielding * level
+    q = jnp.moveaxis(path.x[:, :n], 0, 1)
+
+    def row(bent, now):
+        step, most = now
+        new = jnp.clip(bent + step, -most, most)
+        return new, 0.5 * (bent + new)
+
+    start = jnp.clip(BENT * path.x[0, n : 2 * n], -most[:, 0], most[:, 0])
+    moved = (jnp.moveaxis(jnp.diff(q, axis=1), 1, 0), jnp.moveaxis(most, 1, 0))
+    mean = jnp.moveaxis(jax.lax.scan(row, start, moved)[1], 0, 1)
+    slides = (most > 0) & (bristly | (jnp.abs(turned) > SLIDING))
+    return jnp.where(slides, level * turned - mean / jnp.where(yielding > 0, yielding, 1.0), 0.0)
+
+
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effect, parameter: str):
     """Change of the force [n, L, W] per unit of a parameter at every joint, or of a pair's [n, n, L, W], the parameter's joint first;
@@ -59,13 +81,17 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
     gravity = lambda q: dynamics.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
     motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u)
     turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
+    bristly = values.effects["presliding"]["compliance"][:, :1, None] > 0 if "presliding" in values.effects else False
 
     def act(value):
         at = {k: z[:, None, None] for k, z in (p | {parameter: value}).items()}
         if effect.inertia:
             return -effect.apply(at) * a
         answer = effect.apply(at, motion)
-        return answer.force - answer.level * turned if isinstance(answer, Dry) else answer + 0.0 * q
+        if not isinstance(answer, Dry):
+            return answer + 0.0 * q
+        bent = 0.0 if isinstance(answer.yielding, float) else _bent(path, answer.yielding, rub, bristly, n)
+        return answer.force - answer.level * turned + bent
 
     if effect.jump:
         return (act(direction) - act(p[parameter])) / jnp.where(
@@ -179,7 +205,8 @@ class Columns:
     def _make(self, effect: Effect, parameter: str, shape: Shapes | None):
         p = self.at(effect, shape)
         g = self.group
-        size = p[parameter] + STEP
+        small = (effect.place == "force") & (p[parameter] > 0)
+        size = p[parameter] + np.where(small, np.minimum(STEP, NEAR * p[parameter]), STEP)
         if shape and parameter in shape and effect.jump:
             size = np.full(self.n, float(shape[parameter]))
         with jax.enable_x64(True):

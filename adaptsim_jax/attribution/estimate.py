@@ -87,6 +87,13 @@ def rough(vector: Vector, values) -> bool:
     )
 
 
+def bristles(values) -> bool:
+    """Whether dry friction yields anywhere."""
+    return "presliding" in values.effects and bool(
+        np.any(np.asarray(values.effects["presliding"]["compliance"]) != 0.0)
+    )
+
+
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
     """Simulated paths by group; rows [W, P]: other parameters for each stretch."""
     out = []
@@ -95,7 +102,7 @@ def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np
             values = values_of(problem, group, vector, rows)
             s = group.stretches
             path = simulate(group.model, values, s.time, s.stamp, s.command, start, substeps(problem, vector, group),
-                            rough(vector, values), past=s.past)  # fmt: skip
+                            rough(vector, values), past=s.past, bristles=bristles(values))  # fmt: skip
             out.append(Path(*(np.asarray(z) for z in path)))
     return out
 
@@ -170,7 +177,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             values = values_of(problem, group, fit.vector)
             s = group.stretches
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, substeps(problem, fit.vector, group),
-                                   rough(fit.vector, values), past=s.past)  # fmt: skip
+                                   rough(fit.vector, values), past=s.past, bristles=bristles(values))  # fmt: skip
             path = Path(*(np.asarray(z) for z in path))
             by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))
             slope = (by_state, by_force)
@@ -180,7 +187,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             weight = (weight * seen)[:, at]
             flat = lambda z, w=weight: (z[:, at] * w[..., None]).reshape(len(z), -1, z.shape[-1])
             residual.append((residuals(group, path)[:, at] * weight).reshape(len(seen), -1))
-            start.append(flat(responded_start(slope[0])))
+            start.append(flat(responded_start(slope[0], len(group.joints))))
             columns.append(made)
             slopes.append(slope)
             shared.append(_output(made, slope, [(e, None) for e in entries], flat))
@@ -199,7 +206,7 @@ def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, flat) 
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
     own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
     parts = [
-        np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, slope[0].shape[2], 1))).shape[:2], 0))
+        np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, 2 * slope[1].shape[3], 1))).shape[:2], 0))
     ]
     for first in range(0, len(own), 48):
         force, output = made.stack([entries[k] for k in own[first : first + 48]])

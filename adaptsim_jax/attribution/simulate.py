@@ -2,7 +2,8 @@
 
 A step solves for dry friction first (the force that would stop each joint within the step, within its level: Gauss and Seidel's
 sweeps over the joints, as in time-stepping of rigid contact; Stewart and Trinkle, 1996) and then integrates everything else by
-Runge and Kutta's fourth order under that force. So a joint that sticks does not creep, and nothing is stiff.
+Runge and Kutta's fourth order under that force. So a joint that sticks does not creep, and nothing is stiff. Bristles that yield
+(presliding) are a spring in the same place: a third state of each joint, their deflection, where any model has them.
 """
 
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.tree import Tree
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
+BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be bent at its start
 
 
 class Values(NamedTuple):
@@ -108,11 +110,12 @@ def carried(values: Values, x, u):
 
 
 class Forces(NamedTuple):
-    """`[n, ...]`: smooth force (actuator and effects), level of dry friction, added inertia."""
+    """`[n, ...]`: smooth force (actuator and effects), level of dry friction, added inertia, compliance of bristles."""
 
     smooth: Any
     level: Any
     inertia: Any
+    yielding: Any
 
 
 def forces(model: Model, values: Values, q, v, u, t) -> Forces:
@@ -120,7 +123,7 @@ def forces(model: Model, values: Values, q, v, u, t) -> Forces:
     tau, pull = actuated(values, q, v, u)
     gravity = lambda q: dynamics.gravity_force(model.tree, values.inertial, q, values.gravity)
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
-    smooth, level, inertia = tau, jnp.zeros_like(q), jnp.zeros_like(q)
+    smooth, level, inertia, yielding = tau, jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
     for effect in model.effects:
         if effect.place != "force" or effect.name not in values.effects:
             continue
@@ -130,9 +133,9 @@ def forces(model: Model, values: Values, q, v, u, t) -> Forces:
             continue
         answer = effect.apply(p, motion)
         if isinstance(answer, Dry):
-            level, answer = level + answer.level, answer.force
+            level, yielding, answer = level + answer.level, yielding + answer.yielding, answer.force
         smooth = smooth + answer
-    return Forces(smooth, level, inertia)
+    return Forces(smooth, level, inertia, yielding)
 
 
 def _accelerate(model: Model, values: Values, q, v, u, t, extra):
@@ -141,16 +144,20 @@ def _accelerate(model: Model, values: Values, q, v, u, t, extra):
     return dynamics.acceleration(model.tree, values.inertial, q, v, force, act.inertia, values.gravity), act
 
 
-def _friction(model: Model, values: Values, q, inertia, free, v, level, h):
-    """Dry friction [n, W] held over a step of h s from the acceleration `free` without it."""
+def _friction(model: Model, values: Values, q, act: Forces, free, v, bent, h):
+    """Dry friction [n, W] held over a step of h s from the acceleration `free` without it; bent [n, W]: deflection of bristles."""
     n = v.shape[0]
-    answer = dynamics.inverse_mass(model.tree, values.inertial, q, inertia)  # column j: under a unit force at joint j
+    answer = dynamics.inverse_mass(
+        model.tree, values.inertial, q, act.inertia
+    )  # column j: under a unit force at joint j
+    level = jnp.maximum(act.level, 0.0)
     safe = jnp.where(h > 0, h, 1.0)
     own = jnp.stack([answer[j, j] for j in range(n)])
 
     def turn(carry, j):  # a loop: written out for each joint it takes many times as long to compile
         after, force = carry
-        new = jnp.clip(force[j] - after[j] / (safe * own[j]), -level[j], level[j])
+        slide = bent[j] + safe * (after[j] - safe * own[j] * force[j])  # by the end of the step, without it
+        new = jnp.clip(-slide / (act.yielding[j] + safe**2 * own[j]), -level[j], level[j])
         after = after + h[None] * answer[:, j] * (new - force[j])[None]
         return (after, force.at[j].set(new)), None
 
@@ -160,19 +167,21 @@ def _friction(model: Model, values: Values, q, inertia, free, v, level, h):
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
-    """State [2n, W] after a row, and the mean dry friction over it [n, W]. extra [n, W] N m; rough: whether anything rubs."""
-    n = x.shape[0] // 2
+    """State [2n, W] (or [3n, W] with the bristles' deflection) after a row, and the mean dry friction over it [n, W]. extra [n, W]
+    N m; rough: whether anything rubs."""
+    n = len(extra)
     h = dt / substeps
     wide = h[None]
 
     def substep(i, carry):
-        x, rubbed = carry
+        whole, rubbed = carry
         now = t[None] + i * wide
-        q, v = x[:n], x[n:]
+        x, q, v = whole[: 2 * n], whole[:n], whole[n : 2 * n]
+        bent = whole[2 * n :] if len(whole) > 2 * n else jnp.zeros_like(v)
         free, act = _accelerate(model, values, q, v, u, now, extra)
         rub = jax.lax.cond(
             rough,
-            lambda: _friction(model, values, q, act.inertia, free, v, jnp.maximum(act.level, 0.0), h),
+            lambda: _friction(model, values, q, act, free, v, bent, h),
             lambda: jnp.zeros_like(v),
         )
 
@@ -188,9 +197,20 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
         kind = x.dtype
         weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([[1.0, 6.0]], kind)
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), weights)
-        return x + wide * total, rubbed + rub / substeps
+        after = x + wide * total
+        if len(whole) > 2 * n:
+            after = jnp.concatenate([after, -act.yielding * rub])
+        return after, rubbed + rub / substeps
 
     return jax.lax.fori_loop(0, substeps, substep, (x, jnp.zeros_like(x[:n])))
+
+
+def with_bristles(model: Model, values: Values, x0, u, t):
+    """Start [3n, W] of stretches that begin at x0 [2n, W]: bristles bent as by the motion just before."""
+    n = len(x0) // 2
+    act = forces(model, values, x0[:n], x0[n:], u, t[None])
+    most = act.yielding * jnp.maximum(act.level, 0.0)
+    return jnp.concatenate([x0, jnp.clip(BENT * x0[n:], -most, most)])
 
 
 def command_rows(model: Model, values: Values, stamp, command, past: int, rows: int):
@@ -224,27 +244,35 @@ class Path(NamedTuple):
     u: Any
 
 
-@partial(jax.jit, static_argnames=("past",))
-def simulate(model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int) -> Path:
+@partial(jax.jit, static_argnames=("past", "bristles"))
+def simulate(
+    model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int, bristles: bool = False
+) -> Path:
     """Stretches from x0 [2n, W]."""
     drive = _drive(model, values, time, stamp, command, past)
+    states = len(x0)
+    x0 = with_bristles(model, values, x0, drive.u[0], drive.t[0]) if bristles else x0
 
     def row(x, now):
         u, t, dt = now
-        new, rub = row_step(model, values, x, u, t, dt, jnp.zeros_like(x[: x.shape[0] // 2]), substeps, rough)
+        new, rub = row_step(model, values, x, u, t, dt, jnp.zeros_like(x[: states // 2]), substeps, rough)
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, x0, drive)
-    x = jnp.concatenate([x, last[None]])
+    x = jnp.concatenate([x, last[None]])[:, :states]
     return Path(x, measure(model, values, time, x, drive.u), rub, drive.u)
 
 
-@partial(jax.jit, static_argnames=("past",))
-def linearise(model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int):
-    """(Path, derivatives of each row's end by its start [L, 2n, 2n, W] and by a force held over the row [L, 2n, n, W])."""
+@partial(jax.jit, static_argnames=("past", "bristles"))
+def linearise(
+    model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int, bristles: bool = False
+):
+    """(Path, derivatives of each row's end by its start [L, 2n, 2n, W] and by a force held over the row [L, 2n, n, W]); with bristles
+    3n states."""
     drive = _drive(model, values, time, stamp, command, past)
+    n = len(x0) // 2
+    x0 = with_bristles(model, values, x0, drive.u[0], drive.t[0]) if bristles else x0
     states, width = x0.shape
-    n = states // 2
     zero = jnp.zeros((n, width), x0.dtype)
     ways = jnp.eye(states + n, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
 
@@ -256,7 +284,7 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, substeps, 
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))
 
     last, (x, rub, slopes) = jax.lax.scan(row, x0, drive)
-    x = jnp.concatenate([x, last[None]])
+    x = jnp.concatenate([x, last[None]])[:, : 2 * n]
     return Path(x, measure(model, values, time, x, drive.u), rub, drive.u), slopes[:, :, :states], slopes[:, :, states:]
 
 
@@ -266,19 +294,20 @@ def _drive(model, values, time, stamp, command, past) -> Rows:
 
 
 def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Change of the states [W, L+1, 2n, K] under force columns [W, L, n, K]; slopes [W, L, 2n, 2n] and [W, L, 2n, n]."""
-    width, rows, _, count = force.shape
+    """Change of the states [W, L+1, 2n, K] under force columns [W, L, n, K]; slopes [W, L, S, S] and [W, L, S, n] of S states, of
+    which the first are angles and speeds."""
+    width, rows, joints, count = force.shape
     out = np.zeros((width, rows + 1, by_state.shape[2], count))
     for k in range(rows):
         out[:, k + 1] = by_state[:, k] @ out[:, k] + by_force[:, k] @ force[:, k]
-    return out
+    return out[:, :, : 2 * joints]
 
 
-def responded_start(by_state: np.ndarray) -> np.ndarray:
+def responded_start(by_state: np.ndarray, joints: int) -> np.ndarray:
     """Change of the states [W, L+1, 2n, 2n] with the start."""
     width, rows, states, _ = by_state.shape
-    out = np.zeros((width, rows + 1, states, states))
-    out[:, 0] = np.eye(states)
+    out = np.zeros((width, rows + 1, states, 2 * joints))
+    out[:, 0] = np.eye(states)[:, : 2 * joints]
     for k in range(rows):
         out[:, k + 1] = by_state[:, k] @ out[:, k]
-    return out
+    return out[:, :, : 2 * joints]

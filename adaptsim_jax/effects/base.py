@@ -85,12 +85,14 @@ class Dry(NamedTuple):
     """Dry friction: a `level` [N m] that opposes the motion or holds the joint still, and a smooth `force` beside it.
 
     The level is a number, not a force, because only the integrator knows which force at rest stops the motion. With a `width`
-    [rad/s] the direction turns as tanh(v / width), and a joint that is held creeps.
+    [rad/s] the direction turns as tanh(v / width), and a joint that is held creeps. What holds it is a spring that gives way by
+    `yielding` [rad/(N m)], which only mechanisms other than the double pendulum know.
     """
 
     level: jax.Array
     force: jax.Array | float = 0.0
     width: jax.Array | float = 0.0
+    yielding: jax.Array | float = 0.0
 
 
 @dataclass(frozen=True)

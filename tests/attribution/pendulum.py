@@ -39,3 +39,32 @@ def record(
             folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt=f"%.{digits}g"
         )
     return folder
+
+
+def record_bristles(folder: Path, level: float, deflection: float, seed: int = 0, noise: float = 1e-4) -> Path:
+    """The same pendulum with LuGre friction of a break-away deflection [rad], by small steps of its own equations."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True)
+    (folder / "model.xml").write_text(XML.format(damping=0.01, friction=0.0, mass=1.2))
+    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
+    inertia, weight, stiff, h, steps = 0.0725, 9.81 * 0.25, level / deflection, 5e-5, 80
+    damped = np.sqrt(stiff * inertia)
+    for k in range(6):
+        phase, speed, q, v, bent, rows = (
+            rng.uniform(0, 6, 3),
+            rng.uniform(1.0, 9.0, 3),
+            rng.uniform(-1, 1),
+            0.0,
+            0.0,
+            [],
+        )
+        for i in range(1000):
+            torque = 0.6 * np.sin(speed * i * steps * h + phase).sum()
+            rows.append([i * steps * h, q + noise * rng.normal(), torque])
+            for _ in range(steps):
+                bends = v - abs(v) * bent / deflection
+                rub = stiff * bent + damped * bends * np.exp(-((v / 0.1) ** 2))
+                v += h * (torque - weight * np.sin(q) - 0.02 * v - rub) / inertia
+                q, bent = q + h * v, bent + h * bends
+        np.savetxt(folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt="%.8g")
+    return folder

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.attribution.select import Selection, declared, select_shorter
 from adaptsim_jax.sysid.report.schema import read_report
-from tests.attribution.pendulum import record
+from tests.attribution.pendulum import record, record_bristles
 from tests.generators.mechanism_worlds import write_world
 
 
@@ -96,6 +96,16 @@ def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp
     assert (named["name"], named["joints"], report["verdict"]) == ("saturation", hidden["joints"], "explained")
     size = {k: row["value"] for k, row in named["parameters"].items()}
     assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(hidden["size"][hidden["joints"][0]]["limit"], rel=0.01)
+
+
+@pytest.mark.slow
+def test_friction_whose_bristles_bend_before_it_slides_is_named(tmp_path):
+    report = diagnose(record_bristles(tmp_path / "lugre", level=0.25, deflection=0.04))
+    size = {e["name"]: {k: row["value"] for k, row in e["parameters"].items()} for e in report["effects"]}
+    assert set(size) == {"coulomb", "presliding"}
+    assert size["coulomb"]["level"] == pytest.approx(0.25, rel=0.1)
+    assert size["presliding"]["compliance"] == pytest.approx(0.04 / 0.25, rel=0.2)
+    assert report["error"]["after"] < 0.1 * report["error"]["before"]
 
 
 @pytest.mark.slow

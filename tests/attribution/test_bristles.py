@@ -1,0 +1,63 @@
+"""Dry friction that yields as a spring before the joint slides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.estimate import Fit, bristles, linear, run, starts_of, values_of, weigh
+from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.problem import nuisances, prepare
+from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.mechanisms.mjcf import read_mechanism
+
+XML = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a" axis="0 1 0" damping="2"/>
+<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""
+LEVEL = 0.2  # N m
+
+
+def pushed(tmp_path, torque, compliance, level=LEVEL):
+    """(problem, vector) of trials at rest that are pushed by torques [k] N m, as functions of time or numbers."""
+    (tmp_path / "arm.xml").write_text(XML)
+    time = np.arange(250) / 250.0
+    tracks = [
+        Track(str(k), time, np.zeros((250, 1)), None, np.broadcast_to(u, (250,))[:, None]) for k, u in enumerate(torque)
+    ]
+    effects = tuple(e for e in MACHINE if e.name in ("viscous", "coulomb", "presliding"))
+    problem = prepare(read_mechanism(tmp_path / "arm.xml").tree, tracks, effects)
+    new = [Entry(name, key, (0,), z, 0.0, 0.0, 9.0, "1") for name, key, z in
+           (("coulomb", "level", level), ("presliding", "compliance", compliance))]  # fmt: skip
+    return problem, nuisances(problem, inertia=False).with_entries(new)
+
+
+def test_it_holds_as_a_spring_up_to_its_level_and_then_slides(tmp_path):
+    problem, vector = pushed(tmp_path, (0.1, 0.4), 0.05)
+    (path,) = run(problem, vector, starts_of(problem))
+    trial = problem.groups[0].stretches.trial
+    held, slid = (path.x[:, 0, np.flatnonzero(trial == k)[0]] for k in (0, 1))
+    assert held[-1] == pytest.approx(0.05 * 0.1, rel=0.05)
+    assert slid[-1] > 0.03 and np.abs(path.rub).max() == pytest.approx(LEVEL)
+
+
+def test_without_bristles_it_holds_still(tmp_path):
+    problem, vector = pushed(tmp_path, (0.1, 0.19), 0.0)
+    assert not bristles(values_of(problem, problem.groups[0], vector))
+    (path,) = run(problem, vector, starts_of(problem))
+    np.testing.assert_allclose(path.x[:, 0], 0.0, atol=1e-12)
+
+
+def test_the_linearised_path_follows_the_bristles(tmp_path):
+    """By start and by a level that all is below: only the bristles' own spring answers."""
+    time = np.arange(250) / 250.0
+    problem, vector = pushed(tmp_path, (0.3 * np.sin(5.0 * time), 0.1 * np.cos(9.0 * time)), 0.05, level=5.0)
+    starts = starts_of(problem)
+    fit = Fit(vector, starts, weigh(problem, run(problem, vector, starts)), np.zeros(0), "stopped", 0)
+    fit = replace(fit, weights=replace(fit.weights, channel=np.ones(2), stretch=np.ones_like(fit.weights.stretch)))
+    lin = linear(problem, fit)
+    moved = [x + np.array([[1e-6], [0.0]]) for x in starts]
+    (there,), (here,) = run(problem, vector, moved), run(problem, vector, starts)
+    change = ((there.sensed - here.sensed) / 1e-6).transpose(2, 0, 1)[:, lin.picked]
+    seen = problem.groups[0].stretches.seen.transpose(2, 0, 1)[:, lin.picked, 0]
+    columns = lin.start[0].reshape(*change.shape, 2)[..., 0]
+    np.testing.assert_allclose(columns[..., 0], change[..., 0] * seen, atol=1e-3)
