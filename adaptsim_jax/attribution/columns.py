@@ -48,7 +48,7 @@ def _mean_sign(x, n):
 def _bent(path: Path, yielding, rub, bristly, n: int):
     """What bristles of some compliance [n, L, W] change of dry friction `rub` (level, mean direction) along a path: as they bend by
     the angle and slide at the level. A joint that is held still says nothing of them, unless
-    it has some already (bristly [n, 1, 1])."""
+    it has some already (bristly [n, L, W])."""
     level, turned = rub
     most = yielding * level
     q = jnp.moveaxis(path.x[:, :n], 0, 1)
@@ -81,7 +81,6 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
     gravity = lambda q: dynamics.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
     motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u)
     turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
-    bristly = values.effects["presliding"]["compliance"][:, :1, None] > 0 if "presliding" in values.effects else False
 
     def act(value):
         at = {k: z[:, None, None] for k, z in (p | {parameter: value}).items()}
@@ -90,7 +89,10 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
         answer = effect.apply(at, motion)
         if not isinstance(answer, Dry):
             return answer + 0.0 * q
-        bent = 0.0 if isinstance(answer.yielding, float) else _bent(path, answer.yielding, rub, bristly, n)
+        bent = 0.0
+        if not isinstance(answer.yielding, float):
+            now = effect.apply({k: z[:, None, None] for k, z in p.items()}, motion).yielding
+            bent = _bent(path, answer.yielding, rub, now > 0, n)
         return answer.force - answer.level * turned + bent
 
     if effect.jump:

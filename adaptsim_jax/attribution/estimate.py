@@ -15,7 +15,7 @@ import scipy.linalg
 from adaptsim_jax.attribution.columns import Columns, Shapes
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
-from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start, simulate
+from adaptsim_jax.attribution.simulate import Path, bristles, linearise, respond, responded_start, rough, simulate
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
 CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
@@ -75,25 +75,6 @@ def substeps(problem: Problem, vector: Vector, group: Group) -> int:
     return int(np.clip(np.ceil(need), 1, MOST_SUBSTEPS))
 
 
-def rough(vector: Vector, values) -> bool:
-    """Whether anything may rub dry."""
-    names = ("coulomb", "asymmetric_coulomb", "stribeck", "load_friction")
-    return any(
-        np.any(np.asarray(z) != 0.0)
-        for n in names
-        if n in values.effects
-        for k, z in values.effects[n].items()
-        if k != "speed"
-    )
-
-
-def bristles(values) -> bool:
-    """Whether dry friction yields anywhere."""
-    return "presliding" in values.effects and bool(
-        np.any(np.asarray(values.effects["presliding"]["compliance"]) != 0.0)
-    )
-
-
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
     """Simulated paths by group; rows [W, P]: other parameters for each stretch."""
     out = []
@@ -102,7 +83,7 @@ def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np
             values = values_of(problem, group, vector, rows)
             s = group.stretches
             path = simulate(group.model, values, s.time, s.stamp, s.command, start, substeps(problem, vector, group),
-                            rough(vector, values), past=s.past, bristles=bristles(values))  # fmt: skip
+                            rough(group.model, values), past=s.past, bristles=bristles(group.model, values))  # fmt: skip
             out.append(Path(*(np.asarray(z) for z in path)))
     return out
 
@@ -177,7 +158,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             values = values_of(problem, group, fit.vector)
             s = group.stretches
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, substeps(problem, fit.vector, group),
-                                   rough(fit.vector, values), past=s.past, bristles=bristles(values))  # fmt: skip
+                                   rough(group.model, values), past=s.past, bristles=bristles(group.model, values))  # fmt: skip
             path = Path(*(np.asarray(z) for z in path))
             by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))
             slope = (by_state, by_force)

@@ -8,7 +8,7 @@ Runge and Kutta's fourth order under that force. So a joint that sticks does not
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -136,6 +136,37 @@ def forces(model: Model, values: Values, q, v, u, t) -> Forces:
             level, yielding, answer = level + answer.level, yielding + answer.yielding, answer.force
         smooth = smooth + answer
     return Forces(smooth, level, inertia, yielding)
+
+
+def rough(model: Model, values: Values) -> bool:
+    """Whether anything may rub dry."""
+    return any(_dry(e)[0] for e in model.effects if _on(e, values))
+
+
+def bristles(model: Model, values: Values) -> bool:
+    """Whether dry friction yields anywhere."""
+    return any(_dry(e)[1] for e in model.effects if _on(e, values))
+
+
+def _on(effect: Effect, values: Values) -> bool:
+    p = values.effects.get(effect.name, {})
+    return any(np.any(np.asarray(p[a.name]) != a.off) for a in effect.amplitudes if a.name in p)
+
+
+@cache
+def _dry(effect: Effect) -> tuple[bool, bool]:
+    """Whether an effect rubs dry, and whether what rubs yields."""
+    if effect.place != "force" or effect.inertia:
+        return False, False
+    number, answers = jax.ShapeDtypeStruct((1, 1), np.float32), []
+
+    def ask(p, z):
+        answers.append(effect.apply(p, Motion(z, z, z, z, z, lambda q: q, z, z, z)))
+        return z
+
+    jax.eval_shape(ask, {p.name: number for p in effect.parameters}, number)
+    dry = isinstance(answers[0], Dry)
+    return dry, dry and not isinstance(answers[0].yielding, float)
 
 
 def _accelerate(model: Model, values: Values, q, v, u, t, extra):

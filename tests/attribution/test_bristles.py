@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import Fit, bristles, linear, run, starts_of, values_of, weigh
+from adaptsim_jax.attribution.estimate import Fit, linear, run, starts_of, weigh
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.problem import nuisances, prepare
+from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
+from adaptsim_jax.attribution.simulate import bristles
 from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.effects.base import Dry, Effect, Parameter
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a" axis="0 1 0" damping="2"/>
@@ -17,14 +19,14 @@ XML = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a" axis=
 LEVEL = 0.2  # N m
 
 
-def pushed(tmp_path, torque, compliance, level=LEVEL):
+def pushed(tmp_path, torque, compliance, level=LEVEL, more=()):
     """(problem, vector) of trials at rest that are pushed by torques [k] N m, as functions of time or numbers."""
     (tmp_path / "arm.xml").write_text(XML)
     time = np.arange(250) / 250.0
     tracks = [
         Track(str(k), time, np.zeros((250, 1)), None, np.broadcast_to(u, (250,))[:, None]) for k, u in enumerate(torque)
     ]
-    effects = tuple(e for e in MACHINE if e.name in ("viscous", "coulomb", "presliding"))
+    effects = (*(e for e in MACHINE if e.name in ("viscous", "coulomb", "presliding")), *more)
     problem = prepare(read_mechanism(tmp_path / "arm.xml").tree, tracks, effects)
     new = [Entry(name, key, (0,), z, 0.0, 0.0, 9.0, "1") for name, key, z in
            (("coulomb", "level", level), ("presliding", "compliance", compliance))]  # fmt: skip
@@ -40,9 +42,24 @@ def test_it_holds_as_a_spring_up_to_its_level_and_then_slides(tmp_path):
     assert slid[-1] > 0.03 and np.abs(path.rub).max() == pytest.approx(LEVEL)
 
 
+def test_dry_friction_of_another_package_rubs_too(tmp_path):
+    """Asked by what it answers, not by its name."""
+    own = Effect(
+        "tight_spot", "force", (Parameter("level", "N m", 0.0, 9.0, 0.0, sign=1),), lambda p, m: Dry(p["level"] + 0.0 * m.q),
+        "dry friction", "motion",
+    )  # fmt: skip
+    problem, vector = pushed(tmp_path, (0.1, 0.4), 0.0, level=0.0, more=(own,))
+    (free,) = run(problem, vector, starts_of(problem))
+    held = vector.with_entries([Entry("tight_spot", "level", (0,), LEVEL, 0.0, 0.0, 9.0, "N m")])
+    (path,) = run(problem, held, starts_of(problem))
+    assert free.x[-1, 0].max() > 0.05 and np.abs(path.rub).max() == pytest.approx(LEVEL)
+    assert path.x[-1, 0].max() < free.x[-1, 0].max() / 1.5
+
+
 def test_without_bristles_it_holds_still(tmp_path):
     problem, vector = pushed(tmp_path, (0.1, 0.19), 0.0)
-    assert not bristles(values_of(problem, problem.groups[0], vector))
+    group = problem.groups[0]
+    assert not bristles(group.model, values_of(problem, group, vector))
     (path,) = run(problem, vector, starts_of(problem))
     np.testing.assert_allclose(path.x[:, 0], 0.0, atol=1e-12)
 
