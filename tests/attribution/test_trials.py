@@ -11,7 +11,7 @@ import pytest
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.trials.fit import fitted, settled
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
-from adaptsim_jax.attribution.trials.report import _standing_out, finished
+from adaptsim_jax.attribution.trials.report import Seen, _standing_out, error_table, finished, message, over_floor
 from adaptsim_jax.attribution.trials.select import select
 from adaptsim_jax.sysid.report.run import Run
 from adaptsim_jax.sysid.report.schema import new_report
@@ -108,3 +108,12 @@ def test_a_few_trials_far_worse_than_the_others_are_told():
         == " Pushes c, h stand out with up to 6 times the error of the others: are their tracks right? --without c,h"
     )
     assert _standing_out(seen, model([1, 9, 9, 1, 9, 1, 1, 1])) == ""
+
+
+def test_the_message_and_the_table_tell_one_error():
+    model = SimpleNamespace(fit=SimpleNamespace(held=np.square([1.0, 2.0, 10.0, 20.0])))
+    found = SimpleNamespace(named=(), null=model, final=model)
+    rows = np.zeros((4, 3, 2))
+    seen = Seen("push", "pushes", tuple("abcd"), rows[..., 0], rows, rows[..., 0] + 1.0, ("x", "y"), 5e-4, "given")
+    assert error_table(seen, found, {"before": rows, "after": rows})["before"] == pytest.approx(3e-3)
+    assert "to 3 mm, 6.0 times the noise floor" in message(seen, found, over_floor(model), 7.0)

@@ -72,7 +72,7 @@ def check_exclude(exclude: tuple[str, ...], effects: tuple[TrialEffect, ...], tr
 
 def over_floor(model: TrialModel) -> float:
     """Left-out error over the noise floor, median over trials."""
-    return float(np.sqrt(np.median(model.fit.held)))
+    return float(np.median(np.sqrt(model.fit.held)))
 
 
 def left_by_fit(problem: TrialProblem, model: TrialModel) -> float:
