@@ -160,8 +160,10 @@ def steadiness(problem: TrialProblem, model: TrialModel, e: TrialEffect) -> floa
     return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))
 
 
-def select(problem: TrialProblem, criteria: Criteria, say: Callable[[str], None] = lambda note: None) -> TrialSelection:
-    """Forward, then each beside the others, then against its look-alikes."""
+def select(
+    problem: TrialProblem, criteria: Criteria, say: Callable[[str], None] = lambda note: None, alike: bool = True
+) -> TrialSelection:
+    """Forward, then each beside the others, then against its look-alikes (not with `alike` false)."""
     say("declared model")
     base = null = TrialModel((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
     opening = scores = scored(problem, base)
@@ -174,7 +176,7 @@ def select(problem: TrialProblem, criteria: Criteria, say: Callable[[str], None]
             break
         base = better
         scores = scored(problem, base)
-    final, named, bare = _judged(problem, base, criteria, refused, say)
+    final, named, bare = _judged(problem, base, criteria, refused, say, alike)
     # a declared fit reached by way of an effect may lie in a better minimum than the first
     null = min((null, *bare), key=lambda m: m.fit.loss)
     return TrialSelection(null, final, named, tuple(opening), refused)
@@ -195,7 +197,7 @@ def _forward(problem, base: TrialModel, scores, criteria: Criteria, refused, say
         if test.gain < criteria.size or test.p > _level(criteria, test.folds):
             refused[s.effect.name] = f"held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
             continue
-        if best is None or _beats(model, best, criteria):
+        if best is None or beats(model, best, criteria):
             best = model
     return best
 
@@ -205,7 +207,7 @@ def _level(criteria: Criteria, folds: int, family: int = 1) -> float:
     return max(criteria.confidence / family, 1.01 * 2.0**-folds)
 
 
-def _beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
+def beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
     """Whether a model is to be taken instead of another: the one with fewer quantities, unless the larger holds out better; among
     equals the better."""
     if len(model.fit.free) == len(other.fit.free):
@@ -229,7 +231,7 @@ def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria:
     return max(share(less.fit.loss, model.fit.loss, noise), share(middle(less), middle(model), 1.0))
 
 
-def _judged(problem, model: TrialModel, criteria: Criteria, refused, say):
+def _judged(problem, model: TrialModel, criteria: Criteria, refused, say, alike: bool):
     """The model of what holds out, its effects as named, and the declared models that it was compared with."""
     bare = []
     while True:
@@ -257,18 +259,22 @@ def _judged(problem, model: TrialModel, criteria: Criteria, refused, say):
         )
         model = less
     named = tuple(
-        TrialNamed(e, test, steady, _look_alikes(problem, model, less, e, criteria, say))
+        TrialNamed(e, test, steady, _look_alikes(problem, model, less, e, criteria, say) if alike else ())
         for e, less, test, steady in tests
     )
     return model, named, bare
 
 
+def likely(problem: TrialProblem, model: TrialModel, less: TrialModel, e: TrialEffect) -> list[TrialScore]:
+    """Effects that may do as well as `e`, which `less` lacks: one step in its place takes off a tenth of what it does."""
+    least = 0.1 * (1.0 - model.fit.loss / less.fit.loss)
+    return [s for s in scored(problem, less) if s.effect not in (e, *model.added) and s.gain >= least]
+
+
 def _look_alikes(problem, model: TrialModel, less: TrialModel, e: TrialEffect, criteria: Criteria, say):
     """Effects that do as well in the place of `e`, with their models."""
     found = []
-    for s in scored(problem, less):
-        if s.effect is e or s.effect in model.added or s.gain < 0.1 * (1.0 - model.fit.loss / less.fit.loss):
-            continue
+    for s in likely(problem, model, less, e):
         say(f"{s.effect.name.replace('_', ' ')} in its place")
         values, loss = added(problem, less, s, 2 * criteria.glance)
         if loss > CLOSE * model.fit.loss:

@@ -19,7 +19,8 @@ from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, executed, poses
 
 Array = Any
-DRAWS = 128
+DRAWS, FEWER = 128, 48
+"""Draws of all values, and of as few as a model fits."""
 PAIRS = (("mu", "log_e"), ("mu", "h"), ("log_e", "h"))
 REACH = 3.0  # widths from the centre, beyond which a row goes on along its slope alone
 ROUNDS = 3  # of reweighing
@@ -62,18 +63,25 @@ def predicted(weights: Array, centre: Array, width: Array, values: Array) -> Arr
     return jnp.tensordot(features((values[OWN] - centre) / width), weights, 1)
 
 
-def emulate(scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray, seed: int = 0) -> Emulator:
-    """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within bounds."""
+def emulate(
+    scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray, seed: int = 0, drawn: np.ndarray | None = None
+) -> Emulator:
+    """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within bounds.
+
+    drawn `[O]`: values that are drawn, where not all: `FEWER` draws tell a few.
+    """
     count = len(scooped.names)
-    u = qmc.Sobol(len(OWN), rng=np.random.default_rng(seed)).random(DRAWS)
+    draws = DRAWS if drawn is None else FEWER
+    u = qmc.Sobol(len(OWN), rng=np.random.default_rng(seed)).random(DRAWS)[:draws]
     z = np.clip(ndtri(np.clip(u, 1e-3, 1 - 1e-3)), -2.5, 2.5)
+    z *= 1.0 if drawn is None else drawn
     own = np.clip(centre[OWN] + width * z, LOW, HIGH)
-    values = np.tile(centre, (DRAWS, 1))
+    values = np.tile(centre, (draws, 1))
     values[:, OWN] = own
-    trials = np.repeat(np.arange(count), DRAWS)
+    trials = np.repeat(np.arange(count), draws)
     actions = scooped.actions[trials] + executed(scooped, len(trials), seed)
     out = poses(scooped, shape, np.tile(values, (count, 1)), trials, actions)
-    out = out.reshape(count, DRAWS, -1, 2).astype(float)
+    out = out.reshape(count, draws, -1, 2).astype(float)
     x = np.asarray(features((own - centre[OWN]) / width), float)
     fits = [_regressed(x, rows) for rows in out]
     return Emulator(centre[OWN], width, np.stack([f[0] for f in fits]), np.stack([f[1] for f in fits]), shape)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials.fit import TrialFit, declared_fit, mean_square
+from adaptsim_jax.attribution.trials.fit import TrialFit, mean_square
 from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
 from adaptsim_jax.attribution.trials.report import left_by_fit
 from adaptsim_jax.attribution.trials.select import (
@@ -14,9 +14,14 @@ from adaptsim_jax.attribution.trials.select import (
     TrialNamed,
     TrialScore,
     TrialSelection,
+    added,
+    beats,
+    finished,
+    likely,
     paired,
     select,
     spread,
+    steadiness,
     without,
 )
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
@@ -27,6 +32,8 @@ from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, expected
 from adaptsim_jax.tasks.scooping.model import SHAPES
 
 PASSES = 4
+OWNED = 2
+"""Emulators that a model which is judged has of its own, one after the other, at most."""
 CRITERIA = Criteria(size=0.05, gap=0.05)
 """An emulator errs by some per cent of its own: less than a twentieth of the error is no effect, and no difference between two."""
 FIRST = {"mu": 0.05, "log_e": 0.4, "h": 1e-3}
@@ -36,6 +43,7 @@ OMEGA = SHAPES[:2]
 """The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in one plane a box moves so much like
 a cylinder that it would take up a pitch or a clearance: it has to be declared."""
 Say = Callable[[str], None]
+Owned = Callable[[tuple[TrialEffect, ...], np.ndarray], TrialModel]
 
 
 @dataclass(frozen=True)
@@ -132,9 +140,8 @@ def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarra
     for n in declared:
         wide = 3.0 if n == "h" and scooped.places.shape[-1] < 3 else 1.0
         width[PLACE[INDEX[n]]] = wide * FIRST[n]
-    problem = prepare(scooped, emulate(scooped, shape, start, width), (), declared, quantities, start)
-    fit = declared_fit(problem, 12)
-    return _Base(shape, fit.values, fit.loss / problem.counts.sum(), fit.held)
+    fit = _owned(scooped, shape, width, declared, quantities, CRITERIA)((), start).fit
+    return _Base(shape, fit.values, fit.loss, fit.held)
 
 
 def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criteria: Criteria, say: Say) -> Found:
@@ -145,7 +152,7 @@ def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criter
         say(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
         problem = prepare(scooped, emulator, effects, declared, quantities, centre)
-        found = select(problem, criteria, say)
+        found = select(problem, criteria, say, alike=False)
         fit = found.final.fit
         now = tuple(e.name for e in found.final.added)
         moved = np.max(np.abs(fit.values - centre)[OWN] / width)
@@ -154,42 +161,123 @@ def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criter
         if now == names and moved < 2.5 and settled:
             break
         names = now
-        width = np.maximum(least, 0.6 * np.abs(centre - problem.neutral)[OWN])
-        for n in declared:
-            i = INDEX[n]
-            width[PLACE[i]] = np.clip(2.0 * spread(found.final)[i], least[PLACE[i]], FIRST[n])
-    return _judged(scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, say)
+        width = _narrowed(base.shape, found.final, problem.neutral, declared)
+    own = _owned(scooped, base.shape, emulator.width, declared, quantities, criteria)
+    return _judged(scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, say)
 
 
-def _judged(scooped: Scooped, shape: str, scale, problem, found: TrialSelection, criteria: Criteria, say: Say) -> Found:
-    """What the emulator names, tested once more by the engine itself: each beside the others; what does not hold out is dropped."""
+def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities, criteria: Criteria) -> Owned:
+    """`fit(effects, values)`: the model with `effects` fitted from `values [P]`, each about its own optimum.
+
+    An emulator drawn around a rival, and narrowly where the model is asked, flatters the rival. Each model has therefore one
+    of its own, of the values that it fits; width `[O]`: of the declared ones.
+    """
+    neutral, made = np.array([q.neutral for q in quantities]), {}
+
+    def fit(effects: tuple[TrialEffect, ...], values: np.ndarray) -> TrialModel:
+        free = {*declared, *(q for e in effects for q in e.quantities)}
+        drawn = np.array([quantities[i].name in free for i in OWN])
+        far = lambda to: np.max(drawn * np.abs(values[OWN] - to.centre) / to.width) > 1.0
+        wide = width
+        for turn in range(OWNED):
+            emulator = made.get(tuple(drawn))
+            if emulator is None or far(emulator):
+                size = np.maximum(widths(shape), 0.6 * np.abs(values - neutral)[OWN])
+                wide = np.where([quantities[i].name in declared for i in OWN], wide, size)
+                emulator = made[tuple(drawn)] = emulate(scooped, shape, values, wide, turn, drawn)
+            problem = prepare(scooped, emulator, effects, declared, quantities, values)
+            model = finished(problem, effects, values, criteria.rounds)
+            values = model.fit.values
+            if not far(emulator):
+                break
+            wide = np.minimum(wide, _narrowed(shape, model, neutral, declared))
+        return replace(model, fit=replace(model.fit, loss=model.fit.loss / problem.counts.sum()))
+
+    return fit
+
+
+def _narrowed(shape: str, model: TrialModel, neutral: np.ndarray, declared) -> np.ndarray:
+    """Widths `[O]` of draws about a fitted model: of the declared values by how well they are known, of others by their size."""
+    least = widths(shape)
+    width = np.maximum(least, 0.6 * np.abs(model.fit.values - neutral)[OWN])
+    for n in declared:
+        i = INDEX[n]
+        width[PLACE[i]] = np.clip(2.0 * spread(model)[i], least[PLACE[i]], FIRST[n])
+    return width
+
+
+def _judged(
+    scooped: Scooped, shape: str, scale, problem, found: TrialSelection, criteria: Criteria, own: Owned, say: Say
+) -> Found:
+    """What the emulator names, tested once more by the engine: each beside the others, then against what may do as well in its place.
+
+    What does not hold out is dropped. The best in a place is named, others that predict left-out scoops as well are its class.
+    """
     say("by the engine")
-    engine = lambda fit: _simulated(scooped, shape, scale, problem, fit)
-    null, before = engine(found.null.fit)
-    model, named, refused = found.final, list(found.named), dict(found.refused)
-    final, after = (null, before) if not named else engine(model.fit)
-    while named:
-        rows = []
-        for n in named:
-            less = without(problem, model, n.effect, criteria.rounds)
-            test = paired(engine(less.fit)[0].held if less.added else null.held, final.held)
-            rows.append((n, less, test))
-        failing = [r for r in rows if r[2].gain < criteria.size or r[2].p > criteria.confidence]
-        if not failing:
-            named = [replace(n, test=test) for n, _, test in rows]
+    whole = replace(problem, quantities=quantities_of(scooped))
+    known: dict[frozenset[str], tuple[TrialModel, np.ndarray]] = {}
+    refused = dict(found.refused)
+
+    def fit(effects, values) -> TrialModel:
+        key = frozenset(e.name for e in effects)
+        if key not in known:
+            model = own(tuple(effects), values) if found.named else found.null
+            judged, tracks = _simulated(scooped, shape, scale, problem, model.fit)
+            known[key] = TrialModel(tuple(effects), judged), tracks
+        return known[key][0]
+
+    def told(model: TrialModel, named: list[TrialNamed]) -> Found:
+        tracks = {k: known[frozenset(e.name for e in m.added)][1] for k, m in (("before", null), ("after", model))}
+        selection = replace(found, null=null, final=model, named=tuple(named), refused=refused)
+        return Found(selection, whole, shape, scale, tracks)
+
+    null = fit((), found.null.fit.values)
+    emulated = found.final
+    model = fit(emulated.added, emulated.fit.values)
+    for turn in range(PASSES):
+        model, emulated, rows = _holding(problem, model, emulated, null, fit, criteria, refused)
+        named: list[TrialNamed] = []
+        for e, rough, less, test in rows:
+            tries = [(*added(problem, rough, s, 2 * criteria.glance), s) for s in likely(problem, emulated, rough, e)]
+            rivals = [
+                (s.effect, values, fit((*less.added, s.effect), values))
+                for values, _, s in sorted(tries, key=lambda t: t[1])[: criteria.tried]
+            ]
+            better = None
+            for rival in rivals:
+                better = rival if beats(rival[2], better[2] if better else model, criteria) else better
+            if better and turn < PASSES - 1:
+                model, emulated = better[2], finished(problem, (*rough.added, better[0]), better[1], criteria.rounds)
+                break
+            alike = []
+            for o, _, m in rivals:
+                worse = paired(m.fit.held, model.fit.held)
+                if worse.gain < criteria.gap or worse.p > criteria.confidence:
+                    alike.append((o, m))
+            named.append(TrialNamed(e, test, steadiness(problem, model, e), tuple(alike)))
+        else:
             break
-        gone, model, test = min(failing, key=lambda r: r[2].gain)
-        refused[gone.effect.name] = f"dropped by the engine: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
-        named = [n for n in named if n is not gone]
-        final, after = engine(model.fit) if named else (null, before)
-    found = replace(
-        found, null=TrialModel((), null), final=TrialModel(model.added, final), named=tuple(named), refused=refused
-    )
-    return Found(found, problem, shape, scale, {"before": before, "after": after})
+    return told(model, named)
+
+
+def _holding(problem: TrialProblem, model: TrialModel, emulated: TrialModel, null, fit, criteria: Criteria, refused):
+    """The model of the effects that hold out beside the others by the engine, as emulated, and for each the models without it."""
+    while True:
+        rows = []
+        for e in model.added:
+            rough = without(problem, emulated, e, criteria.rounds)
+            less = fit(rough.added, rough.fit.values) if rough.added else null
+            rows.append((e, rough, less, paired(less.fit.held, model.fit.held)))
+        failing = [r for r in rows if r[3].gain < criteria.size or r[3].p > criteria.confidence]
+        if not failing:
+            return model, emulated, rows
+        e, emulated, model, test = min(failing, key=lambda r: r[3].gain)
+        refused[e.name] = f"dropped by the engine: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
 
 
 def _simulated(scooped: Scooped, shape: str, scale, problem, fit: TrialFit) -> tuple[TrialFit, np.ndarray]:
     """A fit with its left-out errors by the engine, not the emulator; and these tracks."""
     tracks = expected(scooped, shape, fit.vectors)
-    r = np.asarray(softened(scale * (scooped.places - tracks))).reshape(len(scooped.names), -1)
-    return replace(fit, held=mean_square(problem, r)), tracks
+    left = lambda out: np.asarray(softened(scale * (scooped.places - out))).reshape(len(scooped.names), -1)
+    whole = np.square(left(expected(scooped, shape, np.tile(fit.values, (len(scooped.names), 1))))).sum()
+    return replace(fit, held=mean_square(problem, left(tracks)), loss=float(whole)), tracks

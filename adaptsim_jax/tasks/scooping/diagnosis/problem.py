@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import QUANTITIES
-from adaptsim_jax.tasks.scooping.diagnosis.emulate import Emulator, predicted
+from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, REACH, Emulator, predicted
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, ROW, places, poses, seen
 
@@ -68,7 +68,14 @@ def prepare(
     quantities: tuple[Quantity, ...],
     start: np.ndarray,
 ) -> TrialProblem:
-    """The problem of a recording with pieces of one shape, around the emulator's centre; start `[P]`: of the declared fit."""
+    """The problem of a recording with pieces of one shape, around the emulator's centre; start `[P]`: of the declared fit.
+
+    Declared values stay within the emulator's reach: what is lacking would drive them to where it knows nothing.
+    """
+    within = {q: REACH * emulator.width[PLACE[INDEX[q]]] for q in declared}
+    quantities = tuple(
+        _near(q, emulator.centre[PLACE[INDEX[q.name]]], within[q.name]) if q.name in within else q for q in quantities
+    )
     count = len(scooped.names)
     scale = scales(scooped, emulator.stray)
     single = lambda a: jnp.asarray(np.asarray(a, np.float32))
@@ -100,6 +107,10 @@ def prepare(
         begin[None],
         channels=scooped.places.shape[-1],
     )
+
+
+def _near(q: Quantity, centre: float, reach: float) -> Quantity:
+    return replace(q, low=max(q.low, centre - reach), high=min(q.high, centre + reach))
 
 
 def quantities_of(scooped: Scooped) -> tuple[Quantity, ...]:
