@@ -183,6 +183,28 @@ def test_a_blade_that_runs_fast_is_named(tmp_path, simple):
     assert (out / "next_experiment.csv").exists() == bool((report["next_experiment"] or {}).get("csv"))
 
 
+def test_a_blade_that_starts_farther_is_not_a_late_camera(tmp_path, simple):
+    report = diagnose(written(tmp_path, measured(simulated(distance_offset=0.006))))
+    (effect,) = report["effects"]
+    assert effect["name"] == "distance_offset"
+    assert effect["parameters"]["distance_offset"]["value"] == pytest.approx(0.006, abs=5e-4)
+
+
+def test_declared_values_stay_where_their_emulator_knows_something(tmp_path, tracks, simple):
+    scooped, declared = read(written(tmp_path, tracks)), ("mu", "log_e", "h")
+    quantities = problem.quantities_of(scooped)
+    centre = np.array([q.neutral for q in quantities])
+    drawn = np.isin(simulate.OWN, [INDEX[n] for n in declared])
+    found = emulate.emulate(scooped, "cylinder", centre, emulate.widths(), drawn=drawn)
+    mu = problem.prepare(scooped, found, (), declared, quantities, centre).quantities[INDEX["mu"]]
+    reach = emulate.REACH * found.width[emulate.PLACE[INDEX["mu"]]]
+    assert (mu.low, mu.high) == pytest.approx((centre[INDEX["mu"]] - reach, centre[INDEX["mu"]] + reach))
+    values = centre + (np.arange(len(centre)) == INDEX["mu"]) * 0.02
+    said = emulate.predicted(found.weights[0], found.centre, found.width, values)
+    told = closed_form(scooped, "cylinder", values[None], np.arange(1), scooped.actions[:1])[0]
+    assert np.abs(said - told).max() < 5e-4  # as few draws tell the few values that are drawn
+
+
 def test_another_shape_than_declared_is_named(tmp_path, simple):
     report = diagnose(written(tmp_path, measured(simulated()), 'task = "scooping"\nshape = "box"\n'))
     assert [e["name"] for e in report["effects"]] == ["shape"]

@@ -25,7 +25,7 @@ from adaptsim_jax.attribution.trials.select import (
     without,
 )
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
-from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, emulate, widths
+from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
 from adaptsim_jax.tasks.scooping.diagnosis.problem import begun, prepare, quantities_of, scales, softened
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, expected
@@ -127,20 +127,28 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
     starts = {shape: begun(scooped, shape, quantities) for shape in shapes}
     best = min(loss for _, loss in starts.values())
     found = []
-    for shape, (start, loss) in starts.items():
+    for shape, (points, loss) in starts.items():
         if loss <= RIVAL * best:
             say(shape)
-            found.append(_fitted(scooped, shape, quantities, declared, start))
+            found.append(_fitted(scooped, shape, quantities, declared, points))
     return sorted(found, key=lambda b: b.loss)
 
 
-def _fitted(scooped: Scooped, shape: str, quantities, declared, start: np.ndarray | None = None) -> _Base:
-    start = begun(scooped, shape, quantities)[0] if start is None else start
+def _fitted(scooped: Scooped, shape: str, quantities, declared, starts: np.ndarray | None = None) -> _Base:
+    """The declared fit from each of the starts, the best of them by the engine: a stiff piece and a soft one may both fit roughly."""
+    starts = begun(scooped, shape, quantities)[0] if starts is None else starts
     width = widths()
     for n in declared:
         wide = 3.0 if n == "h" and scooped.places.shape[-1] < 3 else 1.0
         width[PLACE[INDEX[n]]] = wide * FIRST[n]
-    fit = _owned(scooped, shape, width, declared, quantities, CRITERIA)((), start).fit
+    fits, known = [], []
+    for start in starts:
+        own, made = _owned(scooped, shape, width, declared, quantities, CRITERIA)
+        fits.append(own((), start).fit)
+        known += [scales(scooped, emulator.stray) for emulator in made.values()]
+    scale = np.min(known, 0)
+    left = lambda fit: scale * (scooped.places - expected(scooped, shape, np.tile(fit.values, (len(scooped.names), 1))))
+    fit = min(fits, key=lambda f: np.square(np.asarray(softened(left(f)))).sum())
     return _Base(shape, fit.values, fit.loss, fit.held)
 
 
@@ -162,17 +170,18 @@ def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criter
             break
         names = now
         width = _narrowed(base.shape, found.final, problem.neutral, declared)
-    own = _owned(scooped, base.shape, emulator.width, declared, quantities, criteria)
+    own, _ = _owned(scooped, base.shape, emulator.width, declared, quantities, criteria)
     return _judged(scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, say)
 
 
-def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities, criteria: Criteria) -> Owned:
-    """`fit(effects, values)`: the model with `effects` fitted from `values [P]`, each about its own optimum.
+def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities, criteria: Criteria):
+    """`fit(effects, values)`: the model with `effects` fitted from `values [P]`, each about its own optimum; and emulators as made.
 
     An emulator drawn around a rival, and narrowly where the model is asked, flatters the rival. Each model has therefore one
     of its own, of the values that it fits; width `[O]`: of the declared ones.
     """
-    neutral, made = np.array([q.neutral for q in quantities]), {}
+    neutral = np.array([q.neutral for q in quantities])
+    made: dict[tuple[bool, ...], Emulator] = {}
 
     def fit(effects: tuple[TrialEffect, ...], values: np.ndarray) -> TrialModel:
         free = {*declared, *(q for e in effects for q in e.quantities)}
@@ -193,7 +202,7 @@ def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities
             wide = np.minimum(wide, _narrowed(shape, model, neutral, declared))
         return replace(model, fit=replace(model.fit, loss=model.fit.loss / problem.counts.sum()))
 
-    return fit
+    return fit, made
 
 
 def _narrowed(shape: str, model: TrialModel, neutral: np.ndarray, declared) -> np.ndarray:

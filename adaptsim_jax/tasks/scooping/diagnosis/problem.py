@@ -120,7 +120,7 @@ def quantities_of(scooped: Scooped) -> tuple[Quantity, ...]:
 
 
 def begun(scooped: Scooped, shape: str, quantities: tuple[Quantity, ...]) -> tuple[np.ndarray, float]:
-    """The best of a grid of declared values `[P]` for pieces of a shape, and its loss a number."""
+    """The best two of a grid of declared values `[2, P]` for pieces of a shape, of different stiffness, and the best loss a number."""
     heights: tuple[float, ...] = HEIGHTS
     q = quantities[INDEX["h"]]
     if scooped.height is not None:
@@ -137,4 +137,7 @@ def begun(scooped: Scooped, shape: str, quantities: tuple[Quantity, ...]) -> tup
     out = places(scooped, values, poses(scooped, shape, values, trials, scooped.actions[trials]), trials)
     r = scooped.mask[trials][..., None] * (scooped.places[trials] - out) / ROUGH
     loss = np.square(np.asarray(softened(r))).reshape(len(points), -1).sum(1) / (3.0 * scooped.mask[some].sum())
-    return points[int(np.argmin(loss))], float(loss.min())
+    order = np.argsort(loss)
+    best = points[order[0]]
+    second = next(points[i] for i in order if points[i][INDEX["log_e"]] != best[INDEX["log_e"]])
+    return np.array([best, second]), float(loss.min())
