@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.attribution.acting import BENT, Motion, actuated, carried
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, off_value
-from adaptsim_jax.attribution.simulate import BENT, Motion, Path, actuated, carried, command_rows
+from adaptsim_jax.attribution.simulate import Path, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
 

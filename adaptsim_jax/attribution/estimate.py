@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
+from adaptsim_jax.attribution.acting import bristles, rough
 from adaptsim_jax.attribution.columns import Columns, Shapes
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
-from adaptsim_jax.attribution.simulate import Path, bristles, linearise, respond, responded_start, rough, simulate
+from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start, simulate
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
 CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends

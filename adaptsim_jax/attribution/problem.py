@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
+from adaptsim_jax.attribution.acting import Model, Values
 from adaptsim_jax.attribution.parameters import (
     ETA,
     INERTIA,
@@ -17,7 +18,6 @@ from adaptsim_jax.attribution.parameters import (
     inertia_entries,
     inertias,
 )
-from adaptsim_jax.attribution.simulate import Model, Values
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.mechanisms import dynamics

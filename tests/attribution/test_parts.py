@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.catalogue import drive_play, sensor_delay
 from adaptsim_jax.attribution.held_out import sign_flip
 from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, Problem, beginnings
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
-from adaptsim_jax.attribution.simulate import Values, actuated
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import unit_at

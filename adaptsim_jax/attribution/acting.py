@@ -1,0 +1,162 @@
+"""What acts on a tree of joints besides its own dynamics: actuators, effects, dry friction; values of a model. Stretches lie last."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms.tree import Tree
+
+BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be bent at its start
+
+
+class Values(NamedTuple):
+    """Numbers of a model of n joints; every leaf has a last axis of 1, or of one number a stretch.
+
+    inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias per speed, lowest and highest
+    force, before the gear [n, .]; effects {name: {parameter: [n, .]}}.
+    """
+
+    inertial: Any
+    gravity: Any
+    actuator: Any
+    gear: Any
+    effects: dict[str, dict[str, Any]]
+
+
+class Motion(NamedTuple):
+    """What a force effect sees, `[n, ...]` each: q, v, the actuator's force u (N m), time [1, ...] s, `pull`: the part of u that
+    follows the command and the angle, `target`: the command, `gravity(q)`: force of gravity."""
+
+    q: Any
+    v: Any
+    u: Any
+    t: Any
+    memory: Any
+    gravity: Callable
+    clock: Any
+    pull: Any
+    target: Any
+
+
+@dataclass(frozen=True)
+class Model:
+    """A tree and the effects that may act on its joints (static: what is compiled)."""
+
+    tree: Tree
+    effects: tuple[Effect, ...]
+
+
+jax.tree_util.register_dataclass(Model, data_fields=["tree"], meta_fields=["effects"])
+
+
+def sensed_offset(values: Values):
+    """What the encoders add to the angles, which the actuators' controllers see too, [n, .]."""
+    return values.effects["encoder_offset"]["offset"] if "encoder_offset" in values.effects else 0.0
+
+
+def actuated(values: Values, q, v, u):
+    """(force of the actuators, the part of it that follows command and angle), `[n, ...]`, N m or N."""
+    gain, bias, per_q, per_v, low, high = values.actuator
+    g = values.gear
+    q = q + sensed_offset(values)
+    pull = gain * u + bias + per_q * g * q
+    # a controller's encoder on the motor's side sees the drive's wind-up and play, too
+    yields = 1.0 - wound(values) * g * g * per_q
+    pull = pull - _played(values, g * (pull + per_v * g * v)) / g
+    return g * jnp.clip((pull + per_v * g * v) / yields, low, high), g * pull / yields
+
+
+def wound(values: Values):
+    """Wind-up of the drives under torque, [n, .] rad/(N m)."""
+    return values.effects["drive_compliance"]["compliance"] if "drive_compliance" in values.effects else 0.0
+
+
+def _played(values: Values, torque):
+    """What a controller on the motor's side gives less, since its encoder turns through the play towards where it pulls: it lies
+    against a side of the play as `drive_play` has it of the torque that is left."""
+    if "drive_play" not in values.effects:
+        return 0.0
+    p = values.effects["drive_play"]
+    most = -0.5 * p["gap"] * values.gear**2 * values.actuator[2]
+    return most * jnp.clip(torque / jnp.maximum(most + p["width"], 1e-12), -1.0, 1.0)
+
+
+def carried(values: Values, x, u):
+    """Torque of the drives [L+1, n, W] at states x [L+1, 2n, W] under commands u [L, n, W]."""
+    n = x.shape[1] // 2
+    return jax.vmap(lambda x, u: actuated(values, x[:n], x[n:], u)[0])(x, jnp.concatenate([u, u[-1:]]))
+
+
+class Forces(NamedTuple):
+    """`[n, ...]`: smooth force (actuator and effects), level of dry friction, added inertia, compliance of bristles."""
+
+    smooth: Any
+    level: Any
+    inertia: Any
+    yielding: Any
+
+
+def forces(model: Model, values: Values, q, v, u, t) -> Forces:
+    """All that acts on the joints besides their own dynamics."""
+    tau, pull = actuated(values, q, v, u)
+    gravity = lambda q: dynamics.gravity_force(model.tree, values.inertial, q, values.gravity)
+    motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
+    smooth, level, inertia, yielding = tau, jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
+    for effect in model.effects:
+        if effect.place != "force" or effect.name not in values.effects:
+            continue
+        p = values.effects[effect.name]
+        if effect.inertia:
+            inertia = inertia + effect.apply(p)
+            continue
+        answer = effect.apply(p, motion)
+        if isinstance(answer, Dry):
+            level, yielding, answer = level + answer.level, yielding + answer.yielding, answer.force
+        smooth = smooth + answer
+    return Forces(smooth, level, inertia, yielding)
+
+
+def rough(model: Model, values: Values) -> bool:
+    """Whether anything may rub dry."""
+    return any(_dry(e)[0] for e in model.effects if _on(e, values))
+
+
+def bristles(model: Model, values: Values) -> bool:
+    """Whether dry friction yields anywhere."""
+    return any(_dry(e)[1] for e in model.effects if _on(e, values))
+
+
+def _on(effect: Effect, values: Values) -> bool:
+    p = values.effects.get(effect.name, {})
+    return any(np.any(np.asarray(p[a.name]) != a.off) for a in effect.amplitudes if a.name in p)
+
+
+@cache
+def _dry(effect: Effect) -> tuple[bool, bool]:
+    """Whether an effect rubs dry, and whether what rubs yields."""
+    if effect.place != "force" or effect.inertia:
+        return False, False
+    number, answers = jax.ShapeDtypeStruct((1, 1), np.float32), []
+
+    def ask(p, z):
+        answers.append(effect.apply(p, Motion(z, z, z, z, z, lambda q: q, z, z, z)))
+        return z
+
+    jax.eval_shape(ask, {p.name: number for p in effect.parameters}, number)
+    dry = isinstance(answers[0], Dry)
+    return dry, dry and not isinstance(answers[0].yielding, float)
+
+
+def with_bristles(model: Model, values: Values, x0, u, t):
+    """Start [3n, W] of stretches that begin at x0 [2n, W]: bristles bent as by the motion just before."""
+    n = len(x0) // 2
+    act = forces(model, values, x0[:n], x0[n:], u, t[None])
+    most = act.yielding * jnp.maximum(act.level, 0.0)
+    return jnp.concatenate([x0, jnp.clip(BENT * x0[n:], -most, most)])
