@@ -51,6 +51,10 @@ def run(args: argparse.Namespace) -> int:
 
     if not (args.name.isidentifier() and args.name.islower()) or keyword.iskeyword(args.name):
         raise BadInput(f"'{args.name}' is no name for a file of Python; use letters in lower case, digits and _")
+    if args.name in _names(args.kind):
+        raise BadInput(
+            f"{args.kind} '{args.name}' is there already, and two of one name are refused; give another NAME"
+        )
     path = args.dir / f"{args.name}{KINDS[args.kind]}"
     if path.exists():
         raise BadInput(f"{path}: is there already; give another NAME, or --dir")
@@ -63,6 +67,27 @@ def run(args: argparse.Namespace) -> int:
         _make_known(args.kind, args.name, args.dir)
     print(f"next: {NEXT[args.kind].format(file=path)}")
     return 0
+
+
+def _names(kind: str) -> tuple[str, ...]:
+    """What is known of a kind."""
+    if kind == "effect":
+        from adaptsim_jax.effects.registry import EFFECTS
+
+        return tuple(EFFECTS.own)
+    if kind == "task":
+        from adaptsim_jax.tasks.registry import TASKS
+
+        return tuple(TASKS.own)
+    if kind == "engine":
+        from adaptsim_jax.tasks.pendulum.engines.registry import BACKENDS
+
+        return tuple(BACKENDS.own)
+    if kind == "baseline":
+        from adaptsim_jax.baselines.registry import EXACT
+
+        return tuple(EXACT.own)
+    return ()
 
 
 def _make_known(kind: str, name: str, folder: Path) -> None:

@@ -21,8 +21,11 @@ T = TypeVar("T")
 
 
 def nearest(name: str, known: typing.Iterable[str]) -> str | None:
-    """The known name that `name` is most like, upper and lower case alike; None where none is."""
+    """The known name that `name` is most like, upper and lower case alike, or the one that ends in it; None where none is."""
     by_case = {other.lower(): other for other in known}
+    inside = [other for low, other in by_case.items() if low.endswith(f".{name.lower()}")]
+    if len(inside) == 1:
+        return inside[0]
     near = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
     return by_case[near[0]] if near else None
 

@@ -131,6 +131,15 @@ def test_a_mechanism_is_one_that_logs_can_be_read_with(tmp_path):
     assert log.joint_names == ("shoulder", "elbow")
 
 
+@pytest.mark.parametrize(
+    "kind, name", [("effect", "coulomb"), ("task", "pushing"), ("engine", "native"), ("baseline", "gradient")]
+)
+def test_a_name_that_is_one_of_ours_is_refused(kind, name, tmp_path, capsys):
+    assert main(["new", kind, name, "--dir", str(tmp_path)]) == 2
+    assert f"{kind} '{name}' is there already" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_nothing_is_overwritten_and_names_are_checked(tmp_path, capsys):
     (tmp_path / "arm.xml").write_text("mine")
     assert main(["new", "mechanism", "arm", "--dir", str(tmp_path)]) == 2

@@ -108,6 +108,7 @@ def test_settings_reach_into_a_table_of_any_keys():
 def test_the_nearest_name_is_found_whatever_its_case():
     assert config.suggest("RAD", ["rad", "deg"]) == "did you mean 'rad'?"
     assert config.suggest("x", ["rad", "deg"]) == "known: rad, deg"
+    assert config.suggest("line", ["seed", "task.line", "lines"]) == "did you mean 'task.line'?"
     assert config.suggest("x", []) == "known: none"
 
 
