@@ -11,9 +11,10 @@ class Criteria:
     confidence: level of the paired test over left-out blocks by which each effect stays (short trials, such as pushes: Holm over those
         that are in the model).
     size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming.
-    gap: share of the loss by which an alternative may be worse and still be told as doing as well.
+    gap: share of the loss by which an alternative may be worse and still be told as doing as well; of mechanisms one with fewer
+        parameters then has the name.
     alike: share of what an effect gains (in logarithms) by which an alternative may be worse all the same.
-    steady: an effect's size over its scatter between folds.
+    steady: an effect's size over its scatter between folds, of mechanisms with all else held.
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
     least_change: share of a value that the model file declares (armature, dry friction) below which it is not worth correcting.
     most_effects: at which the search ends.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import keyword
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 KINDS = {"effect": ".py", "mechanism": ".xml", "task": ".py", "engine": ".py", "baseline": ".py"}
@@ -19,6 +20,12 @@ KNOWN = {  # entry points: group, name, object, and where it then stands
     "task": ("tasks", ("{name}",), "TASK", "`adaptsim train {name}`, `adaptsim compare {name}`"),
     "engine": ("backends", ("pendulum.{name}",), "ENGINE", "`adaptsim parity pendulum`"),
     "baseline": ("baselines", ("exact.{name}",), "{name}", "`adaptsim compare pendulum --methods {name}`"),
+}
+REGISTRIES = {
+    "effect": "adaptsim_jax.effects.registry:EFFECTS",
+    "task": "adaptsim_jax.tasks.registry:TASKS",
+    "engine": "adaptsim_jax.tasks.pendulum.engines.registry:BACKENDS",
+    "baseline": "adaptsim_jax.baselines.registry:EXACT",
 }
 PYPROJECT = """[project]
 name = "{project}"
@@ -71,23 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _names(kind: str) -> tuple[str, ...]:
     """What is known of a kind."""
-    if kind == "effect":
-        from adaptsim_jax.effects.registry import EFFECTS
-
-        return tuple(EFFECTS.own)
-    if kind == "task":
-        from adaptsim_jax.tasks.registry import TASKS
-
-        return tuple(TASKS.own)
-    if kind == "engine":
-        from adaptsim_jax.tasks.pendulum.engines.registry import BACKENDS
-
-        return tuple(BACKENDS.own)
-    if kind == "baseline":
-        from adaptsim_jax.baselines.registry import EXACT
-
-        return tuple(EXACT.own)
-    return ()
+    return tuple(EntryPoint(kind, REGISTRIES[kind], "").load().own) if kind in REGISTRIES else ()
 
 
 def _make_known(kind: str, name: str, folder: Path) -> None:
