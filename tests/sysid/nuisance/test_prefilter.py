@@ -31,7 +31,6 @@ def recording(tmp_path, weights):
     return usable(read, checked), usable(read.replace(trials=filtered), checked), checked
 
 
-@pytest.mark.slow
 def test_a_symmetric_filter_is_found_and_taken_off(tmp_path):
     plain, filtered, checked = recording(tmp_path, np.ones(5) / 5)
     noise = noise_floor(filtered, checked)
@@ -82,7 +81,6 @@ def test_a_filter_that_was_none_is_put_back_once_the_effect_is_in_the_model(tmp_
     assert revised(problem, mended, view(problem, mended)) == (None if was_filtered else 0.0)
 
 
-@pytest.mark.slow
 def test_the_effect_that_hid_a_filter_is_named_and_its_look_alike_is_not(tmp_path):
     """Bias or a spring that soaks up a little of the curvature: with the filter taken off, the bias alone."""
     (dataset,) = make_datasets([Spec(911, "low_noise", (("bias", 2, 3.72),))])
