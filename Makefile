@@ -67,17 +67,22 @@ $(VENV)/.made:
 	echo "using $$($$found --version) for $(VENV)"; "$$found" -m venv $(VENV)
 	@touch $@
 
+# Python compiles what is imported and no more: compiling all that is installed takes longer than installing it.
+INSTALL = $(BIN)/python -m pip install --quiet --no-compile
+
 $(VENV)/.core: $(VENV)/.made requirements.lock pyproject.toml
-	$(BIN)/python -m pip install --quiet -r requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	$(INSTALL) -r requirements.lock
+	$(INSTALL) --no-deps --no-build-isolation -e .
 	@touch $@
 
-$(VENV)/.test: $(VENV)/.core requirements-dev.lock
-	$(BIN)/python -m pip install --quiet -r requirements-dev.lock
-	@touch $@
+# All at once: a second call would look through what the first one installed, as long again.
+$(VENV)/.test: $(VENV)/.made requirements.lock requirements-dev.lock pyproject.toml
+	$(INSTALL) -r requirements-dev.lock
+	$(INSTALL) --no-deps --no-build-isolation -e .
+	@touch $(VENV)/.core $@
 
 $(VENV)/.docs: $(VENV)/.core requirements-docs.lock
-	$(BIN)/python -m pip install --quiet -r requirements-docs.lock
+	$(INSTALL) -r requirements-docs.lock
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.test

@@ -89,7 +89,8 @@ def main() -> None:
     given = {k: v for k in ("machine", "mode", "effect") if (v := getattr(a, k))}
     a.out.parent.mkdir(parents=True, exist_ok=True)
     if a.jobs > 1:
-        with ProcessPoolExecutor(a.jobs, get_context("spawn")) as pool:
+        # a process maps each compiled program into its memory, and the system allows only so many of these
+        with ProcessPoolExecutor(a.jobs, get_context("spawn"), max_tasks_per_child=10) as pool:
             for future in as_completed([pool.submit(one, a.kind, s, given, a.diagnose, a.keep) for s in todo]):
                 tell(a.out, future.result())
     else:

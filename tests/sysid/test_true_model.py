@@ -13,7 +13,7 @@ def test_every_hidden_effect_has_words_in_the_catalogue():
 
 
 def test_the_true_model_leaves_the_noise(tmp_path):
-    spec = Spec(41, "clean", (("periodic_disturbance", 1, 5.0),), n_trials=4, seconds=4.0)
+    spec = Spec(41, "low_noise", (("periodic_disturbance", 1, 5.0),))
     (data,) = make_datasets([spec])
     error = true_error(write_dataset(data, tmp_path / "data"), data.truth)
     assert error["rmse"] < 1.15 * data.truth["sensor"]["q"]
