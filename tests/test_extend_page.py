@@ -49,20 +49,21 @@ def test_a_command_lists_what_is_installed(installed):
     assert "-pull q exp(-(q / reach)^2)" in shown and "N m/rad" in shown
 
 
-def test_two_things_of_one_name_are_refused(installed):
+@pytest.mark.parametrize(("name", "task"), [("coulomb", "pendulum"), ("machine.armature", "mechanism")])
+def test_two_things_of_one_name_are_refused(installed, name, task):
     folder, environment = installed
     twin = folder / "twin-1.0.dist-info"
     twin.mkdir()
     (twin / "METADATA").write_text("Metadata-Version: 2.1\nName: twin\nVersion: 1.0\n")
-    (twin / "entry_points.txt").write_text("[adaptsim.effects]\ncoulomb = twin:X\n")
-    command = [sys.executable, "-m", "adaptsim_jax", "effects", "--brief"]
+    (twin / "entry_points.txt").write_text(f"[adaptsim.effects]\n{name} = twin:X\n")
+    command = [sys.executable, "-m", "adaptsim_jax", "effects", task, "--brief"]
     try:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     finally:
         for file in twin.iterdir():
             file.unlink()
         twin.rmdir()
-    assert done.returncode == 2 and "coulomb = twin:X" in done.stderr and "rename it" in done.stderr
+    assert done.returncode == 2 and f"{name} = twin:X" in done.stderr and "rename it" in done.stderr
 
 
 @pytest.mark.slow

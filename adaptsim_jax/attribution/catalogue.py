@@ -339,7 +339,7 @@ OWN: tuple[Effect, ...] = (
     ),
 )  # fmt: skip
 
-OTHERS: Registry[Effect] = Registry("effects", {}, within="machine", type="Effect")
+OTHERS: Registry[Effect] = Registry("effects", {}, within="machine", type="Effect", taken=(e.name for e in OWN))
 """Those of other packages: entry points `adaptsim.effects` called `machine.NAME`."""
 MACHINE: tuple[Effect, ...] = (*OWN, *OTHERS.values())
 COMMON = ("delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain")
