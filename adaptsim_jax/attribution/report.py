@@ -145,6 +145,7 @@ def _error(problem: Problem, found: Selection, before, after, noise, floor: floa
 
 
 def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
+    """What is named, with what it takes off beside all others; then what was scored about the declared model, best first."""
     names = {(n.candidate.effect, n.candidate.joints) for n in found.named}
     alike = {(a.effect, a.joints) for n in found.named for a in n.alternatives}
     why = {}
@@ -155,17 +156,17 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
             )
     total = max(found.null.fit.total, 1e-12)
     other = "predicts left-out trials less well than what was chosen" if names else "no clear gain on left-out trials"
-    rows = []
+    row = lambda c, gain, p, status, why: {
+        "name": c.effect, "where": place(problem, c), "held_out_gain": float(np.clip(gain, -1.0, 1.0)), "p_value": float(p),
+        "accepted": status == "accepted", "status": status, "why": why,
+    }  # fmt: skip
+    rows = [row(n.candidate, n.test.gain, n.p, "accepted", "named") for n in found.named]
     for s in found.first:
         key = s.candidate.effect, s.candidate.joints
-        if s.held_out <= 0.0 and key not in names | alike:
+        if key in names or (s.held_out <= 0.0 and key not in alike):
             continue
-        status = "accepted" if key in names else "look-alike" if key in alike else "rejected"
-        rows.append({
-            "name": key[0], "where": place(problem, s.candidate), "held_out_gain": float(np.clip(s.held_out / total, -1.0, 1.0)),
-            "p_value": float(min(1.0, s.p * len(found.first))), "accepted": key in names, "status": status,
-            "why": why.get(key, "named" if key in names else "does as well" if key in alike else other),
-        })  # fmt: skip
+        status, words = ("look-alike", "does as well") if key in alike else ("rejected", other)
+        rows.append(row(s.candidate, s.held_out / total, min(1.0, s.p * len(found.first)), status, why.get(key, words)))
     return rows[:40]
 
 

@@ -54,6 +54,8 @@ def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
     assert [(e["name"], e["joints"]) for e in report["effects"]] == [("coulomb", ["hinge"])]
     assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(0.2, rel=0.1)
     assert report["error"]["after"] < 0.5 * report["error"]["before"]
+    assert report["candidates"][0]["accepted"] and report["candidates"][0]["name"] == "coulomb"
+    assert [c["accepted"] for c in report["candidates"]].count(True) == 1
     model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
     assert model.dof_frictionloss[0] == pytest.approx(0.2, rel=0.1)
     assert (out / "report.json").exists() and (out / "model.toml").exists()
@@ -105,6 +107,10 @@ def test_friction_whose_bristles_bend_before_it_slides_is_named(tmp_path):
     assert set(size) == {"coulomb", "presliding"}
     assert size["coulomb"]["level"] == pytest.approx(0.3, rel=0.05)
     assert size["presliding"]["compliance"] == pytest.approx(0.1, rel=0.05)
+    first = report["candidates"][:2]  # bristles take nothing off without the friction that they bend under
+    assert [(c["accepted"], c["held_out_gain"]) for c in first] == [
+        (True, e["held_out_gain"]) for e in report["effects"]
+    ]
     assert report["error"]["after"] < 0.1 * report["error"]["before"]
 
 
