@@ -224,7 +224,7 @@ def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria:
     A body that moves by other laws than the model's is followed better by any effect that resembles the difference.
     """
     middle = lambda m: float(np.median(mean_square(problem, m.fit.residual)))
-    if middle(model) <= criteria.explained**2:
+    if middle(model) <= criteria.quiet**2:
         return 1.0
     noise = float(problem.counts.sum())
     share = lambda before, after, floor: (before - after) / max(before - floor, 1e-9)
