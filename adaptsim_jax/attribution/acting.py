@@ -73,6 +73,13 @@ def actuated(values: Values, q, v, u):
     return g * jnp.clip((pull + per_v * g * v) / yields, low, high), g * pull / yields
 
 
+def held_by(values: Values):
+    """Stiffness and damping [n, .] that hold each joint without delay: of controllers, and viscous friction."""
+    square = values.gear**2
+    damping = values.effects["viscous"]["damping"] if "viscous" in values.effects else 0.0
+    return jnp.maximum(-square * values.actuator[2], 0.0), jnp.maximum(damping - square * values.actuator[3], 0.0)
+
+
 def wound(values: Values):
     """Wind-up of the drives under torque, [n, .] rad/(N m)."""
     return values.effects["drive_compliance"]["compliance"] if "drive_compliance" in values.effects else 0.0

@@ -63,8 +63,9 @@ class Linear:
     picked: np.ndarray
 
 
-def substeps(problem: Problem, vector: Vector, group: Group) -> int:
-    """Steps within a row such that Runge and Kutta's method is stable and good for drag and controllers."""
+def substeps(problem: Problem, vector: Vector, group: Group) -> tuple[int, bool]:
+    """Steps within a row such that Runge and Kutta's method is stable and good for drag and controllers, and whether these want more
+    than there may be: then as much work goes into steps of half as many stages."""
     v = values_of(problem, group, vector)
     inertia = group_inertia(v, group)[0]
     damping = v.effects["viscous"]["damping"][:, 0] if "viscous" in v.effects else 0.0
@@ -73,7 +74,8 @@ def substeps(problem: Problem, vector: Vector, group: Group) -> int:
     swing = np.sqrt(np.abs(gain * group.actuator[2]) / inertia) * 2.0
     row = float(np.median(np.diff(group.stretches.time, axis=0)[np.diff(group.stretches.time, axis=0) > 0]))
     need = row * max(float(rate.max()), float(swing.max()), 200.0) / STABLE
-    return int(np.clip(np.ceil(need), 1, MOST_SUBSTEPS))
+    stiff = bool(need > MOST_SUBSTEPS)
+    return 2 * MOST_SUBSTEPS if stiff else max(1, int(np.ceil(need))), stiff
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
@@ -83,8 +85,9 @@ def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np
         for group, start in zip(problem.groups, starts, strict=True):
             values = values_of(problem, group, vector, rows)
             s = group.stretches
-            path = simulate(group.model, values, s.time, s.stamp, s.command, start, substeps(problem, vector, group),
-                            rough(group.model, values), past=s.past, bristles=bristles(group.model, values))  # fmt: skip
+            steps, stiff = substeps(problem, vector, group)
+            path = simulate(group.model, values, s.time, s.stamp, s.command, start, steps, rough(group.model, values),
+                            past=s.past, bristles=bristles(group.model, values), stiff=stiff)  # fmt: skip
             out.append(Path(*(np.asarray(z) for z in path)))
     return out
 
@@ -158,8 +161,9 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
         for group, x0 in zip(problem.groups, fit.starts, strict=True):
             values = values_of(problem, group, fit.vector)
             s = group.stretches
-            path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, substeps(problem, fit.vector, group),
-                                   rough(group.model, values), past=s.past, bristles=bristles(group.model, values))  # fmt: skip
+            steps, stiff = substeps(problem, fit.vector, group)
+            path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, steps, rough(group.model, values),
+                                   past=s.past, bristles=bristles(group.model, values), stiff=stiff)  # fmt: skip
             path = Path(*(np.asarray(z) for z in path))
             by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))
             slope = (by_state, by_force)

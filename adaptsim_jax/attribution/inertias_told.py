@@ -88,13 +88,15 @@ def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) ->
 
 
 def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
-    """Which combinations (or masses) the data fix at another value than the model file's, the three furthest off: a payload, another
-    part."""
-    wanted = lambda name, row: row.get("combination") or name.startswith("mass of ")
-    fixed = {name: row for name, row in rows.items() if row["identifiable"] and wanted(name, row)}
+    """Which combinations, masses or dampings that the file gives the data fix at another value than it does, the three furthest off:
+    a payload, another part."""
+    damped = lambda name, row: name.startswith("damping of ") and row["file"] > 0.0
+    wanted = lambda name, row: row.get("combination") or name.startswith("mass of ") or damped(name, row)
+    some = {name: row for name, row in rows.items() if wanted(name, row)}
     largest: dict[str, float] = {}
-    for row in fixed.values():
+    for row in some.values():
         largest[row["unit"]] = max(largest.get(row["unit"], 0.0), abs(row["file"]))
+    fixed = {name: row for name, row in some.items() if row["identifiable"]}
     off = {}
     for name, row in fixed.items():
         size = max(abs(row["file"]), OTHERWISE * largest[row["unit"]], 1e-12)

@@ -2,8 +2,10 @@
 
 A step solves for dry friction first (the force that would stop each joint within the step, within its level: Gauss and Seidel's
 sweeps over the joints, as in time-stepping of rigid contact; Stewart and Trinkle, 1996) and then integrates everything else by
-Runge and Kutta's fourth order under that force. So a joint that sticks does not creep, and nothing is stiff. Bristles that yield
-(presliding) are a spring in the same place: a third state of each joint, their deflection, where any model has them.
+Runge and Kutta's fourth order under that force. So a joint that sticks does not creep. Bristles that yield (presliding) are a spring
+in the same place: a third state of each joint, their deflection, where any model has them. Where controllers are too fast for that
+(`stiff`: a light joint, rows far apart), a Rosenbrock method of second order stands in, which damps what it cannot follow (ROS2;
+Verwer et al., SIAM J. Sci. Comput. 20, 1999); its Jacobian holds their stiffness and damping only, and adds to the inertia.
 """
 
 from functools import partial
@@ -13,10 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.acting import Forces, Model, Values, carried, forces, with_bristles
+from adaptsim_jax.attribution.acting import Forces, Model, Values, carried, forces, held_by, with_bristles
 from adaptsim_jax.mechanisms import dynamics
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
+RUNGE_KUTTA = np.array([[0.0, 0.0, 1 / 6], [0.5, 0.0, 1 / 3], [0.5, 0.0, 1 / 3], [1.0, 0.0, 1 / 6]])
+ROSENBROCK = np.array([[0.0, 0.0, 1.5], [1.0, 2.0, 0.5]])
+"""Stages: how far on, how much of the stage before is taken off, weight."""
+IMPLICIT = 1.0 - np.sqrt(0.5)  # gamma of ROS2, with which it is L-stable
 
 
 class Rows(NamedTuple):
@@ -25,12 +31,6 @@ class Rows(NamedTuple):
     u: Any
     t: Any
     dt: Any
-
-
-def _accelerate(model: Model, values: Values, q, v, u, t, extra):
-    act = forces(model, values, q, v, u, t)
-    force = act.smooth + extra
-    return dynamics.acceleration(model.tree, values.inertial, q, v, force, act.inertia, values.gravity), act
 
 
 def _friction(model: Model, values: Values, q, act: Forces, free, v, bent, h):
@@ -53,37 +53,56 @@ def _friction(model: Model, values: Values, q, act: Forces, free, v, bent, h):
     return force
 
 
-def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough):
+def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough, stiff=False):
     """State [2n, W] (or [3n, W] with the bristles' deflection) after a row, and the mean dry friction over it [n, W]. extra [n, W]
-    N m; rough: whether anything rubs."""
+    N m; rough: whether anything rubs; stiff (static): whether controllers are faster than the substeps."""
     n = len(extra)
     h = dt / substeps
     wide = h[None]
+    stiffness, damping = (jnp.asarray(z, x.dtype) for z in held_by(values)) if stiff else (0.0, 0.0)
+
+    def implicit(part, v):
+        """Inertia and force [n, W] that stiffness and damping come to over a part of the step."""
+        return part * (damping + part * stiffness), -part * stiffness * v
 
     def substep(i, carry):
         whole, rubbed = carry
         now = t[None] + i * wide
         x, q, v = whole[: 2 * n], whole[:n], whole[n : 2 * n]
         bent = whole[2 * n :] if len(whole) > 2 * n else jnp.zeros_like(v)
-        free, act = _accelerate(model, values, q, v, u, now, extra)
-        rub = jax.lax.cond(
-            rough,
-            lambda: _friction(model, values, q, act, free, v, bent, h),
-            lambda: jnp.zeros_like(v),
-        )
+        act = forces(model, values, q, v, u, now)
 
-        def slope(x, at):
-            a, _ = _accelerate(model, values, x[:n], x[n:], u, now + at, extra + rub)
-            return jnp.concatenate([x[n:], a])
+        def rubs():
+            more, pull = implicit(wide, v) if stiff else (0.0, 0.0)
+            heavy = act._replace(inertia=act.inertia + more)
+            free = dynamics.acceleration(
+                model.tree, values.inertial, q, v, act.smooth + extra + pull, heavy.inertia, values.gravity
+            )
+            return _friction(model, values, q, heavy, free, v, bent, h)
 
-        def stage(carry, ab):
+        rub = jax.lax.cond(rough, rubs, lambda: jnp.zeros_like(v))
+
+        def slope(x, at, k, less):
+            q, v = x[:n], x[n:]
+            act = forces(model, values, q, v, u, now + at)
+            force, inertia, rate = act.smooth + extra + rub, act.inertia, v
+            if stiff:
+                rate = v - less * k[:n]
+                mass = dynamics.mass_matrix(model.tree, values.inertial, q)
+                more, pull = implicit(IMPLICIT * wide, rate)
+                force = force + pull - less * (jnp.einsum("ij...,j...->i...", mass, k[n:]) + inertia * k[n:])
+                inertia = inertia + more
+            a = dynamics.acceleration(model.tree, values.inertial, q, v, force, inertia, values.gravity)
+            return jnp.concatenate([rate + IMPLICIT * wide * a if stiff else rate, a])
+
+        def stage(carry, part):
             k, total = carry
-            k = slope(x + ab[0] * wide * k, ab[0] * wide)
-            return (k, total + ab[1] * k), None
+            on, less, weight = part
+            k = slope(x + on * wide * k, on * wide, k, less)
+            return (k, total + weight * k), None
 
-        kind = x.dtype
-        weights = jnp.array([[0.0, 1.0], [0.5, 2.0], [0.5, 2.0], [1.0, 1.0]], kind) / jnp.array([[1.0, 6.0]], kind)
-        (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), weights)
+        stages = jnp.asarray(ROSENBROCK if stiff else RUNGE_KUTTA, x.dtype)
+        (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
         after = x + wide * total
         if len(whole) > 2 * n:
             after = jnp.concatenate([after, -act.yielding * rub])
@@ -123,9 +142,20 @@ class Path(NamedTuple):
     u: Any
 
 
-@partial(jax.jit, static_argnames=("past", "bristles"))
+@partial(jax.jit, static_argnames=("past", "bristles", "stiff"))
 def simulate(
-    model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int, bristles: bool = False
+    model: Model,
+    values: Values,
+    time,
+    stamp,
+    command,
+    x0,
+    substeps,
+    rough,
+    *,
+    past: int,
+    bristles: bool = False,
+    stiff: bool = False,
 ) -> Path:
     """Stretches from x0 [2n, W]."""
     drive = _drive(model, values, time, stamp, command, past)
@@ -134,7 +164,7 @@ def simulate(
 
     def row(x, now):
         u, t, dt = now
-        new, rub = row_step(model, values, x, u, t, dt, jnp.zeros_like(x[: states // 2]), substeps, rough)
+        new, rub = row_step(model, values, x, u, t, dt, jnp.zeros_like(x[: states // 2]), substeps, rough, stiff)
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, x0, drive)
@@ -142,9 +172,20 @@ def simulate(
     return Path(x, measure(model, values, time, x, drive.u), rub, drive.u)
 
 
-@partial(jax.jit, static_argnames=("past", "bristles"))
+@partial(jax.jit, static_argnames=("past", "bristles", "stiff"))
 def linearise(
-    model: Model, values: Values, time, stamp, command, x0, substeps, rough, *, past: int, bristles: bool = False
+    model: Model,
+    values: Values,
+    time,
+    stamp,
+    command,
+    x0,
+    substeps,
+    rough,
+    *,
+    past: int,
+    bristles: bool = False,
+    stiff: bool = False,
 ):
     """(Path, derivatives of each row's end by its start [L, 2n, 2n, W] and by a force held over the row [L, 2n, n, W]); with bristles
     3n states."""
@@ -157,7 +198,7 @@ def linearise(
 
     def row(x, now):
         u, t, dt = now
-        end = lambda x, extra: row_step(model, values, x, u, t, dt, extra, substeps, rough)
+        end = lambda x, extra: row_step(model, values, x, u, t, dt, extra, substeps, rough, stiff)
         along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
         (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))

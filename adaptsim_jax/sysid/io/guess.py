@@ -145,7 +145,11 @@ def guess_units(columns: dict[str, np.ndarray], joints: Sequence[str] = ()) -> d
     elif gain is not None and abs(np.log(gain * 2 * np.pi / 60)) < 0.1:
         out |= {"velocity": ("rpm", "speeds are 9.5 times the angles' slopes")}
     elif reach > LARGE:
-        out["angle"] = ("deg", f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times")
+        percent = "; LeRobot's -100 to 100 of a joint's range is neither, log degrees" if reach <= 100.0 else ""
+        out["angle"] = (
+            "deg",
+            f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times{percent}",
+        )
     return out
 
 
