@@ -7,6 +7,7 @@ Library code takes a `Report`, a function of (done, total, note), and knows noth
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import threading
 import time
@@ -14,7 +15,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TextIO
 
 Report = Callable[..., None]
-"""`report(done, total, note="")`: `done` of `total` are done; `note` is a few words such as 'reward 0.93'."""
+"""`report(done, total, note="")`: `done` of `total` are done, `math.inf` where nobody knows how much follows; `note` is a few words
+such as 'reward 0.93'."""
 
 Parts = Callable[..., None]
 """`report(part, done, total, note="")`: `done` of `total` of the part are done; 0 when it begins, all when it is over."""
@@ -81,8 +83,10 @@ class _Lines:
         if now < self.next or (done >= total and not self.shown):
             return
         self.next, self.shown = now + LINE_EVERY, True
-        left = self._left(now, done, total)
-        parts = [f"{self.label}: {100 * done / max(total, 1e-9):.0f} %", left, note]
+        if math.isinf(total):
+            parts = [f"{self.label}: {clock(now - self.start)} so far", note]
+        else:
+            parts = [f"{self.label}: {100 * done / max(total, 1e-9):.0f} %", self._left(now, done, total), note]
         print(", ".join(part for part in parts if part), file=self.stream, flush=True)
 
     def _left(self, now: float, done: float, total: float) -> str:
@@ -117,7 +121,8 @@ class _PartLines:
                 self.over.add(part)
                 self._say(part, f"done in {clock(now - self.began[part])}" + (f", {note}" if note else ""))
             elif done < total and (first or now >= self.next[part]):
-                self._say(part, f"{100 * done / total:.0f} %, {note}" if done > 0 and note else note or "begun")
+                known = done > 0 and note and not math.isinf(total)
+                self._say(part, f"{100 * done / total:.0f} %, {note}" if known else note or "begun")
             else:
                 return
             self.next[part] = now + PART_LINE_EVERY
@@ -137,13 +142,17 @@ class _Bars:
     def __init__(self, time: str, width: int = 40):
         self.time, self.width = time, width
         self.bars: Any = None
-        self.rows: dict[str, Any] = {}
+        self.rows: dict[tuple[str, bool], Any] = {}
 
     def update(self, title: str, done: float, total: float, note: str) -> None:
         self.bars = self.bars or self._opened()
-        if title not in self.rows:
-            self.rows[title] = self.bars.add_task(title, note="")
-        self.bars.update(self.rows[title], completed=done, total=total, note=note)
+        endless = math.isinf(total)
+        if (title, endless) not in self.rows:
+            if (title, not endless) in self.rows:
+                self.bars.remove_task(self.rows.pop((title, not endless)))
+            self.rows[title, endless] = self.bars.add_task(title, total=None if endless else total, note="")
+        known = {} if endless else {"completed": done, "total": total}
+        self.bars.update(self.rows[title, endless], note=note, **known)
 
     def _opened(self) -> Any:
         from rich import progress
@@ -175,7 +184,8 @@ class _Bar(_Bars):
     def report(self, done: float, total: float, note: str = "") -> None:
         if self.bars is None and (time.monotonic() - self.start < SHOW_AFTER or done >= total):
             return
-        self.update(self.label, done, total, note)
+        long = f", {clock(time.monotonic() - self.start)} so far" if math.isinf(total) else ""
+        self.update(self.label, done, total, note + long)
 
 
 class _PartBars(_Bars):
@@ -187,4 +197,6 @@ class _PartBars(_Bars):
 
     def report(self, part: str, done: float, total: float, note: str = "") -> None:
         with self.lock:
-            self.update(self.titles[part], done / max(total, 1e-9), 1.0, note)
+            self.update(
+                self.titles[part], *((0.0, total) if math.isinf(total) else (done / max(total, 1e-9), 1.0)), note
+            )

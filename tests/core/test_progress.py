@@ -2,6 +2,7 @@
 and at the end of each."""
 
 import io
+import math
 
 from adaptsim_jax.core import progress as module
 from adaptsim_jax.core.progress import clock, parts_progress, progress
@@ -44,6 +45,24 @@ def test_compile_time_in_the_first_chunk_does_not_spoil_the_rate(monkeypatch):
             time.now += 10.0
             report(step, 11)
     assert out.getvalue().splitlines()[1] == "train: 18 %, 1 min 30 s left"
+
+
+def test_of_work_without_a_known_end_the_time_so_far_is_told(monkeypatch, capsys):
+    time, out = Clock(monkeypatch), io.StringIO()
+    with progress("search", out) as report:
+        for note in ("one", "two"):
+            time.now += 40.0
+            report(0.0, math.inf, note)
+    assert out.getvalue().splitlines() == ["search: 40 s so far, one", "search: 1 min 20 s so far, two"]
+    out.isatty = lambda: True
+    with progress("search", out) as report:
+        time.now += 40.0
+        report(0.5, 1.0, "begun")
+        report(0.0, math.inf, "three")
+    assert "three, 40 s so far" in " ".join(capsys.readouterr().err.split())
+    with parts_progress(TITLES, out := io.StringIO()) as report:
+        report("a", 0.0, math.inf, "three")
+    assert out.getvalue().splitlines() == ["one part  three"]
 
 
 def test_a_bar_on_a_terminal(monkeypatch, capsys):
