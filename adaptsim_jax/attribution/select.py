@@ -27,6 +27,7 @@ from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import eased, steadiness, why_not
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit
@@ -130,7 +131,8 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     family = max(len(scores), 1)
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
     good = lambda model, test: test.gain > criteria.size and test.better > 0.5 * test.folds
-    begun = [(score, *attempted(problem, base, reach, score)) for score in hopeful[: 2 * criteria.tried]]
+    begin = lambda score: (score, *attempted(problem, base, reach, score))
+    begun = parallel_map(begin, hopeful[: 2 * criteria.tried])
     # half by what they gain at first order, half by what a step leaves
     first = criteria.tried // 2
     begun = begun[:first] + sorted(begun[first:], key=lambda b: b[3].sum())
@@ -152,9 +154,10 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
     scores = {s.candidate.key: s for s in table(problem, plain.lin, every)}
     left = lambda begun: float(np.median(begun[-1][: len(far)][far]))
     hopeful = [s for s in scores.values() if s.held_out > criteria.size * plain.fit.total][: criteria.tried]
-    begun = {s.candidate.key: (s, *attempted(problem, plain, reach, s)) for s in hopeful}
-    for key in scores:
-        for c, there in placed(problem, plain, reach, scores[key].candidate):
+    begun = {b[0].candidate.key: b for b in parallel_map(lambda s: (s, *attempted(problem, plain, reach, s)), hopeful)}
+    tries = parallel_map(lambda s: placed(problem, plain, reach, s.candidate), scores.values())
+    for key, found in zip(scores, tries, strict=True):
+        for c, there in found:
             if key not in begun or left(there) < left(begun[key]):
                 begun[key] = (replace(scores[key], candidate=c), *there)
     good = lambda model, test: (
@@ -166,16 +169,21 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
 
 def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> Model | None:
     """Of candidates (score, vector, starts, loss), fitted, the best that is good(model, its test against the base)."""
-    best, weights = None, base.fit.weights
-    for score, vector, starts, _ in begun:
+    weights = base.fit.weights
+
+    def fitted(start) -> Model:
+        score, vector, starts, _ = start
         say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
         whole = refit(
             problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance
         )
-        model = modelled(problem, (*base.added, score.candidate), whole, weights)
+        return modelled(problem, (*base.added, score.candidate), whole, weights)
+
+    best = None
+    for (score, *_), model in zip(begun, parallel_map(fitted, begun), strict=True):
         test = paired(problem, base.held.loss, model.held.loss)
         passed = good(model, test)
-        why = f"fitted, leaves {whole.total / base.fit.total:.2f} of the loss"
+        why = f"fitted, leaves {model.fit.total / base.fit.total:.2f} of the loss"
         trace.append(Step("tried" if passed else "refused", score.candidate, score, test, why))
         if passed and (best is None or _beats(problem, model, best[0], criteria)):
             best = model, score, test
@@ -223,11 +231,13 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
     the simplest has the name."""
     gone: set[tuple] = set()
     while True:
-        tests = []
-        for c in model.added:
+
+        def tested(c: Candidate, model=model) -> tuple[Candidate, Model, Test, float]:
             say(f"without {c.effect} at {_where(problem, c)}")
             less = without(problem, model, c, criteria.rounds)
-            tests.append((c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)))
+            return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
+
+        tests = parallel_map(tested, model.added)
         failing = []
         for c, less, test, steady in tests:
             if why := why_not(problem, model, less, c, test, steady, criteria):
@@ -275,18 +285,21 @@ def look_alikes(
     ]  # fmt: skip
     gained = paired(problem, less.held.loss, model.held.loss).gain
     gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
-    out = []
-    for score in rivals[:3]:
+
+    def instead(score: Score) -> tuple[Model, Test]:
         say(f"{score.candidate.effect} in place of {c.effect}")
         vector, starts, _ = attempted(problem, less, reach, score)
         fitted = refit(
             problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights
         )
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
-        test = paired(problem, other.held.loss, model.held.loss)
-        if test.gain < gap or test.p > criteria.confidence:
-            out.append((other, test))
-    return out
+        return other, paired(problem, other.held.loss, model.held.loss)
+
+    return [
+        (other, test)
+        for other, test in parallel_map(instead, rivals[:3])
+        if test.gain < gap or test.p > criteria.confidence
+    ]
 
 
 def _where(problem: Problem, c: Candidate) -> str:

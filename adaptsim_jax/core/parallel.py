@@ -7,6 +7,7 @@ computed as it would be alone, so the answer does not depend on how many there a
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TypeVar
 
 Given = TypeVar("Given")
@@ -27,4 +28,5 @@ def parallel_map(call: Callable[[Given], Made], items: Iterable[Given]) -> list[
     if workers < 2:
         return [call(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(call, items))
+        # NumPy's error state is of a context, and a thread begins with none
+        return list(pool.map(lambda given: given[0].run(call, given[1]), [(copy_context(), i) for i in items]))

@@ -152,6 +152,8 @@ def test_where_commands_answer_to_the_motion_a_little_that_follows_it_is_chance(
 
 def test_pieces_abreast_keep_their_order_and_raise():
     assert parallel_map(lambda k: k * k, range(9)) == [k * k for k in range(9)]
+    with np.errstate(over="ignore"):  # where a warning would be an error
+        assert np.isinf(parallel_map(np.exp, np.array([1e3, 1e4]))).all()
     with pytest.raises(ZeroDivisionError):
         parallel_map(lambda k: 1 // k, [1, 0, 2])
 
