@@ -21,7 +21,7 @@ class Criteria:
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they gain); the best is fitted whole.
     explained: held-out error over the noise floor up to which nothing is left to explain.
-    quiet: what the declared fit of short trials leaves over the noise, below which no effect is looked for; 0: always.
+    quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0: always goes on.
     beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take off of the squared error
         beyond the noise (0.9: it is three times what is left); what is smaller may name a part of that. 0: no such rule.
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.

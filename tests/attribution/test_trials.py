@@ -72,6 +72,13 @@ def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
         assert [n.effect.name for n in select(odd, Criteria(beyond=0.9, quiet=1.14)).named] == names
 
 
+def test_what_is_missing_from_a_model_that_leaves_the_noise_is_not_named():
+    """Beside a large effect, one that a hundred rows show and no eye would."""
+    small = problem((0.7, 0.4, 4.5, 0.0))
+    assert len(select(small, Criteria()).named) == 2
+    assert [n.effect.name for n in select(small, Criteria(quiet=1.14)).named] == ["c"]
+
+
 def test_a_fit_that_leaves_structure_is_begun_again_from_beside():
     """Two minima, of which the nearer is the worse."""
     wells = lambda a: np.stack([10.0 * (a**2 - 1.0), 2.0 * (a - 1.0)], 1)

@@ -167,10 +167,8 @@ def select(
     say("declared model")
     base = null = TrialModel((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
     opening = scores = scored(problem, base)
-    if null.fit.loss < criteria.quiet**2 * problem.counts.sum():
-        return TrialSelection(null, null, (), tuple(opening), {})
     refused: dict[str, str] = {}
-    while len(base.added) < criteria.most_effects:
+    while len(base.added) < criteria.most_effects and not quiet(problem, base, criteria):
         better = _forward(problem, base, scores, criteria, refused, say)
         if better is None:
             break
@@ -217,6 +215,11 @@ def beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
     return (large if test.gain > criteria.size and test.p < criteria.confidence else small) is model
 
 
+def quiet(problem: TrialProblem, model: TrialModel, criteria: Criteria) -> bool:
+    """Whether a model leaves no more than the noise, so that it lacks nothing."""
+    return model.fit.loss < criteria.quiet**2 * problem.counts.sum()
+
+
 def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria: Criteria) -> float:
     """Share that an effect takes off of the squared error beyond the noise that `less`, the model without it, leaves: of the sum or of
     the median over trials, the larger. 1 where the model leaves next to nothing.
@@ -247,6 +250,7 @@ def _judged(problem, model: TrialModel, criteria: Criteria, refused, say, alike:
                 test.p > _level(criteria, test.folds, len(tests) - rank)
                 or test.gain < criteria.size
                 or steady < criteria.steady
+                or quiet(problem, less, criteria)
                 or beyond(problem, less, model, criteria) < criteria.beyond
             ):
                 failing.append((test.gain, e, less, test, steady))
