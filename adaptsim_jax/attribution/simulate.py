@@ -70,30 +70,32 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough, 
         now = t[None] + i * wide
         x, q, v = whole[: 2 * n], whole[:n], whole[n : 2 * n]
         bent = whole[2 * n :] if len(whole) > 2 * n else jnp.zeros_like(v)
-        act = forces(model, values, q, v, u, now)
 
         def rubs():
+            act = forces(model, values, q, v, u, now)
             more, pull = implicit(wide, v) if stiff else (0.0, 0.0)
             heavy = act._replace(inertia=act.inertia + more)
             free = dynamics.acceleration(
                 model.tree, values.inertial, q, v, act.smooth + extra + pull, heavy.inertia, values.gravity
             )
-            return _friction(model, values, q, heavy, free, v, bent, h)
+            rub = _friction(model, values, q, heavy, free, v, bent, h)
+            return rub, -act.yielding * rub
 
-        rub = jax.lax.cond(rough, rubs, lambda: jnp.zeros_like(v))
+        rub, yielded = jax.lax.cond(rough, rubs, lambda: (jnp.zeros_like(v), jnp.zeros_like(v)))
 
         def slope(x, at, k, less):
             q, v = x[:n], x[n:]
             act = forces(model, values, q, v, u, now + at)
             force, inertia, rate = act.smooth + extra + rub, act.inertia, v
-            if stiff:
+            if stiff:  # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix
                 rate = v - less * k[:n]
-                mass = dynamics.mass_matrix(model.tree, values.inertial, q)
                 more, pull = implicit(IMPLICIT * wide, rate)
-                force = force + pull - less * (jnp.einsum("ij...,j...->i...", mass, k[n:]) + inertia * k[n:])
-                inertia = inertia + more
+                force, inertia = force + pull + less * more * k[n:], inertia + more
             a = dynamics.acceleration(model.tree, values.inertial, q, v, force, inertia, values.gravity)
-            return jnp.concatenate([rate + IMPLICIT * wide * a if stiff else rate, a])
+            if not stiff:
+                return jnp.concatenate([v, a])
+            a = a - less * k[n:]
+            return jnp.concatenate([rate + IMPLICIT * wide * a, a])
 
         def stage(carry, part):
             k, total = carry
@@ -105,7 +107,7 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough, 
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
         after = x + wide * total
         if len(whole) > 2 * n:
-            after = jnp.concatenate([after, -act.yielding * rub])
+            after = jnp.concatenate([after, yielded])
         return after, rubbed + rub / substeps
 
     return jax.lax.fori_loop(0, substeps, substep, (x, jnp.zeros_like(x[:n])))
