@@ -288,10 +288,17 @@ def look_alikes(
 
     def instead(score: Score) -> tuple[Model, Test]:
         say(f"{score.candidate.effect} in place of {c.effect}")
-        vector, starts, _ = attempted(problem, less, reach, score)
-        fitted = refit(
-            problem, less.fit, vector, starts, (*c.joints, *score.candidate.joints), criteria.rounds, model.fit.weights
+        touched = (*c.joints, *score.candidate.joints)
+        settle = lambda vector, starts: refit(
+            problem, less.fit, vector, starts, touched, criteria.rounds, model.fit.weights
         )
+        vector, starts, _ = attempted(problem, less, reach, score)
+        fitted = settle(vector, starts)
+        if (
+            fitted.code == "stuck"
+        ):  # what weighs after a good fit is a narrow valley from afar: first by weights of its own
+            near = fit(problem, vector, starts, rounds=criteria.rounds)
+            fitted = min(fitted, settle(near.vector, near.starts), key=lambda f: f.total)
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
         return other, paired(problem, other.held.loss, model.held.loss)
 
