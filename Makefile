@@ -24,8 +24,10 @@ help:
 demo: $(VENV)/.core
 	$(BIN)/adaptsim demo --out $(DEMO_OUT)
 
-# Most of the suite's time is compiling, and most programs run once: no effort there pays.
-test test-all: export XLA_FLAGS ?= --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=0 \
+# Most of the quick tests' time is compiling, and most programs run once: no effort there pays. Of all tests half of it does.
+test: effort = 0
+test-all: effort = 1
+test test-all: export XLA_FLAGS ?= --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=$(effort) \
 	--xla_cpu_use_fusion_emitters=false
 test: $(VENV)/.test
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow" $(PYTEST_ARGS)
