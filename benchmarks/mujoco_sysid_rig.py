@@ -1,10 +1,12 @@
-"""`mujoco.sysid` and our fit on one real rig, side by side: the same stretches, start, parameters and held-out trials.
+"""`mujoco.sysid` and our fit on one real rig, side by side: the same stretches, start, parameters and held-out data.
 
     PYTHON benchmarks/mujoco_sysid_rig.py [RIG]     rig_c of ../shared/data/measured_double_pendulum, or ADAPTSIM_DATA's
+    PYTHON benchmarks/mujoco_sysid_rig.py leg       the quadruped's front left leg, position commands
 
-PYTHON has this package and `mujoco[sysid]`. Fitted on all trials but the last three: mass, centre and moment of each link, and viscous
-and dry friction at each joint (`damping`, `frictionloss`). Scored on the last three by the error of `adaptsim replay` (0.5 s). Prints
-JSON: seconds (ours once compiled; `compile`: of the first call), median errors (rad) declared and fitted.
+PYTHON has this package and `mujoco[sysid]`. Fitted: viscous and dry friction at each joint (`damping`, `frictionloss`), of a rig also
+mass, centre and moment of each link, on all trials but the last three (of the leg: on `train.csv`). Scored on these (`validation.csv`)
+by the error of `adaptsim replay` (0.5 s). Prints JSON: seconds (ours once compiled; `compile`: of the first call), median errors (rad)
+declared and fitted.
 """
 
 import json
@@ -12,6 +14,8 @@ import os
 import sys
 import tempfile
 import time
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -20,6 +24,7 @@ from mujoco import sysid
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import machine as joined
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
@@ -35,10 +40,10 @@ DATA = Path(os.environ.get("ADAPTSIM_DATA", Path(__file__).parents[2] / "shared"
 LEFT_OUT, HORIZON, STEP = 3, 0.5, 0.002
 
 
-def ours(machine) -> tuple[dict, object]:
+def ours(machine, nuisance: Callable) -> tuple[dict, object]:
     problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON)
-    rubbing = [Entry("coulomb", "level", (j,), 0.05, 0.0, 0.0, 2.0, "N m") for j in range(2)]
-    vector = in_the_plane(nuisances(problem)).with_entries(rubbing)
+    rubbing = [Entry("coulomb", "level", (j,), 0.05, 0.0, 0.0, 2.0, "N m") for j in range(problem.joints)]
+    vector = nuisance(problem).with_entries(rubbing)
     took = []
     for _ in range(2):
         began = time.perf_counter()
@@ -47,11 +52,13 @@ def ours(machine) -> tuple[dict, object]:
     return {"seconds": took[1], "compile": took[0] - took[1], "rounds": found.rounds, "code": found.code}, found.vector
 
 
-def peers(machine, xml: str) -> tuple[dict, str]:
-    """What `mujoco.sysid` finds, and the MJCF with it."""
+def peers(machine, xml: str, links: bool) -> tuple[dict, str]:
+    """What `mujoco.sysid` finds, and the MJCF with it. links: whether their inertias are fitted."""
     spec = mujoco.MjSpec.from_string(xml)
     spec.option.timestep = STEP
-    for name in ("joint1", "joint2"):
+    joints = machine.tree.joint_names
+    n = len(joints)
+    for name in joints:
         spec.add_sensor(name=f"{name}_angle", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT,
                         objname=name)  # fmt: skip
     model = spec.compile()
@@ -63,7 +70,7 @@ def peers(machine, xml: str) -> tuple[dict, str]:
         t = s.time[:, k] - s.time[0, k]
         keep = np.r_[True, np.diff(t) > 0]
         command = s.command[s.past : s.past + len(t), :, k]
-        starts.append(sysid.create_initial_state(model, s.start[:2, k], s.start[2:, k], None))
+        starts.append(sysid.create_initial_state(model, s.start[:n, k], s.start[n:, k], None))
         controls.append(sysid.TimeSeries(t[keep], command[keep]))
         seen.append(sysid.TimeSeries.from_names(t[keep], s.q[keep, :, k], model))
         names.append(f"stretch{k}")
@@ -72,15 +79,16 @@ def peers(machine, xml: str) -> tuple[dict, str]:
     def add(name, nominal, low, high, change):
         params.add(sysid.Parameter(name, nominal, low, high, modifier=lambda spec, p: change(spec, float(p.value[0]))))
 
-    for k in (1, 2):
+    for k in (1, 2) if links else ():
         body = spec.body(f"link{k}")
         centre, moment = float(body.ipos[2]), float(body.inertia[1])
         add(f"mass{k}", float(body.mass), 0.02, 5.0, lambda s, v, k=k: setattr(s.body(f"link{k}"), "mass", v))
         add(f"centre{k}", centre, -0.6, 0.6, lambda s, v, k=k: s.body(f"link{k}").ipos.__setitem__(2, v))
         add(f"moment{k}", moment, 1e-5, 0.1, lambda s, v, k=k: setattr(s.body(f"link{k}"), "inertia", [v, v, v]))
-        damping = float(np.ravel(spec.joint(f"joint{k}").damping)[0])
-        add(f"damping{k}", damping, 0.0, 1.0, lambda s, v, k=k: s.joint(f"joint{k}").damping.__setitem__(0, v))
-        add(f"dry{k}", 0.05, 0.0, 2.0, lambda s, v, k=k: setattr(s.joint(f"joint{k}"), "frictionloss", v))
+    for name in joints:
+        damping = float(np.ravel(spec.joint(name).damping)[0])
+        add(f"{name} damping", damping, 0.0, 2.0, lambda s, v, j=name: s.joint(j).damping.__setitem__(0, v))
+        add(f"{name} dry", 0.05, 0.0, 2.0, lambda s, v, j=name: setattr(s.joint(j), "frictionloss", v))
     began = time.perf_counter()
     sequences = sysid.ModelSequences("rig", spec, names, starts, controls, seen)
     found, result = sysid.optimize(
@@ -109,16 +117,45 @@ def main(rig: str) -> None:
         machine = declared_machine(train, theta, path)
         rest = whole.replace(trials=whole.trials[-LEFT_OUT:])
         test = declared_machine(usable(rest, audit(rest)), theta, Path(folder) / "test.xml")
-        error = lambda machine, vector=None: float(np.median(replay(machine, HORIZON, vector).error))
-        mine, vector = ours(machine)
-        theirs, xml = peers(machine, path.read_text())
-        (Path(folder) / "theirs.xml").write_text(xml)
-        mended = joined(read_mechanism(Path(folder) / "theirs.xml"), test.log)
-        print(json.dumps({
-            "rig": rig, "declared": error(test), "ours": mine | {"error": error(test, vector)},
-            "mujoco_sysid": theirs | {"error": error(mended)},
-        }, indent=1))  # fmt: skip
+        compare(rig, machine, test, path, lambda problem: in_the_plane(nuisances(problem)), True)
+
+
+def leg() -> None:
+    """One leg by itself: through the fixed base legs do not touch."""
+    source = DATA / "measured_quadruped_legs"
+    tree = ElementTree.parse(source / "model.xml")
+    for parent in tree.iter():
+        for child in list(parent):
+            name = child.get("name", "")
+            if child.tag in ("body", "position") and name[:2] in ("FR", "RL", "RR"):
+                parent.remove(child)
+    keep = ("time", *(f"{stem}{j}" for stem in ("q", "target") for j in (1, 2, 3)))
+    with tempfile.TemporaryDirectory() as folder:
+        parts = []
+        for part in ("train", "validation"):
+            at = Path(folder) / part
+            at.mkdir()
+            tree.write(at / "model.xml")
+            (at / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
+            rows = np.genfromtxt(source / f"{part}.csv", delimiter=",", names=True)
+            table = np.stack([rows[name] for name in keep], 1)
+            np.savetxt(at / "log.csv", table, delimiter=",", header=",".join(keep), comments="", fmt="%.9g")
+            parts.append(load(at))
+        fixed = lambda problem: nuisances(problem, inertia=False)
+        compare("leg", *parts, Path(folder) / "train" / "model.xml", fixed, False)
+
+
+def compare(rig: str, machine, test, path: Path, nuisance: Callable, links: bool) -> None:
+    error = lambda machine, vector=None: float(np.median(replay(machine, HORIZON, vector).error))
+    mine, vector = ours(machine, nuisance)
+    theirs, xml = peers(machine, path.read_text(), links)
+    path.with_name("theirs.xml").write_text(xml)
+    mended = joined(read_mechanism(path.with_name("theirs.xml")), test.log)
+    print(json.dumps({
+        "rig": rig, "declared": error(test), "ours": mine | {"error": error(test, vector)},
+        "mujoco_sysid": theirs | {"error": error(mended)},
+    }, indent=1))  # fmt: skip
 
 
 if __name__ == "__main__":
-    main(*(sys.argv[1:] or ["rig_c"]))
+    leg() if sys.argv[1:] == ["leg"] else main(*(sys.argv[1:] or ["rig_c"]))
