@@ -109,6 +109,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "torque_share": all(row.get("unit") == rows_of.TORQUE_SHARE for row in report.get("power") or [{}]),
         "candidates": rows_of.candidate_rows(report),
         "most_candidates": MOST_CANDIDATES,
+        "one_by_one": bool(report.get("fit_coordinates")),
         "declared": rows_of.declared_rows(report),
         "not_established": words.not_established(report),
         "next": _next_experiment(report, plan, out),
