@@ -222,12 +222,12 @@ def quiet(problem: TrialProblem, model: TrialModel, criteria: Criteria) -> bool:
 
 def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria: Criteria) -> float:
     """Share that an effect takes off of the squared error beyond the noise that `less`, the model without it, leaves: of the sum or of
-    the median over trials, the larger. 1 where the model leaves next to nothing.
+    the median over trials, the larger. 1 where the model leaves next to nothing, and where this is not asked.
 
     A body that moves by other laws than the model's is followed better by any effect that resembles the difference.
     """
     middle = lambda m: float(np.median(mean_square(problem, m.fit.residual)))
-    if middle(model) <= criteria.quiet**2:
+    if not criteria.beyond or middle(model) <= criteria.quiet**2:
         return 1.0
     noise = float(problem.counts.sum())
     share = lambda before, after, floor: (before - after) / max(before - floor, 1e-9)
