@@ -77,7 +77,7 @@ def held_by(values: Values):
     """Stiffness and damping [n, .] that hold each joint without delay: of controllers, and viscous friction."""
     square = values.gear**2
     damping = values.effects["viscous"]["damping"] if "viscous" in values.effects else 0.0
-    return jnp.maximum(-square * values.actuator[2], 0.0), jnp.maximum(damping - square * values.actuator[3], 0.0)
+    return -square * values.actuator[2], damping - square * values.actuator[3]
 
 
 def wound(values: Values):

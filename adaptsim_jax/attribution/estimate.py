@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from adaptsim_jax.attribution.acting import bristles, rough
+from adaptsim_jax.attribution.acting import Values, bristles, held_by, rough
 from adaptsim_jax.attribution.columns import Columns, Shapes
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
-from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start, simulate
+from adaptsim_jax.attribution.simulate import Path, Scheme, linearise, respond, responded_start, simulate
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
 CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
@@ -63,19 +63,19 @@ class Linear:
     picked: np.ndarray
 
 
-def substeps(problem: Problem, vector: Vector, group: Group) -> tuple[int, bool]:
-    """Steps within a row such that Runge and Kutta's method is stable and good for drag and controllers, and whether these want more
-    than there may be: then as much work goes into steps of half as many stages."""
-    v = values_of(problem, group, vector)
-    inertia = group_inertia(v, group)[0]
-    damping = v.effects["viscous"]["damping"][:, 0] if "viscous" in v.effects else 0.0
-    gain = group.gear**2
-    rate = np.abs(damping - gain * group.actuator[3]) / inertia
-    swing = np.sqrt(np.abs(gain * group.actuator[2]) / inertia) * 2.0
-    row = float(np.median(np.diff(group.stretches.time, axis=0)[np.diff(group.stretches.time, axis=0) > 0]))
-    need = row * max(float(rate.max()), float(swing.max()), 200.0) / STABLE
+def scheme(problem: Problem, vector: Vector, group: Group, values: Values) -> Scheme:
+    """Steps within a row such that Runge and Kutta's method is stable and good for drag and controllers; where these want more than
+    there may be, as much work goes into stiff steps, which have half as many stages."""
+    at = values_of(problem, group, vector)
+    inertia = group_inertia(at, group)[0]
+    stiffness, damping = (np.abs(np.asarray(z)[:, 0]) for z in held_by(at))
+    swing = np.sqrt(stiffness / inertia) * 2.0
+    gaps = np.diff(group.stretches.time, axis=0)
+    row = float(np.median(gaps[gaps > 0]))
+    need = row * max(float((damping / inertia).max()), float(swing.max()), 200.0) / STABLE
     stiff = bool(need > MOST_SUBSTEPS)
-    return 2 * MOST_SUBSTEPS if stiff else max(1, int(np.ceil(need))), stiff
+    steps = 2 * MOST_SUBSTEPS if stiff else max(1, int(np.ceil(need)))
+    return Scheme(steps, rough(group.model, values), group.stretches.past, bristles(group.model, values), stiff)
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
@@ -85,9 +85,8 @@ def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np
         for group, start in zip(problem.groups, starts, strict=True):
             values = values_of(problem, group, vector, rows)
             s = group.stretches
-            steps, stiff = substeps(problem, vector, group)
-            path = simulate(group.model, values, s.time, s.stamp, s.command, start, steps, rough(group.model, values),
-                            past=s.past, bristles=bristles(group.model, values), stiff=stiff)  # fmt: skip
+            how = scheme(problem, vector, group, values)
+            path = simulate(group.model, values, s.time, s.stamp, s.command, start, how)
             out.append(Path(*(np.asarray(z) for z in path)))
     return out
 
@@ -161,9 +160,8 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
         for group, x0 in zip(problem.groups, fit.starts, strict=True):
             values = values_of(problem, group, fit.vector)
             s = group.stretches
-            steps, stiff = substeps(problem, fit.vector, group)
-            path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, steps, rough(group.model, values),
-                                   past=s.past, bristles=bristles(group.model, values), stiff=stiff)  # fmt: skip
+            how = scheme(problem, fit.vector, group, values)
+            path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
             path = Path(*(np.asarray(z) for z in path))
             by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))
             slope = (by_state, by_force)

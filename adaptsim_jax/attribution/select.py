@@ -131,8 +131,7 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     family = max(len(scores), 1)
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
     good = lambda model, test: test.gain > criteria.size and test.better > 0.5 * test.folds
-    begin = lambda score: (score, *attempted(problem, base, reach, score))
-    begun = parallel_map(begin, hopeful[: 2 * criteria.tried])
+    begun = _begun(problem, base, reach, hopeful[: 2 * criteria.tried])
     # half by what they gain at first order, half by what a step leaves
     first = criteria.tried // 2
     begun = begun[:first] + sorted(begun[first:], key=lambda b: b[3].sum())
@@ -141,6 +140,11 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
         why = f"{len(hopeful)} of {family} candidates pass the score test, none holds out"
         trace.append(Step("ended", None, None, None, why))
     return best
+
+
+def _begun(problem, base: Model, reach, scores) -> list[tuple]:
+    """(score, vector, starts, loss) of the base with each candidate added, one step on."""
+    return parallel_map(lambda score: (score, *attempted(problem, base, reach, score)), scores)
 
 
 def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -> Model | None:
@@ -154,7 +158,7 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
     scores = {s.candidate.key: s for s in table(problem, plain.lin, every)}
     left = lambda begun: float(np.median(begun[-1][: len(far)][far]))
     hopeful = [s for s in scores.values() if s.held_out > criteria.size * plain.fit.total][: criteria.tried]
-    begun = {b[0].candidate.key: b for b in parallel_map(lambda s: (s, *attempted(problem, plain, reach, s)), hopeful)}
+    begun = {b[0].candidate.key: b for b in _begun(problem, plain, reach, hopeful)}
     tries = parallel_map(lambda s: placed(problem, plain, reach, s.candidate), scores.values())
     for key, found in zip(scores, tries, strict=True):
         for c, there in found:
@@ -294,9 +298,8 @@ def look_alikes(
         )
         vector, starts, _ = attempted(problem, less, reach, score)
         fitted = settle(vector, starts)
-        if (
-            fitted.code == "stuck"
-        ):  # what weighs after a good fit is a narrow valley from afar: first by weights of its own
+        if fitted.code == "stuck":
+            # what weighs after a good fit is a narrow valley from afar: first by weights of its own
             near = fit(problem, vector, starts, rounds=criteria.rounds)
             fitted = min(fitted, settle(near.vector, near.starts), key=lambda f: f.total)
         other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)

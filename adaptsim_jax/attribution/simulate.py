@@ -8,6 +8,7 @@ in the same place: a third state of each joint, their deflection, where any mode
 Verwer et al., SIAM J. Sci. Comput. 20, 1999); its Jacobian holds their stiffness and damping only, and adds to the inertia.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.acting import Forces, Model, Values, carried, forces, held_by, with_bristles
+from adaptsim_jax.attribution.acting import Model, Values, carried, forces, held_by, with_bristles
 from adaptsim_jax.mechanisms import dynamics
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
@@ -23,6 +24,19 @@ RUNGE_KUTTA = np.array([[0.0, 0.0, 1 / 6], [0.5, 0.0, 1 / 3], [0.5, 0.0, 1 / 3],
 ROSENBROCK = np.array([[0.0, 0.0, 1.5], [1.0, 2.0, 0.5]])
 """Stages: how far on, how much of the stage before is taken off, weight."""
 IMPLICIT = 1.0 - np.sqrt(0.5)  # gamma of ROS2, with which it is L-stable
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["substeps", "rough"], meta_fields=["past", "bristles", "stiff"])
+@dataclass(frozen=True)
+class Scheme:
+    """How stretches are stepped through. substeps of a row; rough: whether anything rubs dry; and, static, past: rows of the command
+    before a stretch, bristles: whether these have a state, stiff: whether controllers are faster than the substeps."""
+
+    substeps: Any
+    rough: Any
+    past: int
+    bristles: bool = False
+    stiff: bool = False
 
 
 class Rows(NamedTuple):
@@ -33,10 +47,22 @@ class Rows(NamedTuple):
     dt: Any
 
 
-def _friction(model: Model, values: Values, q, act: Forces, free, v, bent, h):
-    """Dry friction [n, W] held over a step of h s from the acceleration `free` without it; bent [n, W]: deflection of bristles."""
+def _implicit(hold, part, v):
+    """Inertia and force [n, W] that stiffness and damping come to over a part [1, W] s of a step, at speeds v."""
+    stiffness, damping = hold
+    return part * (damping + part * stiffness), -part * stiffness * v
+
+
+def _friction(model: Model, values: Values, q, v, u, t, extra, bent, h, hold):
+    """Dry friction [n, W] held over a step of h s, and the deflection of bristles by its end, from that before, bent [n, W]. hold:
+    stiffness and damping that are stepped implicitly, None where none are."""
     n = v.shape[0]
-    answer = dynamics.inverse_mass(model.tree, values.inertial, q, act.inertia)  # column j: force of 1 at joint j
+    act = forces(model, values, q, v, u, t)
+    more, pull = (0.0, 0.0) if hold is None else _implicit(hold, h[None], v)
+    inertia = act.inertia + more
+    force = act.smooth + extra + pull
+    free = dynamics.acceleration(model.tree, values.inertial, q, v, force, inertia, values.gravity)
+    answer = dynamics.inverse_mass(model.tree, values.inertial, q, inertia)  # column j: force of 1 at joint j
     level = jnp.maximum(act.level, 0.0)
     safe = jnp.where(h > 0, h, 1.0)
     own = jnp.stack([answer[j, j] for j in range(n)])
@@ -49,53 +75,40 @@ def _friction(model: Model, values: Values, q, act: Forces, free, v, bent, h):
         return (after, force.at[j].set(new)), None
 
     order = jnp.tile(jnp.arange(n), SWEEPS if n > 1 else 1)
-    (_, force), _ = jax.lax.scan(turn, (v + h[None] * free, jnp.zeros_like(v)), order)
-    return force
+    (_, rub), _ = jax.lax.scan(turn, (v + h[None] * free, jnp.zeros_like(v)), order)
+    return rub, -act.yielding * rub
 
 
-def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough, stiff=False):
+def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
     """State [2n, W] (or [3n, W] with the bristles' deflection) after a row, and the mean dry friction over it [n, W]. extra [n, W]
-    N m; rough: whether anything rubs; stiff (static): whether controllers are faster than the substeps."""
+    N m."""
     n = len(extra)
-    h = dt / substeps
+    h = dt / scheme.substeps
     wide = h[None]
-    stiffness, damping = (jnp.asarray(z, x.dtype) for z in held_by(values)) if stiff else (0.0, 0.0)
-
-    def implicit(part, v):
-        """Inertia and force [n, W] that stiffness and damping come to over a part of the step."""
-        return part * (damping + part * stiffness), -part * stiffness * v
+    hold = tuple(jnp.maximum(z, 0.0).astype(x.dtype) for z in held_by(values)) if scheme.stiff else None
 
     def substep(i, carry):
         whole, rubbed = carry
         now = t[None] + i * wide
         x, q, v = whole[: 2 * n], whole[:n], whole[n : 2 * n]
-        bent = whole[2 * n :] if len(whole) > 2 * n else jnp.zeros_like(v)
-
-        def rubs():
-            act = forces(model, values, q, v, u, now)
-            more, pull = implicit(wide, v) if stiff else (0.0, 0.0)
-            heavy = act._replace(inertia=act.inertia + more)
-            free = dynamics.acceleration(
-                model.tree, values.inertial, q, v, act.smooth + extra + pull, heavy.inertia, values.gravity
-            )
-            rub = _friction(model, values, q, heavy, free, v, bent, h)
-            return rub, -act.yielding * rub
-
-        rub, yielded = jax.lax.cond(rough, rubs, lambda: (jnp.zeros_like(v), jnp.zeros_like(v)))
+        still = jnp.zeros_like(v)
+        bent = whole[2 * n :] if len(whole) > 2 * n else still
+        rubs = lambda: _friction(model, values, q, v, u, now, extra, bent, h, hold)
+        rub, yielded = jax.lax.cond(scheme.rough, rubs, lambda: (still, still))
 
         def slope(x, at, k, less):
             q, v = x[:n], x[n:]
             act = forces(model, values, q, v, u, now + at)
             force, inertia, rate = act.smooth + extra + rub, act.inertia, v
-            if stiff:  # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix
+            if hold:  # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix
                 rate = v - less * k[:n]
-                more, pull = implicit(IMPLICIT * wide, rate)
+                more, pull = _implicit(hold, IMPLICIT * wide, rate)
                 force, inertia = force + pull + less * more * k[n:], inertia + more
             a = dynamics.acceleration(model.tree, values.inertial, q, v, force, inertia, values.gravity)
-            if not stiff:
-                return jnp.concatenate([v, a])
-            a = a - less * k[n:]
-            return jnp.concatenate([rate + IMPLICIT * wide * a, a])
+            if hold:
+                a = a - less * k[n:]
+                rate = rate + IMPLICIT * wide * a
+            return jnp.concatenate([rate, a])
 
         def stage(carry, part):
             k, total = carry
@@ -103,14 +116,14 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, substeps, rough, 
             k = slope(x + on * wide * k, on * wide, k, less)
             return (k, total + weight * k), None
 
-        stages = jnp.asarray(ROSENBROCK if stiff else RUNGE_KUTTA, x.dtype)
+        stages = jnp.asarray(ROSENBROCK if hold else RUNGE_KUTTA, x.dtype)
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
         after = x + wide * total
         if len(whole) > 2 * n:
             after = jnp.concatenate([after, yielded])
-        return after, rubbed + rub / substeps
+        return after, rubbed + rub / scheme.substeps
 
-    return jax.lax.fori_loop(0, substeps, substep, (x, jnp.zeros_like(x[:n])))
+    return jax.lax.fori_loop(0, scheme.substeps, substep, (x, jnp.zeros_like(x[:n])))
 
 
 def command_rows(model: Model, values: Values, stamp, command, past: int, rows: int):
@@ -144,75 +157,47 @@ class Path(NamedTuple):
     u: Any
 
 
-@partial(jax.jit, static_argnames=("past", "bristles", "stiff"))
-def simulate(
-    model: Model,
-    values: Values,
-    time,
-    stamp,
-    command,
-    x0,
-    substeps,
-    rough,
-    *,
-    past: int,
-    bristles: bool = False,
-    stiff: bool = False,
-) -> Path:
+@jax.jit
+def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme) -> Path:
     """Stretches from x0 [2n, W]."""
-    drive = _drive(model, values, time, stamp, command, past)
-    states = len(x0)
-    x0 = with_bristles(model, values, x0, drive.u[0], drive.t[0]) if bristles else x0
+    drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
+    nothing = jnp.zeros_like(x0[: len(x0) // 2])
 
     def row(x, now):
-        u, t, dt = now
-        new, rub = row_step(model, values, x, u, t, dt, jnp.zeros_like(x[: states // 2]), substeps, rough, stiff)
+        new, rub = row_step(model, values, x, *now, nothing, scheme)
         return new, (x, rub)
 
-    last, (x, rub) = jax.lax.scan(row, x0, drive)
-    x = jnp.concatenate([x, last[None]])[:, :states]
+    last, (x, rub) = jax.lax.scan(row, begin, drive)
+    x = jnp.concatenate([x, last[None]])[:, : len(x0)]
     return Path(x, measure(model, values, time, x, drive.u), rub, drive.u)
 
 
-@partial(jax.jit, static_argnames=("past", "bristles", "stiff"))
-def linearise(
-    model: Model,
-    values: Values,
-    time,
-    stamp,
-    command,
-    x0,
-    substeps,
-    rough,
-    *,
-    past: int,
-    bristles: bool = False,
-    stiff: bool = False,
-):
+@jax.jit
+def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
     """(Path, derivatives of each row's end by its start [L, 2n, 2n, W] and by a force held over the row [L, 2n, n, W]); with bristles
     3n states."""
-    drive = _drive(model, values, time, stamp, command, past)
-    n = len(x0) // 2
-    x0 = with_bristles(model, values, x0, drive.u[0], drive.t[0]) if bristles else x0
-    states, width = x0.shape
+    drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
+    n, (states, width) = len(x0) // 2, begin.shape
     zero = jnp.zeros((n, width), x0.dtype)
     ways = jnp.eye(states + n, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
 
     def row(x, now):
-        u, t, dt = now
-        end = lambda x, extra: row_step(model, values, x, u, t, dt, extra, substeps, rough, stiff)
+        end = lambda x, extra: row_step(model, values, x, *now, extra, scheme)
         along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
         (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))
 
-    last, (x, rub, slopes) = jax.lax.scan(row, x0, drive)
-    x = jnp.concatenate([x, last[None]])[:, : 2 * n]
+    last, (x, rub, slopes) = jax.lax.scan(row, begin, drive)
+    x = jnp.concatenate([x, last[None]])[:, : len(x0)]
     return Path(x, measure(model, values, time, x, drive.u), rub, drive.u), slopes[:, :, :states], slopes[:, :, states:]
 
 
-def _drive(model, values, time, stamp, command, past) -> Rows:
+def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
+    """What drives the rows, and the state that they begin at."""
     rows = len(time) - 1
-    return Rows(command_rows(model, values, stamp, command, past, rows), time[:-1], jnp.diff(time, axis=0))
+    u = command_rows(model, values, stamp, command, scheme.past, rows)
+    drive = Rows(u, time[:-1], jnp.diff(time, axis=0))
+    return drive, with_bristles(model, values, x0, drive.u[0], drive.t[0]) if scheme.bristles else x0
 
 
 def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray) -> np.ndarray:

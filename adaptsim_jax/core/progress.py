@@ -197,6 +197,4 @@ class _PartBars(_Bars):
 
     def report(self, part: str, done: float, total: float, note: str = "") -> None:
         with self.lock:
-            self.update(
-                self.titles[part], *((0.0, total) if math.isinf(total) else (done / max(total, 1e-9), 1.0)), note
-            )
+            self.update(self.titles[part], done, total, note)

@@ -1,13 +1,13 @@
 """Controllers that are faster than the steps of a simulation: a light wrist on an arm, logged at 30 Hz."""
 
-from functools import partial
+from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import run, starts_of, substeps
+from adaptsim_jax.attribution.estimate import run, scheme, starts_of
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.simulate import simulate
@@ -39,15 +39,15 @@ def arm(tmp_path_factory):
 def test_stiff_steps_follow_what_many_small_ones_do(arm, kind):
     problem, vectors = arm
     (group,), vector = problem.groups, vectors[kind]
-    steps, stiff = substeps(problem, vector, group)
-    assert stiff and steps == 24
+    s, values = group.stretches, values_of(problem, group, vector)
+    how = scheme(problem, vector, group, values)
+    assert how.stiff and how.substeps == 24 and how.rough == (kind == "rubs")
     (path,) = run(problem, vector, starts_of(problem))
-    s = group.stretches
+    plain = replace(how, stiff=False)
     with jax.enable_x64(True):
-        make = partial(simulate, group.model, values_of(problem, group, vector), s.time, s.stamp, s.command, s.start)
-        true = np.asarray(make(600, kind == "rubs", past=s.past).x)
-        lost = np.asarray(make(12, kind == "rubs", past=s.past).x)
-        long = np.asarray(make(12, kind == "rubs", past=s.past, stiff=True).x)
+        make = lambda how: np.asarray(simulate(group.model, values, s.time, s.stamp, s.command, s.start, how).x)
+        true, lost = make(replace(plain, substeps=600)), make(replace(plain, substeps=12))
+        long = make(replace(how, substeps=12))
     off = lambda x: np.sqrt(np.mean((x[:, :2] - true[:, :2]) ** 2))
     assert np.abs(true[:, :2]).max() > 0.5
     assert not off(lost) < 0.1  # Runge and Kutta's method at these steps
