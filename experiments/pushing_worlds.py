@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-G, RADIUS, START = 9.81, 0.03, (0.56, 0.0)
+G, RADIUS, TALL, START = 9.81, 0.03, 0.1, (0.56, 0.0)
 STEP, LENGTH = 2e-4, 1.3
 LATE = 0.25  # s simulated beyond `LENGTH`: bottles may be on their way then, and a camera with a fast clock looks later
 PITCH, DROP = 0.8, 0.1175  # rad/s of the plate while it runs at full profile; m from link to edge
@@ -41,13 +41,15 @@ def profile(t):
 ZERO = dict.fromkeys(
     "speed_scale speed_offset heading_offset start_x start_y hardening plate_turn tilt_x tilt_y speed_friction drag grain "
     "grain_angle patch_x patch_size other_x other_y other_mu shift_x shift_y scale scale_start turn turn_start latency clock "
-    "ridge ridge_x bowl gradient lens heading_gain side_speed swerve warm scatter com_x com_y light".split(),
+    "ridge ridge_x bowl gradient lens heading_gain side_speed swerve warm scatter com_x com_y light "
+    "heavier near foot_x foot_y".split(),
     0.0,
 )
 
 
 def simulate(lanes, rate=500):
-    """Places `[B, N, 2]` m every `1 / rate` s of all lanes: dict of arrays `[B]` (mu, e, mu_p, y_p, speed, angle, and of `ZERO`)."""
+    """Places m and yaw rad `[B, N, 3]` every `1 / rate` s of all lanes: dict of arrays `[B]` (mu, e, mu_p, y_p, speed, angle, and of
+    `ZERO`)."""
     p = {k: np.asarray(v, float) for k, v in lanes.items()}
     count = len(p["mu"])
     angle = p["angle"] * (1 + p["heading_gain"]) + p["heading_offset"]
@@ -59,7 +61,8 @@ def simulate(lanes, rate=500):
     w = np.exp(frequency[0] + frequency[1] * u + frequency[2] * u * u + more[0] * h)
     zeta = np.exp(damping[0] + damping[1] * u + damping[2] * u * u + more[1] * h)
     w, zeta = np.clip(w, 10, 200), np.clip(zeta, 0.005, 3)
-    k, b = w * w * np.exp(p["hardening"] * h), np.minimum(2 * zeta * w, 250) * np.exp(p["hardening"] * h)
+    by_mass = np.exp(p["hardening"] * h) / (1 + p["heavier"])  # the same spring and damper, on another mass
+    k, b = w * w * by_mass, np.minimum(2 * zeta * w, 250) * by_mass
     x, y = START[0] + p["start_x"], START[1] + p["start_y"]
     # face of the plate, a point of it and its place along the normal; the link starts 15 cm behind the declared start
     back = 0.15 - 0.0025 - RADIUS
@@ -80,7 +83,7 @@ def simulate(lanes, rate=500):
     any_other = np.any(p["other_mu"])
     for n in range(round((LENGTH + LATE) / STEP)):
         if n % keep == 0:
-            out.append(np.stack([x, y], 1))
+            out.append(np.stack([x, y, yaw], 1))
         t = n * STEP
         f, f1 = profile(t), profile(t + STEP)
         slope = (f1 - f) / STEP
@@ -124,7 +127,7 @@ def simulate(lanes, rate=500):
         vx, vy = np.where(share < 1, vx - share * bx, 0), np.where(share < 1, vy - share * by, 0)
         x, y = x + STEP * vx, y + STEP * vy
         travel += STEP * (f + f1) / 2
-    out.append(np.stack([x, y], 1))
+    out.append(np.stack([x, y, yaw], 1))
     return np.stack(out, 1)
 
 
@@ -157,8 +160,9 @@ def _turned(p, state, hit, each, pressed, points):
     return x + STEP * v[:, 0], y + STEP * v[:, 1], v[:, 0], v[:, 1], yaw + STEP * v[:, 2], v[:, 2]
 
 
-def camera(p, tracks, rate, rng, fps=60.0, noise=5e-4):
-    """What a camera says of one push, lane `p` (scalars): rows (time, x, y)."""
+def camera(p, tracks, rate, rng, fps=60.0, noise=5e-4, turned=0.0):
+    """What a camera says of one push, lane `p` (scalars): rows (time, x, y), and where `turned` rad of noise is given yaw, of a marker
+    that is glued on at any angle and seen in 95 % of the rows."""
     t = np.arange(rng.uniform(0, 0.2) / fps, LENGTH + rng.uniform(0, 0.1), 1 / fps)
     when = (1 + p["clock"]) * t - p["latency"]
     grid = np.arange(len(tracks)) / rate
@@ -166,12 +170,19 @@ def camera(p, tracks, rate, rng, fps=60.0, noise=5e-4):
         raise ValueError(f"the camera looks at {when[-1]:.3f} s, and the bottle was moved until {grid[-1]:.3f} s")
     xy = np.stack([np.interp(when, grid, tracks[:, i]) for i in range(2)], 1)
     turn = lambda z, a: z @ np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+    # the ray from a camera 1 / near above (foot_x, foot_y) through the bottle's top meets the table beyond the bottle
+    foot = np.array([p["foot_x"], p["foot_y"]])
+    xy = foot + (xy - foot) / (1 - TALL * p["near"])
     xy = np.array(START) + (1 + p["scale_start"]) * turn(xy - START, p["turn_start"])
     xy = (1 + p["scale"]) * turn(xy, p["turn"]) + [p["shift_x"], p["shift_y"]]
     away = xy - [0.8, 0.0]
     xy = xy + p["lens"] * away * np.square(away).sum(1, keepdims=True)
     xy += noise * rng.standard_normal(xy.shape)
     kept = rng.random(len(t)) > 0.03
+    if turned:
+        yaw = np.interp(when, grid, tracks[:, 2]) + rng.uniform(-np.pi, np.pi) + turned * rng.standard_normal(len(t))
+        yaw = np.where(rng.random(len(t)) > 0.05, (yaw + np.pi) % (2 * np.pi) - np.pi, np.nan)
+        return np.column_stack([t, xy, yaw])[kept]
     return np.column_stack([t, xy])[kept]
 
 
@@ -220,6 +231,15 @@ SINGLES = {
 TURNING = {
     "off_axis": lambda rng: _two(("com_x", "com_y"), 0.002, 0.006)(rng) | {"light": rng.uniform(1.0, 2.0) / RADIUS**2},
 }
+MORE = {
+    "turning": lambda rng: {"light": rng.uniform(1.0, 2.0) / RADIUS**2},
+    "parallax": lambda rng: {
+        "near": 1 / rng.uniform(0.8, 2.0),
+        "foot_x": rng.uniform(0.5, 1.1),
+        "foot_y": rng.uniform(-0.4, 0.4),
+    },
+    "mass": lambda rng: {"heavier": rng.choice([rng.uniform(0.5, 1.5), -rng.uniform(0.35, 0.6)])},
+}
 OUTSIDE = {
     "ridge": lambda rng: {"ridge": rng.uniform(2, 5), "ridge_x": rng.uniform(0.66, 0.74)},
     "bowl": lambda rng: {"bowl": rng.uniform(2, 5)},
@@ -235,7 +255,7 @@ OUTSIDE = {
 
 
 def world(kind, seed, pushes=18):
-    """Lanes of one world: dict of arrays `[pushes]`, and what is true of it. kind: `null`, or of `SINGLES`, `TURNING`, `OUTSIDE`."""
+    """Lanes of one world: dict of arrays `[pushes]`, and what is true of it. kind: `null`, or of the dicts above."""
     rng = np.random.default_rng([seed, sum(map(ord, kind))])
     lanes = {k: np.zeros(pushes) for k in ZERO}
     truth = {
@@ -250,7 +270,7 @@ def world(kind, seed, pushes=18):
         rng.permutation(np.linspace(0.4, 0.8, pushes)),
         rng.permutation(np.linspace(-0.3, 0.3, pushes)),
     )
-    given = {} if kind == "null" else (SINGLES | TURNING | OUTSIDE)[kind](rng)
+    given = {} if kind == "null" else (SINGLES | TURNING | MORE | OUTSIDE)[kind](rng)
     for k, v in given.items():
         lanes[k] = np.full(pushes, v)
     if kind == "placement":
@@ -266,49 +286,58 @@ def world(kind, seed, pushes=18):
 
 
 def suite(name, seed, count=None):
-    """Kinds and seeds of a suite: `nulls` 60, `singles` each three times, `outside` each twice; `turning` 12."""
+    """Kinds and seeds of a suite: `nulls` 60, `singles` each three times, `outside` each twice; `turning` 12, `more` each four."""
     kinds = {
         "nulls": ["null"] * 60,
         "singles": 3 * list(SINGLES),
         "outside": 2 * list(OUTSIDE),
         "turning": 12 * list(TURNING),
+        "more": 4 * list(MORE),
     }[name]
     if count:
         kinds = kinds[:count]
     return [(kind, 1000 * seed + i) for i, kind in enumerate(kinds)]
 
 
-def write(kinds, folder, pushes=18, fps=60.0):
-    """All worlds of `kinds` as folders of `adaptsim diagnose`, simulated together."""
+def write(kinds, folder, pushes=18, fps=60.0, turned=0.0):
+    """All worlds of `kinds` as folders of `adaptsim diagnose`, simulated together; turned: noise of their yaw rad, 0 for none."""
     made = [world(kind, seed, pushes) for kind, seed in kinds]
     lanes = {k: np.concatenate([m[0][k] for m in made]) for k in made[0][0]}
-    tracks = simulate(lanes)
+    tracks = np.zeros((len(lanes["mu"]), round((LENGTH + LATE) * 500) + 1, 3))
+    for part in (lanes["light"] > 0, lanes["light"] == 0):
+        if part.any():
+            tracks[part] = simulate({k: v[part] for k, v in lanes.items()})
     for i, ((kind, seed), (own, truth)) in enumerate(zip(kinds, made, strict=True)):
         seen = tracks[i * pushes : (i + 1) * pushes]
-        write_world(Path(folder) / f"{kind}-{seed}", own, truth, seen, np.random.default_rng([seed, 7]), fps)
+        write_world(
+            Path(folder) / f"{kind}-{seed}", own, truth, seen, np.random.default_rng([seed, 7]), fps, turned=turned
+        )
 
 
-def write_world(out, own, truth, tracks, rng, fps=60.0, meta=""):
-    """A folder of `adaptsim diagnose`: `tracks [pushes, N, 2]` m of lanes `own`, as a camera sees them; meta: more of meta.toml."""
+def write_world(out, own, truth, tracks, rng, fps=60.0, meta="", turned=0.0):
+    """A folder of `adaptsim diagnose`: `tracks [pushes, N, 2 or 3]` m (and rad) of lanes `own`, as a camera sees them; meta: more of
+    meta.toml."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "meta.toml").write_text(f'task = "pushing"\n{meta}')
     (out / "truth.json").write_text(json.dumps(truth))
     rows = [f"{k + 1},{own['speed'][k]:.6f},{own['angle'][k]:.6f}" for k in range(len(tracks))]
     (out / "actions.csv").write_text("\n".join(["trial,speed,angle", *rows, ""]))
-    text = ["trial,time,x,y"]
+    text = ["trial,time,x,y" + ",yaw" * bool(turned)]
     for k, track in enumerate(tracks):
-        seen = camera({n: v[k] for n, v in own.items()}, track, 500, rng, fps)
-        text += [f"{k + 1},{t:.5f},{x:.6f},{y:.6f}" for t, x, y in seen]
+        seen = camera({n: v[k] for n, v in own.items()}, track, 500, rng, fps, turned=turned)
+        cell = lambda v: "" if np.isnan(v) else f"{v:.6f}"
+        text += [",".join([str(k + 1), f"{t:.5f}", *map(cell, row)]) for t, *row in seen]
     (out / "tracks.csv").write_text("\n".join([*text, ""]))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--suite", choices=("nulls", "singles", "outside", "turning"), required=True)
+    parser.add_argument("--suite", choices=("nulls", "singles", "outside", "turning", "more"), required=True)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, help="the first so many worlds")
     parser.add_argument("--pushes", type=int, default=18)
     parser.add_argument("--fps", type=float, default=60.0)
+    parser.add_argument("--yaw", type=float, default=0.0, metavar="RAD", help="write yaw, with noise of so many rad")
     parser.add_argument("--out", required=True)
     a = parser.parse_args()
-    write(suite(a.suite, a.seed, a.count), a.out, a.pushes, a.fps)
+    write(suite(a.suite, a.seed, a.count), a.out, a.pushes, a.fps, a.yaw)

@@ -73,6 +73,26 @@ def check_times(time: np.ndarray, most: float, told: Callable[[int], str]) -> No
         raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
 
 
+WHOLE_TURNS, FASTEST_TURN, TURN_SLIP = 30.0, 40.0, 0.5
+"""rad, rad/s and rad: bodies that slide have turned by 7 rad and at 9 rad/s; markers that are seen upside down jump by pi."""
+
+
+def unwrapped(time: np.ndarray, yaw: np.ndarray, told: Callable[[int], str], body: str) -> np.ndarray:
+    """One trial's `yaw [T]` rad at `time [T]` s without jumps by whole turns; NaN where it was not seen. BadInput at the first row in
+    another unit, or that jumps otherwise."""
+    seen = np.flatnonzero(~np.isnan(yaw))
+    for k in seen[np.abs(yaw[seen]) > WHOLE_TURNS][:1]:
+        raise BadInput(f"{told(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write radians")
+    out = yaw.copy()
+    out[seen] = np.unwrap(yaw[seen])
+    leap = np.abs(np.diff(out[seen]))
+    for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[seen]) + TURN_SLIP)[:1]:
+        raise BadInput(
+            f"{told(int(seen[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; empty the cells of yaw that are not it"
+        )
+    return out
+
+
 HOLE = 0.1  # s without a row that is told
 STOOD = 0.03  # m that a body must have gone within a hole, by its speeds before and after, for its standing still to say anything
 

@@ -10,19 +10,39 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.io.table import Table, read_table
-from adaptsim_jax.tasks.camera_record import check_clock_set, check_different, check_increasing, check_unit, holes
+from adaptsim_jax.tasks.camera_record import (
+    check_clock_set,
+    check_different,
+    check_increasing,
+    check_unit,
+    holes,
+    unwrapped,
+)
 from adaptsim_jax.tasks.trial_clock import began
 from adaptsim_jax.tasks.trial_frozen import check_frozen
 
 LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
-LEAST_NOISE = 1e-4  # m
+
+
+class Size(NamedTuple):
+    """Of a sensor's noise: its key in meta.toml, unit, the least that is believed, what is beyond any, and an example."""
+
+    key: str
+    unit: str
+    least: float
+    most: float
+    such: float
+
+
+PLACE = Size("noise", "m", 1e-4, 0.05, 0.0005)
 
 
 @dataclass(frozen=True)
 class Kind:
     """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther no body goes; fastest m/s, slip m: a
     row farther than this from the one before is another thing; moves m: less in all is no trial; ends s: later rows are left out;
-    optional: columns that are read where they are there; usual m: how far from the origin bodies are seen."""
+    optional: columns that are read where they are there, of these `angles` in rad, with empty cells where they were not seen; usual m:
+    how far from the origin bodies are seen."""
 
     trial: str
     trials: str
@@ -35,11 +55,13 @@ class Kind:
     ends: float
     least: int = 5
     optional: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
     usual: float = 0.0
 
 
 class Track(NamedTuple):
-    """Of one trial: times `[R]` s, places `[R, C]` m, the file's name, and when the body began to move s and how fast m/s."""
+    """Of one trial: times `[R]` s, places `[R, C]` m (angles rad, NaN where not seen), the file's name, and when the body began to
+    move s and how fast m/s."""
 
     time: np.ndarray
     places: np.ndarray
@@ -97,7 +119,7 @@ def read_tracks(
         )
     found: Tracks = {}
     columns = ("trial", "time", "x", "y", *kind.optional)
-    tables = [(path, read_table(path, columns, least=1, lost=("x", "y"))) for path in paths]
+    tables = [(path, read_table(path, columns, least=1, lost=("x", "y"), gaps=kind.angles)) for path in paths]
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
     for path, table in tables:
         _read_tracks(path, table, numbers, actions, kind, more, without, as_declared, found)
@@ -163,6 +185,8 @@ def _read_tracks(
                 f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {n:g}) or make it again"
             )
         check_clock_set(t, p[:, :2], told, kind.body)
+        for j in (2 + more.index(name) for name in kind.angles if name in more):
+            p[:, j] = unwrapped(t, p[:, j], told, kind.body)
         keep = (t >= 0.0) & (t <= kind.ends)
         if keep.sum() < LEAST_ROWS:
             raise BadInput(
@@ -228,16 +252,18 @@ def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: floa
     return np.array([r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)])
 
 
-def noise_of(meta: Mapping[str, Any], time, places, mask, quiet: float, before: str) -> tuple[float, str]:
-    """Noise of a coordinate m, and where it is known from: declared, rows before `quiet` s, or third differences.
+def noise_of(
+    meta: Mapping[str, Any], time, places, mask, quiet: float, before: str, size: Size = PLACE
+) -> tuple[float, str]:
+    """Noise of a coordinate of `places [T, R, C]`, and where it is known from: declared, rows before `quiet` s, or third differences.
 
     Rounding hides smaller noise of a body at rest, not of one that moves: it is the least that is believed.
     """
-    if "noise" in meta:
-        if not isinstance(meta["noise"], int | float) or not 0.0 < meta["noise"] < 0.05:
-            raise BadInput(f"meta.toml: noise = {meta['noise']!r} is no size in m; write e.g. 0.0005")
-        return float(meta["noise"]), "declared"
-    least = max(LEAST_NOISE, rounded(places[mask > 0]) / np.sqrt(12.0))
+    if (given := meta.get(size.key)) is not None:
+        if not isinstance(given, int | float) or not 0.0 < given < size.most:
+            raise BadInput(f"meta.toml: {size.key} = {given!r} is no size in {size.unit}; write e.g. {size.such:g}")
+        return float(given), "declared"
+    least = max(size.least, rounded(places[mask > 0]) / np.sqrt(12.0))
     total, count = 0.0, 0
     for t, p, m in zip(time, places, mask, strict=True):
         r = p[(m > 0) & (t < quiet)]

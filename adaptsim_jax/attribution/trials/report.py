@@ -1,7 +1,7 @@
 """What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,8 @@ class Seen:
     """What was recorded of T trials of at most R rows, C coordinates each.
 
     trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of the axes `channels`; noise m.
-    judged `[T, R]`: rows that errors are taken over, where not all are.
+    judged `[T, R]` or `[T, R, C]`: rows that errors are taken over, where not all are; others: unit and noise of channels that are no
+    lengths.
     """
 
     trial: str
@@ -42,11 +43,13 @@ class Seen:
     noise: float
     noise_source: str
     judged: np.ndarray | None = None
+    others: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     @property
     def rows(self) -> np.ndarray:
-        """The rows that errors are taken over `[T, R]`."""
-        return self.mask if self.judged is None else self.judged
+        """The rows that errors are taken over `[T, R, C]`."""
+        rows = self.mask if self.judged is None else self.judged
+        return np.broadcast_to(rows if rows.ndim > 2 else rows[..., None], self.places.shape)
 
 
 def stepping(progress: Callable[[float, float, str], None] | None, done: float) -> Callable[[str], None]:
@@ -218,10 +221,14 @@ def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarr
     held = {"before": found.null.fit.held, "after": found.final.fit.held}
     size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
     one = lambda k, c: np.sqrt(
-        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows).sum(1) / np.maximum(seen.rows.sum(1), 1)
+        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows[..., c]).sum(1)
+        / np.maximum(seen.rows[..., c].sum(1), 1)
     )
-    channels = {n: ("m", seen.noise, {k: one(k, c) for k in held}) for c, n in enumerate(seen.channels)}
+    units = {n: ("m", seen.noise) for n in seen.channels} | dict(seen.others)
+    channels = {n: (*units[n], {k: one(k, c) for k in held}) for c, n in enumerate(seen.channels)}
     metric = f"median over left-out {seen.trials} of the RMS error of a coordinate of the track"
+    if seen.others:
+        metric += f", {', '.join(seen.others)} by its noise for a length's"
     return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
 
 
@@ -276,6 +283,7 @@ def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list
             {
                 "trial": name,
                 "unit": "m",
+                "units": {n: unit for n, (unit, _) in seen.others.items()},
                 "time": seen.time[i][k],
                 "measured": channels(seen.places),
                 "before": channels(tracks["before"]),

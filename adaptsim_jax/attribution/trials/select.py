@@ -103,9 +103,10 @@ def scored(problem: TrialProblem, base: TrialModel) -> list[TrialScore]:
             for name, value in shape.items():
                 values[problem.index[name]] = value
             names = [q for q in e.quantities if q not in shape and q not in fit.free]
-            if not names:
+            if set(e.quantities) <= set(fit.free):
                 continue
-            c = flat(jacobian(problem, values, names))
+            # of what is all shape the whole step there
+            c = flat(jacobian(problem, values, names)) if names else _whole(problem, fit, values)
             c = c - inner @ (gram @ (inner.T @ c))
             a = c.T @ c
             u = c.T @ (r - inner @ (gram @ (inner.T @ r)))
@@ -119,6 +120,11 @@ def scored(problem: TrialProblem, base: TrialModel) -> list[TrialScore]:
         if best is not None:
             out.append(best)
     return sorted(out, key=lambda s: (s.p, -s.gain))
+
+
+def _whole(problem: TrialProblem, fit: TrialFit, values: np.ndarray) -> np.ndarray:
+    """What `values [P]` simulate beside a fit, `[T R, 1]`."""
+    return (fit.residual - problem.residuals(np.tile(values, (len(problem.trials), 1)))).reshape(-1, 1)
 
 
 def begun(problem: TrialProblem, values: np.ndarray, score: TrialScore) -> np.ndarray:
@@ -154,8 +160,8 @@ def spread(model: TrialModel) -> np.ndarray:
 
 
 def steadiness(problem: TrialProblem, model: TrialModel, e: TrialEffect) -> float:
-    """Size over scatter of the effect's steadiest quantity that is not a place."""
-    at = problem.at([q for q in e.quantities if all(q not in s for s in e.shapes)])
+    """Size over scatter of the effect's steadiest quantity that is not a place, where there is another."""
+    at = problem.at([q for q in e.quantities if all(q not in s for s in e.shapes)] or e.quantities)
     size = np.abs(model.fit.values[at] - problem.neutral[at])
     return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))
 

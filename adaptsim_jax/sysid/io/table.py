@@ -44,16 +44,18 @@ def read_table(
     least: int = MIN_ROWS,
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
+    gaps: tuple[str, ...] = (),
 ) -> Table:
     """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
 
     ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there. lost:
-    columns of which a row may hold none, as cameras write frames in which they saw nothing: such rows are left out. Raises `BadInput`.
+    columns of which a row may hold none, as cameras write frames in which they saw nothing: such rows are left out. gaps:
+    columns of which any cell may be empty, which is NaN then. Raises `BadInput`.
     """
     path = Path(path)
     table, empty = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
     table, empty = _without_lost(table, empty, lost)
-    return checked(path, table, least, ours or {}, empty)
+    return checked(path, table, least, ours or {}, empty, gaps)
 
 
 def _without_lost(
@@ -68,13 +70,21 @@ def _without_lost(
     return replace(table, columns=cut(table.columns), lines=table.lines[kept]), cut(empty)
 
 
-def checked(path: Path, table: Table, least: int, ours: Mapping[str, str], empty: Mapping[str, np.ndarray]) -> Table:
-    """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number."""
+def checked(
+    path: Path,
+    table: Table,
+    least: int,
+    ours: Mapping[str, str],
+    empty: Mapping[str, np.ndarray],
+    gaps: tuple[str, ...] = (),
+) -> Table:
+    """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number but in `gaps`."""
     n = len(table.lines)
     if n < least:
         raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
     columns, notes = without_blank(path, table.columns, least, ours)
-    check_missing(path, columns, table.lines, table.row_word, empty)
+    filled = {name: np.where(np.isnan(values), 0.0, values) for name, values in columns.items() if name in gaps}
+    check_missing(path, columns | filled, table.lines, table.row_word, empty)
     return replace(table, columns=columns, notes=notes)
 
 

@@ -155,6 +155,14 @@ EFFECTS = (
         shapes=({"spin": 1.0},),
     ),
     _E(
+        "turning",
+        "force",
+        ("spin",),
+        "the bottle turns where friction under it does not balance, as at a patch's edge; asked where yaw was measured",
+        "bottles that cross a patch's edge beside their axis",
+        shapes=({"spin": 1.0},),
+    ),
+    _E(
         "camera_scale_at_start",
         "measurement",
         ("scale_start",),
@@ -170,6 +178,11 @@ EFFECTS = (
     ),
     *camera_effects.effects("push", "the arm's base"),
 )
+
+
+def effects_of(yaw: bool) -> tuple[TrialEffect, ...]:
+    """The effects of tracks with a measured yaw or without: places alone hardly show that a bottle turns at a patch's edge."""
+    return tuple(e for e in EFFECTS if yaw or e.name != "turning")
 
 
 def physical(values: dict) -> dict:

@@ -33,39 +33,46 @@ def seen(
     coefficients: PlanarCoefficients,
     step: float,
     turns: bool,
+    yaw: bool,
 ) -> Array:
-    """`[R, 2]` m: what the camera says of one push at `push["time"]`; values `[P]`. turns: whether the bottle may turn."""
+    """`[R, C]` m: what the camera says of one push at `push["time"]`; values `[P]`. turns: whether the bottle may turn; yaw: whether
+    the camera tells it, in rad beside x and y."""
     v = physical({n: values[i] for i, n in enumerate(NAMES)})
     inner = {n: v[n] for n in (*model.PARAMETERS, *slide.NEUTRAL)}
     if not turns:  # a fifth of the work
         inner |= dict.fromkeys(TURNING, 0.0)
     start = push["start"] + v["placed"] * push["aside"]
     rows = slide.rollout(inner, push["action"], options, coefficients, start, step)
-    at = at_times(rows, happened(v, push["time"]))
+    time = happened(v, push["time"])
+    at = at_times(rows[:, :2], rows[:, 2:4], time)
     origin = jnp.asarray(model.START)[None]
     local = origin + (1.0 + v["scale_start"]) * turned(at - origin, v["turn_start"])
-    return viewed(v, local)
+    places = viewed(v, local)
+    if not yaw:
+        return places
+    turn = at_times(rows[:, 4:5], rows[:, 5:6], time) if turns else jnp.zeros_like(places[:, :1])
+    return jnp.concatenate([places, turn], 1)
 
 
-def at_times(rows: Array, time: Array) -> Array:
-    """Places `[R, 2]` at times `[R]` s between rows `[N, 4 or 6]` of `slide.rollout` by Hermite's cubics; held before and after."""
-    place = jnp.clip(time / slide.ROW, 0.0, len(rows) - 1.0)
-    k = jnp.clip(jnp.floor(place).astype(int), 0, len(rows) - 2)
+def at_times(places: Array, rates: Array, time: Array) -> Array:
+    """`[R, C]` at times `[R]` s between `places` and their `rates` `[N, C]` at the rows of `slide.rollout`, by Hermite's cubics; held
+    before and after."""
+    place = jnp.clip(time / slide.ROW, 0.0, len(places) - 1.0)
+    k = jnp.clip(jnp.floor(place).astype(int), 0, len(places) - 2)
     u = (place - k)[:, None]
-    a, b = rows[k], rows[k + 1]
     h = slide.ROW
     return (
-        (1 + 2 * u) * (1 - u) ** 2 * a[:, :2]
-        + u * (1 - u) ** 2 * h * a[:, 2:4]
-        + u * u * (3 - 2 * u) * b[:, :2]
-        + u * u * (u - 1) * h * b[:, 2:4]
+        (1 + 2 * u) * (1 - u) ** 2 * places[k]
+        + u * (1 - u) ** 2 * h * rates[k]
+        + u * u * (3 - 2 * u) * places[k + 1]
+        + u * u * (u - 1) * h * rates[k + 1]
     )
 
 
 @lru_cache(maxsize=8)
-def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float):
-    """`(values [T, P], pushes) -> [T, R, 2]` m."""
-    make = lambda turns: partial(seen, options=options, coefficients=coefficients, step=step, turns=turns)
+def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float, yaw: bool):
+    """`(values [T, P], pushes) -> [T, R, C]` m (and rad)."""
+    make = lambda turns: partial(seen, options=options, coefficients=coefficients, step=step, turns=turns, yaw=yaw)
     flat, turning = (jax.jit(jax.vmap(make(turns))) for turns in (False, True))
     spin = NAMES.index("spin")
     return lambda values, pushes: (turning if np.any(values[:, spin]) else flat)(np.asarray(values, np.float32), pushes)
@@ -91,14 +98,21 @@ def prepare(
     """The problem of a recording, simulated up to its last row."""
     last = np.ceil((float(pushed.time.max()) + MARGIN) / 0.05) * 0.05
     options = PushOptions(**{**options.__dict__, "duration": float(np.round(max(last, model.PUSH_ENDS), 3))})
-    simulate, rough = (_program(options, coefficients, z) for z in (step, ROUGH))
+    simulate, rough = (_program(options, coefficients, z, pushed.yaw is not None) for z in (step, ROUGH))
     pushes = packed(pushed)
-    weight = pushed.mask[..., None] / pushed.noise
+    places, known = pushed.places, pushed.known
+    weight = known / pushed.sizes
     count = len(pushed.names)
+
+    def free(z: np.ndarray) -> np.ndarray:
+        """`[..., R, C]` less what a turn of the marker, which each push has of its own, takes up."""
+        turn = z[..., 2:]
+        z[..., 2:] -= known[..., 2:] * (turn.sum(-2) / np.maximum(known[..., 2:].sum(-2), 1))[..., None, :]
+        return z
 
     def residuals(values: np.ndarray) -> np.ndarray:
         out = simulate(values, pushes)
-        return (weight * (pushed.xy - np.asarray(out, float))).reshape(count, -1)
+        return free(weight * (places - np.asarray(out, float))).reshape(count, -1)
 
     every = lambda times: {k: np.tile(v, (times, *[1] * (v.ndim - 1))) for k, v in pushes.items()}
 
@@ -110,12 +124,12 @@ def prepare(
         moves[0, : len(basis)], moves[1, : len(basis)] = ASIDE * basis, -ASIDE * basis
         rows = np.repeat((values + moves).reshape(2 * width, -1), count, 0)
         out = np.asarray(simulate(rows, every(2 * width)), float)
-        up, down = out.reshape(2, width, *pushed.xy.shape)[:, : len(basis)]
-        return (weight * (up - down) / (2 * ASIDE)).reshape(len(basis), count, -1).transpose(1, 2, 0)
+        up, down = out.reshape(2, width, *places.shape)[:, : len(basis)]
+        return free(weight * (up - down) / (2 * ASIDE)).reshape(len(basis), count, -1).transpose(1, 2, 0)
 
     def scan(rows: np.ndarray) -> np.ndarray:
         out = np.asarray(rough(np.repeat(rows, count, 0), every(len(rows))), float)
-        r = weight * (pushed.xy - out.reshape(len(rows), *pushed.xy.shape))
+        r = free(weight * (places - out.reshape(len(rows), *places.shape)))
         return np.square(r).reshape(len(rows), -1).sum(1)
 
     problem = TrialProblem(
@@ -124,10 +138,11 @@ def prepare(
         tuple(effects),
         residuals,
         columns,
-        2.0 * pushed.mask.sum(1),
+        known.sum((1, 2)) - known[..., 2:].any(1).sum(-1),
         pushed.names,
         np.zeros((0, 0)),
         scan,
+        channels=len(pushed.channels),
         again=DECLARED,
     )
     starts = []
@@ -144,5 +159,5 @@ def prepare(
 def simulated(
     pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, values: np.ndarray, step: float = slide.STEP
 ) -> np.ndarray:
-    """`[T, R, 2]` m: what the camera would say of these pushes; values `[T, P]`."""
-    return np.asarray(_program(options, coefficients, step)(values, packed(pushed)))
+    """`[T, R, C]` m (and rad): what the camera would say of these pushes; values `[T, P]`."""
+    return np.asarray(_program(options, coefficients, step, pushed.yaw is not None)(values, packed(pushed)))

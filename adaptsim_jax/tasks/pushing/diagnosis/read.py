@@ -19,10 +19,12 @@ from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients
 
 QUIET = 0.15  # s; no plate within the bounds touches the bottle so early
 ASIDE = 0.15  # m between start and first row from which it is another frame
-KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise")
+TURN = trial_record.Size("noise_yaw", "rad", 5e-3, 0.2, 0.01)
+"""The least is what a step of 1 ms costs the turn of a bottle."""
+KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise", TURN.key)
 KIND = trial_record.Kind(
     "push", "pushes", "the bottle", far=3.0, fastest=FASTEST, slip=SLIP, moves=2 * STILL, ends=3.0, usual=USUAL,
-    never="the hit never came, or the track ends before",
+    never="the hit never came, or the track ends before", optional=("yaw",), angles=("yaw",),
 )  # fmt: skip
 
 
@@ -31,7 +33,9 @@ class Pushed:
     """T pushes of at most R rows.
 
     names `[T]`; actions `[T, 2]` m/s, rad; starts `[T, 2]` m as declared; aside `[T, 2]` m from there to the first rows' mean; time
-    `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one coordinate; notes: what the files say beside.
+    `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one coordinate; notes: what the files say beside. yaw `[T, R]` rad where
+    the bottle's turn was measured, to the left positive, from each push's first rows; turned `[T, R]`: rows that show it; noise_yaw
+    rad.
     """
 
     names: tuple[str, ...]
@@ -46,6 +50,29 @@ class Pushed:
     options: PushOptions
     coefficients: PlanarCoefficients
     notes: tuple[str, ...] = ()
+    yaw: np.ndarray | None = None
+    turned: np.ndarray | None = None
+    noise_yaw: float = 0.0
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return ("x", "y") if self.yaw is None else ("x", "y", "yaw")
+
+    @property
+    def places(self) -> np.ndarray:
+        """`[T, R, C]` m and rad."""
+        return self.xy if self.yaw is None else np.concatenate([self.xy, self.yaw[..., None]], -1)
+
+    @property
+    def known(self) -> np.ndarray:
+        """`[T, R, C]`: what was measured."""
+        known = np.repeat(self.mask[..., None], 2, -1)
+        return known if self.turned is None else np.concatenate([known, self.turned[..., None]], -1)
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """`[C]` m and rad: the noise of each channel."""
+        return np.array([self.noise, self.noise, self.noise_yaw][: len(self.channels)])
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Pushed:
@@ -77,13 +104,14 @@ def assemble(
         if abs(angle) > 1.2:
             raise BadInput(f"{told(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write radians")
     numbers = c["trial"]
-    found, _ = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
+    found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
     row = {n: i for i, n in enumerate(numbers)}
     at = np.array([row[n] for n in names])
     default = lambda k: c.get(f"start_{'xy'[k]}", np.full(len(numbers), model.START[k]))[at]
     starts = np.stack([default(0), default(1)], 1)
-    time, xy, mask = trial_record.padded(names, found)
+    time, places, mask = trial_record.padded(names, found)
+    xy = places[..., :2]
     acts = np.stack([c["speed"], c["angle"]], 1)[at]
     aside = trial_record.aside(names, found, starts, QUIET)
     _check_start(starts, aside, where)
@@ -115,7 +143,22 @@ def assemble(
         check_options(options),
         DRAKE if which == "drake" else DEFAULT,
         tuple(notes),
+        *(_turns(time, places[..., 2], mask, meta, where) if more else ()),
     )
+
+
+def _turns(time, yaw, mask, meta: dict[str, Any], where: Path) -> tuple[np.ndarray, np.ndarray, float]:
+    """yaw, turned, noise_yaw of `Pushed`: a marker sits as it was glued on, so that each push is counted from its first rows."""
+    turned = mask * ~np.isnan(yaw)
+    out = np.zeros_like(yaw)
+    for k, (t, z) in enumerate(zip(time, yaw, strict=True)):
+        if len(seen := np.flatnonzero(turned[k])):
+            first = seen[t[seen] < QUIET] if t[seen[0]] < QUIET else seen[:1]
+            out[k] = np.interp(t, t[seen], z[seen]) - z[first].mean()
+    noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, QUIET, "hit", TURN)
+    if noise > TURN.most:
+        raise BadInput(f"{where}: yaw scatters by {noise:.2g} rad before the hit; is it in degrees? write radians")
+    return out, turned, noise
 
 
 def _check_start(starts, aside, where: Path) -> None:
