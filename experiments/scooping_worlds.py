@@ -22,7 +22,7 @@ COLUMNS, ACROSS, NECK_MU = (6, 8, 2, 4), 2, 0.15
 SHAPES = ("ellipsoid", "cylinder", "box")
 REPEATS = (5e-4, 2e-3, 1e-4)  # rad, rad/s, m: how well the arm repeats an action
 OWN = "speed_scale lift_scale pitch_offset distance_offset start_x start_y clearance tilt drag adhesion blade_friction".split()
-SEEN = "shift_x shift_y shift_z scale turn latency clock".split()
+SEEN = "shift_x shift_y shift_z scale turn latency clock near foot_x foot_y".split()
 
 
 def spun(a, x, z):
@@ -257,6 +257,9 @@ def camera(p, poses, place, rng, fps, noise, side):
     when = (1 + p["clock"]) * t - p["latency"]
     x, z = (np.interp(when, np.arange(len(poses)) * DT, poses[:, i]) for i in range(2))
     x, y = place[0] + p["start_x"] + x, place[1] + p["start_y"] + 0 * x
+    # the ray from a camera 1 / near above (foot_x, foot_y) through the piece meets the table beyond it
+    far = 1 / (1 - z * p["near"])
+    x, y = p["foot_x"] + far * (x - p["foot_x"]), p["foot_y"] + far * (y - p["foot_y"])
     c, s = np.cos(p["turn"]), np.sin(p["turn"])
     more = 1 + p["scale"]
     xyz = np.stack(
@@ -304,6 +307,13 @@ SINGLES = {
     "latency": lambda rng: {"latency": rng.uniform(0.015, 0.06)},
     "clock_scale": _one("clock", 0.03, 0.1),
 }
+MORE = {
+    "parallax": lambda rng: {
+        "near": 1 / rng.uniform(0.5, 1.2),
+        "foot_x": rng.uniform(-0.3, 0.3),
+        "foot_y": rng.uniform(-0.3, 0.3),
+    },
+}
 ZERO = dict.fromkeys([*OWN, *SEEN], 0.0)
 
 
@@ -316,7 +326,7 @@ def world(kind, seed, scoops=20):
     spread = lambda low, high: rng.permutation(np.linspace(low, high, scoops))
     asked = {"pitch": spread(np.radians(2), np.radians(10)), "rate": spread(-0.2, 0.2), "distance": spread(0.005, 0.02)}
     place = rng.uniform([-0.04, -0.03], [0.04, 0.03], (scoops, 2))
-    given = {} if kind == "null" else SINGLES[kind](rng)
+    given = {} if kind == "null" else (SINGLES | MORE)[kind](rng)
     for k, v in given.items():
         if k in lanes:
             lanes[k] = np.full(scoops, v)
@@ -334,8 +344,8 @@ def world(kind, seed, scoops=20):
 
 
 def suite(name, seed, count=None):
-    """Kinds and seeds of a suite: `nulls` 30, `singles` each twice."""
-    kinds = {"nulls": ["null"] * 30, "singles": 2 * list(SINGLES)}[name]
+    """Kinds and seeds of a suite: `nulls` 30, `singles` each twice, `more` each four times."""
+    kinds = {"nulls": ["null"] * 30, "singles": 2 * list(SINGLES), "more": 4 * list(MORE)}[name]
     if count:
         kinds = kinds[:count]
     return [(kind, 1000 * seed + i) for i, kind in enumerate(kinds)]
@@ -366,7 +376,7 @@ def write(kinds, folder, scoops=20, fps=60.0, noise=5e-4, side=True):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--suite", choices=("nulls", "singles"), required=True)
+    parser.add_argument("--suite", choices=("nulls", "singles", "more"), required=True)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, help="the first so many worlds")
     parser.add_argument("--scoops", type=int, default=20)

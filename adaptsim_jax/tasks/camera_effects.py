@@ -22,11 +22,15 @@ QUANTITIES = (
     quantity("turn", "rad", -0.25, 0.25, 0.01),
     quantity("latency", "s", -0.1, 0.2, 0.005),
     quantity("clock", "", -0.2, 0.2, 0.01),
+    quantity("near", "1/m", 0.0, 2.0, 0.05),
+    quantity("lean_x", "", -1.0, 1.0, 0.02),
+    quantity("lean_y", "", -1.0, 1.0, 0.02),
 )
+"""`near`: one over a camera's height; `lean_x`, `lean_y`: the point under it over its height. All 0: a far camera that looks down."""
 
 
-def effects(trial: str, origin: str) -> tuple[TrialEffect, ...]:
-    """The effects on tracks of a `trial`, in a frame about `origin`.
+def effects(trial: str, origin: str, rises: bool) -> tuple[TrialEffect, ...]:
+    """The effects on tracks of a `trial`, in a frame about `origin`; rises: whether heights vary.
 
     A late start of the arm shifts all of a track in time, as a latency does: no trial tells them apart, only the arm's own log.
     """
@@ -36,8 +40,21 @@ def effects(trial: str, origin: str) -> tuple[TrialEffect, ...]:
         make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
         make("camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"),
         make("camera_turn", ("turn",), f"the camera is turned about {origin}"),
-        make("latency", ("latency",), "tracks are told later than they happen", same=("late_start@command",)),
+        make(
+            "latency",
+            ("latency",),
+            "tracks are told later than they happen",
+            same=("late_start@command",),
+            apart="a log of the arm by the camera's clock",
+        ),
         make("clock_scale", ("clock",), "the camera's clock runs fast or slow"),
+        make(
+            "parallax",
+            ("near", "lean_x", "lean_y"),
+            "what is above the table is seen farther from the point under the camera",
+            same=() if rises else ("camera_scale_with_shift@measurement",),
+            apart="the camera's height and place",
+        ),
     )
 
 
@@ -52,6 +69,8 @@ def turned(xy: Array, angle: Array) -> Array:
     return jnp.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], 1)
 
 
-def viewed(v: Mapping[str, Array], xy: Array) -> Array:
-    """Places `[R, 2]` m as the camera tells them."""
+def viewed(v: Mapping[str, Array], xy: Array, height: Array) -> Array:
+    """Places `[R, 2]` m, at `height` m (a number or `[R, 1]`) above the table, as the camera tells them."""
+    beyond = v["near"] * xy - jnp.stack([v["lean_x"], v["lean_y"]])[None]
+    xy = xy + height / (1.0 - height * v["near"]) * beyond
     return (1.0 + v["scale"]) * turned(xy, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])[None]

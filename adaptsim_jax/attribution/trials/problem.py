@@ -23,8 +23,8 @@ class Quantity:
 @dataclass(frozen=True)
 class TrialEffect:
     """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at where nothing acts until another
-    moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done. seen: what
-    excites it. absorbed: declared quantities that may take it up."""
+    moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done, `apart` what
+    does. seen: what excites it. absorbed: declared quantities that may take it up."""
 
     name: str
     where: str
@@ -34,6 +34,7 @@ class TrialEffect:
     shapes: tuple[Mapping[str, float], ...] = ({},)
     same: tuple[str, ...] = ()
     absorbed: tuple[str, ...] = ()
+    apart: str = ""
 
 
 @dataclass(frozen=True)

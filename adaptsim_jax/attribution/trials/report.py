@@ -172,8 +172,7 @@ def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed, **mo
 def same_rows(found: TrialSelection, trial: str) -> list[str]:
     """A sentence for each pair of names that no trial tells apart."""
     return [
-        f"{words(n.effect.name)} or {words(s)}: no {trial} tells them apart, only a log of the arm by the "
-        "camera's clock."
+        f"{words(n.effect.name)} or {words(s)}: no {trial} tells them apart, only {n.effect.apart}."
         for n in found.named
         for s in n.effect.same
     ]

@@ -37,12 +37,12 @@ class Lacking:
     """What acts on the slide and is not declared; 0 does nothing (a second patch's place is free then).
 
     speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared start; hardening, the power of the
-    hit's speed by which the contact is stiffer and more damped; plate_turn rad of the face against its motion; tilt_x, tilt_y rad,
-    positive downhill towards +x, +y; speed_friction s/m, the growth of friction with speed, of its size; drag 1/s of speed by itself;
-    grain_a, grain_b: friction larger by about that share along x than along y, and along the diagonal; patch_x m and patch_size m
-    (half the growth of its side); other_x, other_y m and other_mu of a second patch, as large as the declared, and what it adds;
-    spin: a solid cylinder's moment of inertia about the vertical over the bottle's (0: it does not turn); com_x, com_y m of its centre
-    of mass from its axis, as it stands.
+    hit's speed by which the contact is stiffer and more damped; heavier: share of the mass beyond the declared; plate_turn rad of
+    the face against its motion; tilt_x, tilt_y rad, positive downhill towards +x, +y; speed_friction s/m, the growth of friction
+    with speed, of its size; drag 1/s of speed by itself; grain_a, grain_b: friction larger by about that share along x than along
+    y, and along the diagonal; patch_x m and patch_size m (half the growth of its side); other_x, other_y m and other_mu of a
+    second patch, as large as the declared, and what it adds; spin: a solid cylinder's moment of inertia about the vertical over
+    the bottle's (0: it does not turn); com_x, com_y m of its centre of mass from its axis, as it stands.
     """
 
     speed_scale: float = 0.0
@@ -51,6 +51,7 @@ class Lacking:
     start_x: float = 0.0
     start_y: float = 0.0
     hardening: float = 0.0
+    heavier: float = 0.0
     plate_turn: float = 0.0
     tilt_x: float = 0.0
     tilt_y: float = 0.0
@@ -137,7 +138,9 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
     """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time; with yaw and its rate where the bottle turns."""
     friction = pushing.frictions(jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction)
     k, b = pushing.spring(c.elasticity, v["e"], speed, options.mass, jnp)
-    hit = jnp.exp(v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7))
+    hit = jnp.exp(v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7)) / (
+        1.0 + v["heavier"]
+    )
     k, b = k * hit, b * hit
     along = (jnp.cos(heading), jnp.sin(heading))
     normal = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))

@@ -78,3 +78,17 @@ def test_it_is_differentiable():
         run = jax.jit(lambda tilt: jax.jvp(end, (tilt,), (1.0,)))
         slope = float(run(0.01)[1])
         assert slope == pytest.approx(float(run(0.0101)[0] - run(0.0099)[0]) / 2e-4, rel=0.05)
+
+
+def test_another_mass_is_a_softer_contact_and_no_other_modulus():
+    """Friction does not know of mass. Stiffness and damping fall alike, by which no modulus changes both."""
+    halved = rolled(heavier=1.0)
+    values = dict(zip(model.PARAMETERS, PARAMS.T, strict=True))
+    heavy = model.PushOptions(mass=2 * model.NOMINAL_MASS)
+    with jax.enable_x64(True):
+        declared = jax.jit(jax.vmap(lambda v, a: slide.rollout(v, a, heavy)))(values, ACTIONS)
+        k, b = model.spring(model.ELASTICITY, np.geomspace(1e3, 1e7, 400), 0.6, model.NOMINAL_MASS)
+    np.testing.assert_allclose(halved[..., :4], declared, atol=1e-9)
+    softest = model.spring(model.ELASTICITY, 1e5, 0.6, 2 * model.NOMINAL_MASS)
+    assert np.min(np.hypot(np.log(k / softest[0]), np.log(b / softest[1]))) > 0.2
+    assert np.median(np.abs(halved - rolled())[:, -1, 0]) > 0.005

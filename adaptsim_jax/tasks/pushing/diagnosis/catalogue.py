@@ -32,6 +32,7 @@ QUANTITIES = (
     _q("start_y", "m", -0.05, 0.05, 0.002),
     _q("placed", "", -0.3, 1.3, 0.2),
     _q("hardening", "", -2.0, 2.0, 0.2),
+    _q("heavier", "", -0.7, 3.0, 0.1),
     _q("plate_turn", "rad", -0.3, 0.3, 0.02),
     _q("tilt_x", "rad", -0.1, 0.1, 0.005),
     _q("tilt_y", "rad", -0.1, 0.1, 0.005),
@@ -102,6 +103,16 @@ EFFECTS = (
         "the hit is harder or softer with speed than declared",
         "slow and fast pushes",
         absorbed=("log_e",),
+    ),
+    _E(
+        "mass",
+        "contact",
+        ("heavier",),
+        "the bottle is heavier or lighter than declared, by a share, so that the same contact gives way more or less",
+        "fast and slow pushes",
+        same=("softer_contact@contact",),
+        absorbed=("log_e",),
+        apart="scales",
     ),
     _E("plate_turn", "contact", ("plate_turn",), "the plate's face is turned against its motion", "any push"),
     _E("tilt", "force", ("tilt_x", "tilt_y"), "the table is not level", "pushes to either side", absorbed=("mu",)),
@@ -176,7 +187,7 @@ EFFECTS = (
         "the camera is turned about the bottle's start",
         "any push",
     ),
-    *camera_effects.effects("push", "the arm's base"),
+    *camera_effects.effects("push", "the arm's base", rises=False),
 )
 
 

@@ -41,14 +41,16 @@ def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
     said = lambda m: simulated(many, pushed.options, pushed.coefficients, np.tile(m.fit.values, (len(grid), 1)))
     own, sizes = said(found.final), pushed.sizes / pushed.noise
     apart = np.array([np.sqrt(np.square((said(m) - own) / sizes).sum(-1).max(1)) for _, _, m in pairs])
-    n, other, _ = pairs[int(np.argmin(apart.max(1)))]
-    names = [n.effect.name, other.name]
-    score = apart[int(np.argmin(apart.max(1)))]
+    most = apart.max(1)
+    shown = most >= APART * pushed.noise  # a scale of lengths may be a parallax as well, whatever is pushed
+    i = int(np.argmin(np.where(shown | ~shown.any(), most, np.inf)))
+    n, other, _ = pairs[i]
+    names, score = [n.effect.name, other.name], apart[i]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
-    most = f"{1e3 * score.max():.2g} mm" if pushed.yaw is None else f"{score.max() / pushed.noise:.2g} times the noise"
+    told = f"{1e3 * score.max():.2g} mm" if pushed.yaw is None else f"{score.max() / pushed.noise:.2g} times the noise"
     if score.max() < APART * pushed.noise:
         return {
-            "message": f"No push within the bounds tells {words} apart: their tracks differ by {most} at most. "
+            "message": f"No push within the bounds tells {words} apart: their tracks differ by {told} at most. "
             "Measure "
             "one "
             "of them by itself.",
@@ -57,7 +59,7 @@ def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
         }
     order = np.argsort(-score)[:PUSHES]
     return {
-        "message": f"Pushes whose tracks differ most, by up to {most}, between {words}.",
+        "message": f"Pushes whose tracks differ most, by up to {told}, between {words}.",
         "separates": names,
         "rows": [tuple(map(float, grid[i])) for i in order],
     }

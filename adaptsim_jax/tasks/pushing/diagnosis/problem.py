@@ -47,7 +47,7 @@ def seen(
     at = at_times(rows[:, :2], rows[:, 2:4], time)
     origin = jnp.asarray(model.START)[None]
     local = origin + (1.0 + v["scale_start"]) * turned(at - origin, v["turn_start"])
-    places = viewed(v, local)
+    places = viewed(v, local, model.HEIGHT)
     if not yaw:
         return places
     turn = at_times(rows[:, 4:5], rows[:, 5:6], time) if turns else jnp.zeros_like(places[:, :1])

@@ -113,7 +113,7 @@ EFFECTS = (
         absorbed=("mu",),
     ),
     _E("drag", "force", ("drag",), "a viscous friction on the table", "slow and fast sliding", absorbed=("mu",)),
-    *camera_effects.effects("scoop", "the middle of the places"),
+    *camera_effects.effects("scoop", "the middle of the places", rises=True),
 )
 HEIGHT = _E(
     "height", "piece", ("h",), "the piece is higher or lower than declared", "any scoop, best seen from the side"

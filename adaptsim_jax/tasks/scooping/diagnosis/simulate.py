@@ -67,7 +67,7 @@ def seen(values: Array, poses: Array, start: Array, aside: Array, time: Array) -
     u = (place - k)[:, None]
     xz = (1.0 - u) * poses[k] + u * poses[k + 1]
     origin = start + jnp.stack([v["start_x"], v["start_y"]]) + v["placed"] * aside
-    xy = viewed(v, jnp.stack([origin[0] + xz[:, 0], jnp.broadcast_to(origin[1], time.shape)], 1))
+    xy = viewed(v, jnp.stack([origin[0] + xz[:, 0], jnp.broadcast_to(origin[1], time.shape)], 1), xz[:, 1:])
     return jnp.concatenate([xy, ((1.0 + v["scale"]) * xz[:, 1] + v["shift_z"])[:, None]], 1)
 
 
