@@ -191,6 +191,14 @@ def test_a_blade_that_starts_farther_is_not_a_late_camera(tmp_path, simple):
     assert effect["parameters"]["distance_offset"]["value"] == pytest.approx(0.006, abs=5e-4)
 
 
+@pytest.mark.slow
+def test_a_camera_that_is_near_is_no_scale_with_a_shift_where_pieces_rise(tmp_path, simple):
+    near = measured(simulated(), near=1.0, lean_x=0.2, lean_y=-0.2)
+    (effect,) = diagnose(written(tmp_path, near))["effects"]
+    assert effect["name"] == "parallax" and not effect["alternatives"]
+    assert effect["parameters"]["near"]["value"] == pytest.approx(1.0, abs=0.3)
+
+
 def test_declared_values_stay_where_their_emulator_knows_something(tmp_path, tracks, simple):
     scooped, declared = read(written(tmp_path, tracks)), ("mu", "log_e", "h")
     quantities = problem.quantities_of(scooped)
