@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,7 +13,10 @@ from adaptsim_jax.commands.robot_recorded import recorded_pushes
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model, slide
+from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
+from adaptsim_jax.tasks.pushing.diagnosis.problem import prepare
 from adaptsim_jax.tasks.pushing.diagnosis.read import read
+from adaptsim_jax.tasks.pushing.model import HEIGHT
 from adaptsim_jax.tasks.pushing.planar import DRAKE
 
 COUNT = 12
@@ -122,6 +126,28 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
     file.write_text(file.read_text() + "\n")
     with pytest.raises(BadInput, match="is not the file that was told"):
         recorded_pushes(session)
+
+
+def test_a_look_alike_that_no_push_shows_does_not_hide_one_that_some_push_does(tmp_path, tracks):
+    """A scale of lengths by 5 % is what a camera straight over the arm's base sees 2.1 m above it, and unlike a faster plate."""
+    pushed = read(written(tmp_path, tracks))
+    problem = prepare(pushed, pushed.options, pushed.coefficients)
+
+    def model(**given):
+        values = problem.neutral
+        values[problem.at(given)] = list(given.values())
+        return SimpleNamespace(fit=SimpleNamespace(values=values))
+
+    scaled, near, fast = model(scale=0.05), model(near=0.05 / 1.05 / HEIGHT), model(speed_scale=0.05)
+    named = lambda *others: SimpleNamespace(
+        final=scaled, named=(SimpleNamespace(effect=problem.effect("camera_scale"), alternatives=others),)
+    )
+    parallax, speed = (problem.effect("parallax"), near), (problem.effect("speed_scale"), fast)
+    both, one = telling(pushed, named(parallax, speed)), telling(pushed, named(parallax))
+    assert both["separates"] == ["camera_scale", "speed_scale"] and len(both["rows"]) == 3
+    assert (
+        one["message"].startswith("No push within the bounds tells camera scale and parallax apart") and not one["rows"]
+    )
 
 
 @pytest.mark.slow
