@@ -143,7 +143,7 @@ def assemble(
         check_options(options),
         DRAKE if which == "drake" else DEFAULT,
         tuple(notes),
-        *(_turns(time, places[..., 2], mask, meta, where) if more else ()),
+        *(_turns(time, places[..., 2], mask, meta, where) if more else (None, None, 0.0)),
     )
 
 
