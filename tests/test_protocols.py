@@ -168,7 +168,7 @@ def test_effect(effect, real):
     motion = {x: of(joints, rows) for x in ("q", "v", "u", "memory")} | {"t": of(1, rows)}
     if effect.place == "model":  # has no function: its parameters are the engine's own
         assert effect.apply is of_the_engine and effect.parameters
-    elif effect.inertia:
+    elif effect.inertia or effect.place == "drive":
         assert floats(batched(effect.apply, p)) == {jnp.dtype(real)}
     elif effect.place == "force":
         there = lambda m: Moving(**m, gravity=lambda q: -q, clock=m["t"], pull=m["u"])

@@ -62,7 +62,8 @@ def sensed_offset(values: Values):
 
 
 def actuated(values: Values, q, v, u):
-    """(force of the actuators, the part of it that follows command and angle), `[n, ...]`, N m or N."""
+    """(force of the actuators, the part of it that follows command and angle), `[n, ...]`, N m or N; q and v are those of their own
+    encoders."""
     gain, bias, per_q, per_v, low, high = values.actuator
     g = values.gear
     q = q + sensed_offset(values)
@@ -110,9 +111,10 @@ class Forces(NamedTuple):
     yielding: Any
 
 
-def forces(model: Model, values: Values, q, v, u, t) -> Forces:
-    """All that acts on the joints besides their own dynamics."""
-    tau, pull = actuated(values, q, v, u)
+def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
+    """All that acts on the joints besides their own dynamics. seen: angles and speeds as the controllers have them, where they are
+    other than q and v."""
+    tau, pull = actuated(values, *(seen or (q, v)), u)
     gravity = lambda q: dynamics.gravity_force(model.tree, values.inertial, q, values.gravity)
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
     smooth, level, inertia, yielding = tau, jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
@@ -161,9 +163,10 @@ def _dry(effect: Effect) -> tuple[bool, bool]:
     return dry, dry and not isinstance(answers[0].yielding, float)
 
 
-def with_bristles(model: Model, values: Values, x0, u, t):
-    """Start [3n, W] of stretches that begin at x0 [2n, W]: bristles bent as by the motion just before."""
-    n = len(x0) // 2
-    act = forces(model, values, x0[:n], x0[n:], u, t[None])
+def bent_at(model: Model, values: Values, x, u, t):
+    """Deflection [n, W] of bristles at the start of stretches that begin at x [2n or more, W]: bent as by the motion just before."""
+    n = model.tree.n
+    q, v = x[:n], x[n : 2 * n]
+    act = forces(model, values, q, v, u, t[None])
     most = act.yielding * jnp.maximum(act.level, 0.0)
-    return jnp.concatenate([x0, jnp.clip(BENT * x0[n:], -most, most)])
+    return jnp.clip(BENT * v, -most, most)

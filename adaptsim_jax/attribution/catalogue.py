@@ -7,6 +7,7 @@ be made by an actuator's own law from a command.
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.attribution.drive_effects import DRIVES
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, WIDEST
 from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
@@ -88,27 +89,6 @@ def friction_coupling(p, m):
     return -p["damping"] * _before(m.v) - _after(p["damping"] * m.v)
 
 
-def drive_compliance(p, t, q, v, first, torque):
-    """The encoder is on the motor's side of a drive that winds up. Inertia of the motor beyond the spring is not modelled: below the
-    resonance of motor and spring."""
-    wound = p["compliance"] * torque
-    return q + wound, v + _rate(wound, t)
-
-
-def drive_play(p, t, q, v, first, torque):
-    """The encoder is on the motor's side of a drive with play, whose motor lies against the side towards which it pulls, and crosses
-    at once where the torque turns: its own inertia is not modelled."""
-    side = jnp.clip(torque / jnp.maximum(p["width"], 1e-12), -1.0, 1.0)
-    return q + 0.5 * p["gap"] * side, v + 0.5 * p["gap"] * _rate(side, t)
-
-
-def _rate(z, t):
-    """Rate of change of z [T, ...] by differences over two rows."""
-    dt = t[2:] - t[:-2]
-    rate = (z[2:] - z[:-2]) / jnp.where(dt > 0, dt, 1.0)
-    return jnp.concatenate([rate[:1], jnp.where(dt > 0, rate, 0.0), rate[-1:]])
-
-
 def sensor_delay(p, t, q, v, first):
     """Cubics between rows; before the first row the motion had gone on at its first acceleration."""
     shape = jnp.broadcast_shapes(jnp.shape(p["delay"]), q.shape, t.shape)
@@ -153,10 +133,6 @@ def _stops(reach, joint):
     hard = [(0.01 * s * (high - low), k * float(reach.torque[joint])) for s in range(4) for k in (10.0, 30.0)]
     upper = [{"angle": high - d, "side": 1.0, "stiffness": k} for d, k in hard]
     return upper + [{"angle": low + d, "side": -1.0, "stiffness": k} for d, k in hard]
-
-
-def _sides(reach, joint):
-    return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.05, 0.2)]
 
 
 def _bristles(reach, joint):
@@ -309,18 +285,7 @@ OWN: tuple[Effect, ...] = (
         "angle and speed come through a first-order filter", "fast motion", ("sensor_delay", "delay"), jump=True, grid=_lags,
         formula="lag reading' = q - reading",
     ),
-    Effect(
-        "drive_compliance", "measurement", (Parameter("compliance", "rad/(N m)", 0.0, 0.5, 0.0, sign=1),), drive_compliance,
-        "a drive that winds up under torque, with the encoder on the motor's side", "high and low torque at like angles",
-        ("torque_gain", "encoder_scale", "position_gain"), carried=True, formula="reading = q + compliance torque",
-    ),
-    Effect(
-        "drive_play", "measurement",
-        (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),
-         Parameter("width", "N m", 0.001, 2.0, 0.05, None, meaning="torque at which the motor lies against a side")), drive_play,
-        "play in a drive, with the encoder on the motor's side", "torque that changes sign at any speed",
-        ("drive_compliance", "backlash", "coulomb"), carried=True, grid=_sides, formula="reading = q + gap / 2 sign(torque)",
-    ),
+    *DRIVES,
     Effect(
         "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,
         "play between the link and what its encoder turns with", "many reversals", ("coulomb",), jump=True,

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.acting import BENT, Motion, actuated, carried
+from adaptsim_jax.attribution import drive as drives
+from adaptsim_jax.attribution.acting import BENT, Motion, actuated, carried, held_by
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
-from adaptsim_jax.attribution.problem import Group, Problem, off_value
+from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
@@ -104,6 +105,31 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
     return jax.vmap(along)(jnp.eye(n)) if effect.pair else along(jnp.ones(n))
 
 
+@partial(jax.jit, static_argnames=("effect", "parameter"))
+def _spring(model, values, ahead, p, effect: str, parameter: str):
+    """Change of the springs' torque on the links [n, L, W] per unit of a parameter of drives that give."""
+    middle = jnp.moveaxis(0.5 * (ahead[1:] + ahead[:-1]), 0, 1)
+
+    def torque(value):
+        own = {k: z[:, None] for k, z in (p | {parameter: value}).items()}
+        drive = drives.drive_of(model, values._replace(effects=values.effects | {effect: own}))
+        return drives.sprung(drives.Drive(*(z[:, None] for z in drive)), *jnp.split(middle, 2))
+
+    return jax.jvp(torque, (p[parameter],), (jnp.ones_like(p[parameter]),))[1]
+
+
+@partial(jax.jit, static_argnames="effect")
+def _alone(local, p, carries, dt, effect: Effect):
+    """Logged angles and speeds [3, L+1, 2n, W] of drives that give beside those of rigid ones: as they carry so much, and swinging
+    from a start of 1 rad or 1 rad/s ahead."""
+    drive = effect.apply({k: z[:, None] for k, z in p.items()})
+    of = lambda z: z[0] + drive.link[None] * (z[1] - z[0])
+    seen = lambda *how: jnp.concatenate([of(z) for z in drives.alone(drive, local, *how)], 1)
+    one, none = jnp.ones_like(carries[:, 0]), jnp.zeros_like(carries[:, 0])
+    swings = (seen(0.0 * carries, dt, some) for some in ((one, none), (none, one)))
+    return jnp.stack([seen(carries, dt), *swings])
+
+
 @jax.jit
 def _regressor(tree, gravity, path: Path, time):
     q, v, a = _middle(path, jnp.diff(time, axis=0))
@@ -164,6 +190,14 @@ def _sensed(time, x, torque, p, size, effect: Effect, parameter: str):
     return jax.jvp(run, (p[parameter],), (jnp.ones(n),))[1]
 
 
+def _sides(model, values, path: Path) -> tuple[Path, Path]:
+    """The path of the rotors and that of the links: the joints', where none of their drives gives."""
+    if not path.ahead.shape[1]:
+        return path, path
+    link = np.tile(np.asarray(drives.drive_of(model, values).link), (2, 1))
+    return path._replace(x=path.x - link * path.ahead), path._replace(x=path.x + (1.0 - link) * path.ahead)
+
+
 class Columns:
     """Columns of a group at a point: force columns [W, L, n, K] or output columns [W, L+1, 2n, K] on demand, by entry."""
 
@@ -173,6 +207,7 @@ class Columns:
         self.time, self.n = jnp.asarray(s.time), len(group.joints)
         self.known = {e.key: float(z) for e, z in zip(vector.entries, vector.values, strict=True)}
         self._made: dict = {}
+        self.rotor, self.link = _sides(group.model, values, path)
         level = np.abs(np.asarray(path.rub)).max()
         moved = np.moveaxis(np.asarray(path.rub), 0, 1)
         self.rub = self._direction(moved) if level > 0 else (np.zeros_like(moved), np.zeros_like(moved))
@@ -215,7 +250,7 @@ class Columns:
         with jax.enable_x64(True):
             if effect.place == "force":
                 return "pair" if effect.pair else "force", np.asarray(
-                    _force(g.model.tree, self.values, self.path, self.time, self.rub, p, size, effect, parameter)
+                    _force(g.model.tree, self.values, self.rotor, self.time, self.rub, p, size, effect, parameter)
                 )
             if effect.place == "command":
                 s = g.stretches
@@ -237,9 +272,7 @@ class Columns:
     def inertia(self, body: int, name: str) -> np.ndarray:
         """Force column [n, L, W] of an inertial entry of a body of the group."""
         if "inertia" not in self._made:
-            with jax.enable_x64(True):
-                gravity = np.asarray(self.values.gravity)
-                y = np.asarray(_regressor(self.group.model.tree, jnp.asarray(gravity), self.path, self.time))
+            y = self._regressed()
             eta = np.zeros((self.n, 10))
             for e, z in zip(self.vector.entries, self.vector.values, strict=True):
                 if e.owner == INERTIA and e.joints[0] in self.group.joints:
@@ -248,6 +281,14 @@ class Columns:
         y, slope = self._made["inertia"]
         part = y[:, 10 * body : 10 * body + 10]
         return -np.einsum("niLW,i->nLW", part, slope[body, :, ETA.index(name)])
+
+    def _regressed(self) -> np.ndarray:
+        """Forces of the joints by inertial parameters [n, 10 n, L, W]."""
+        if "regressor" not in self._made:
+            with jax.enable_x64(True):
+                gravity = jnp.asarray(np.asarray(self.values.gravity))
+                self._made["regressor"] = np.asarray(_regressor(self.group.model.tree, gravity, self.link, self.time))
+        return self._made["regressor"]
 
     def answered(self, effect: Effect, parameter: str, shape: Shapes | None) -> np.ndarray:
         """Change of the actuators' forces [n, L, W] per unit of a parameter of what their controllers' encoders see."""
@@ -264,30 +305,85 @@ class Columns:
         g = np.asarray(self.group.model.tree.gravity)
         way = np.cross(g, np.eye(3)[TILTS.index(name)])  # d(gravity)/d(angle) of a turned base
         with jax.enable_x64(True):
-            force = _gravity(self.group.model.tree, self.values.inertial, jnp.asarray(way), self.path, self.time)
+            force = _gravity(self.group.model.tree, self.values.inertial, jnp.asarray(way), self.link, self.time)
         return np.asarray(force)
 
+    def spring(self, effect: Effect, parameter: str) -> np.ndarray:
+        """Torque on the links [n, L, W] per unit of a parameter, of drives that give."""
+        key = ("spring", effect.name, parameter)
+        if key not in self._made:
+            with jax.enable_x64(True):
+                torque = _spring(
+                    self.group.model, self.values, self.path.ahead, self.at(effect, None), effect.name, parameter
+                )
+            self._made[key] = np.where(self.gives[:, None, None], torque, 0.0)
+        return self._made[key]
+
+    def alone(self, effect: Effect, parameter: str, shape: Shapes) -> np.ndarray:
+        """What the log would have [3, L+1, 2n, W] of drives that are rigid now, each joint by itself: per unit of a parameter at its
+        size in `shape`, and swinging from two starts."""
+        key = ("alone", effect.name, tuple(sorted(shape.items())))
+        if key not in self._made:
+            p = self.at(effect, shape) | {parameter: np.full(self.n, shape[parameter])}
+            local, carries = self._carries()
+            with jax.enable_x64(True):
+                seen = np.array(_alone(local, p, carries, jnp.diff(self.time, axis=0), effect))
+            seen[0] /= shape[parameter]
+            self._made[key] = np.where(np.tile(self.gives, 2)[:, None] | ~np.isfinite(seen), 0.0, seen)
+        return self._made[key]
+
+    @property
+    def gives(self) -> np.ndarray:
+        """[n], joints whose drives do."""
+        with jax.enable_x64(True):
+            return np.asarray(drives.drive_of(self.group.model, self.values).compliance)[:, 0] > 0.0
+
+    def _carries(self):
+        """Each joint by itself, and the torque [n, L, W] that its link takes of its drive."""
+        if "carries" not in self._made:
+            plain = jax.tree.map(np.asarray, self.values)
+            rotor = plain.effects["armature"]["inertia"][:, 0]
+            link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.LEAST)
+            held = (np.asarray(z)[:, 0] + np.zeros(self.n) for z in held_by(plain))
+            local = drives.Local(*(z[:, None, None] for z in (np.maximum(rotor, drives.LEAST), link, *held)))
+            y = self._regressed()
+            self._made["carries"] = local, np.einsum("niLW,i->nLW", y, plain.inertial[..., 0].reshape(-1))
+        return self._made["carries"]
+
     def stack(self, entries: Sequence[tuple[Entry, Shapes | None]]):
-        """(force [W, L, n, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry is of another group."""
+        """(force [W, L, F, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry is of another group. F is n, or 2n
+        (on rotors, on links) where drives give."""
         width, rows = self.path.x.shape[2], self.path.u.shape[0]
-        force = np.zeros((width, rows, self.n, len(entries)))
+        sides = 2 if self.path.ahead.shape[1] else 1
+        force = np.zeros((width, rows, sides * self.n, len(entries)))
+        on_links = slice((sides - 1) * self.n, None)
         output = None
         for k, (e, shape) in enumerate(entries):
             if e.owner == TILT:
-                force[..., k] = self.tilt(e.name).transpose(2, 1, 0)
+                force[:, :, on_links, k] = self.tilt(e.name).transpose(2, 1, 0)
                 continue
             for j in e.joints:
                 if j not in self.group.joints:
                     continue
                 at = self.group.joints.index(j)
                 if e.owner == INERTIA:
-                    force[..., k] += self.inertia(at, e.name).transpose(2, 1, 0)
+                    force[:, :, on_links, k] += self.inertia(at, e.name).transpose(2, 1, 0)
                     continue
-                place, z = self.all_joints(self.problem.effect(e.owner), e.name, shape)
-                if place != "output":
-                    where = slice(None) if place == "pair" else at
-                    force[:, :, where, k] += np.moveaxis(z[at], -1, 0).swapaxes(1, -1)
-                    continue
+                effect = self.problem.effect(e.owner)
+                if effect.place == "drive":
+                    if sides == 2:
+                        torque = self.spring(effect, e.name)[at].T
+                        force[:, :, at, k] -= torque
+                        force[:, :, self.n + at, k] += torque
+                    if e.name not in (shape or {}):
+                        continue
+                    z = self.alone(effect, e.name, shape)[0]
+                else:
+                    place, z = self.all_joints(effect, e.name, shape)
+                    if place != "output":
+                        where = slice(None, self.n) if place == "pair" else at
+                        force[:, :, where, k] += np.moveaxis(z[at], -1, 0).swapaxes(1, -1)
+                        continue
                 output = np.zeros((width, rows + 1, 2 * self.n, len(entries))) if output is None else output
                 for c in (at, self.n + at):
                     output[:, :, c, k] += z[:, c].T

@@ -14,9 +14,10 @@ import scipy.linalg
 
 from adaptsim_jax.attribution.acting import Values, bristles, held_by, rough
 from adaptsim_jax.attribution.columns import Columns, Shapes
+from adaptsim_jax.attribution.drive import LEAST, Drive, drive_of, gives
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
-from adaptsim_jax.attribution.simulate import Path, Scheme, linearise, respond, responded_start, simulate
+from adaptsim_jax.attribution.simulate import Path, Scheme, linearise, respond, responded_start, simulate, with_drives
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
 CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
@@ -36,7 +37,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Fit:
-    """A model fitted: its vector, starts by group [2n, W], weights, loss by stretch [W], and how it ended."""
+    """A model fitted: its vector, starts by group [2n, W] (see `simulate`), weights, loss by stretch [W], and how it ended."""
 
     vector: Vector
     starts: tuple[np.ndarray, ...]
@@ -64,25 +65,53 @@ class Linear:
 
 
 def scheme(problem: Problem, vector: Vector, group: Group, values: Values) -> Scheme:
-    """Steps within a row such that Runge and Kutta's method is stable and good for drag and controllers; where these want more than
-    there may be, as much work goes into stiff steps, which have half as many stages."""
+    """Steps within a row such that Runge and Kutta's method is stable and good for drag, controllers and drives; where controllers
+    want more than there may be, as much work goes into stiff steps, which have half as many stages."""
     at = values_of(problem, group, vector)
     inertia = group_inertia(at, group)[0]
     stiffness, damping = (np.abs(np.asarray(z)[:, 0]) for z in held_by(at))
-    swing = np.sqrt(stiffness / inertia) * 2.0
     gaps = np.diff(group.stretches.time, axis=0)
     row = float(np.median(gaps[gaps > 0]))
-    need = row * max(float((damping / inertia).max()), float(swing.max()), 200.0) / STABLE
-    stiff = bool(need > MOST_SUBSTEPS)
-    steps = 2 * MOST_SUBSTEPS if stiff else max(1, int(np.ceil(need)))
-    return Scheme(steps, rough(group.model, values), group.stretches.past, bristles(group.model, values), stiff)
+    give = gives(group.model, at)
+    fastest = 200.0
+    if give:
+        rotor = at.effects["armature"]["inertia"][:, 0]
+        drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
+        soft = drive.compliance > 0.0
+        both = np.where(soft, 1.0 / np.maximum(rotor, LEAST) + 1.0 / np.maximum(inertia - rotor, LEAST), 0.0)
+        both = both / np.where(soft, drive.compliance, 1.0)
+        fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
+        inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
+    swing = np.sqrt(stiffness / inertia) * 2.0
+    need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
+    stiff = bool(need > MOST_SUBSTEPS) and not give
+    steps = 2 * MOST_SUBSTEPS if need > MOST_SUBSTEPS else max(1, int(np.ceil(need)))
+    return Scheme(steps, rough(group.model, values), group.stretches.past, bristles(group.model, values), stiff, give)
+
+
+def widened(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Starts by group as the model at `vector` has them: [2n, W], or [4n, W] where drives give."""
+    out = []
+    for group, x in zip(problem.groups, starts, strict=True):
+        values, n = values_of(problem, group, vector), len(group.joints)
+        if gives(group.model, values) and len(x) == 2 * n:
+            s = group.stretches
+            with jax.enable_x64(True):
+                x = np.asarray(with_drives(group.model, values, s.time, s.stamp, s.command, x, s.past))
+        out.append(x if gives(group.model, values) else x[: 2 * n])
+    return tuple(out)
+
+
+def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
+    """The first rows of x [R, W], with rows of zeros where it has fewer."""
+    return x[:rows] if len(x) >= rows else np.concatenate([x, np.zeros((rows - len(x), *x.shape[1:]))])
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
     """Simulated paths by group; rows [W, P]: other parameters for each stretch."""
     out = []
     with jax.enable_x64(True):
-        for group, start in zip(problem.groups, starts, strict=True):
+        for group, start in zip(problem.groups, widened(problem, vector, starts), strict=True):
             values = values_of(problem, group, vector, rows)
             s = group.stretches
             how = scheme(problem, vector, group, values)
@@ -157,7 +186,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
     at = picked(problem)
     residual, start, shared, columns, slopes = [], [], [], [], []
     with jax.enable_x64(True):
-        for group, x0 in zip(problem.groups, fit.starts, strict=True):
+        for group, x0 in zip(problem.groups, widened(problem, fit.vector, fit.starts), strict=True):
             values = values_of(problem, group, fit.vector)
             s = group.stretches
             how = scheme(problem, fit.vector, group, values)
@@ -171,7 +200,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             weight = (weight * seen)[:, at]
             flat = lambda z, w=weight: (z[:, at] * w[..., None]).reshape(len(z), -1, z.shape[-1])
             residual.append((residuals(group, path)[:, at] * weight).reshape(len(seen), -1))
-            start.append(flat(responded_start(slope[0], len(group.joints))))
+            start.append(flat(responded_start(slope[0], len(group.joints), len(x0))))
             columns.append(made)
             slopes.append(slope)
             shared.append(_output(made, slope, [(e, None) for e in entries], flat))
@@ -189,12 +218,10 @@ def _without_lost(*by_lane: np.ndarray) -> None:
 def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, flat) -> np.ndarray:
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
     own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
-    parts = [
-        np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, 2 * slope[1].shape[3], 1))).shape[:2], 0))
-    ]
+    parts = [np.zeros((*flat(np.zeros((*slope[0].shape[:1], slope[0].shape[1] + 1, 2 * made.n, 1))).shape[:2], 0))]
     for first in range(0, len(own), 48):
         force, output = made.stack([entries[k] for k in own[first : first + 48]])
-        y = respond(*slope, force)
+        y = respond(*slope, force, made.n)
         parts.append(flat(y if output is None else y + output))
     found = np.concatenate(parts, 2)
     out = np.zeros((*found.shape[:2], len(entries)))
@@ -205,15 +232,24 @@ def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, flat) 
 def candidate_columns(
     problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
 ) -> list[np.ndarray]:
-    """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`."""
+    """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`. Those of drives that would give are freed of
+    how these swing from a start that nobody knows."""
     out = []
-    for group, made, slope in zip(problem.groups, lin.paths, lin.slopes, strict=True):
+    for group, made, slope, start in zip(problem.groups, lin.paths, lin.slopes, lin.start, strict=True):
         s = group.stretches
         seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
         weight = _own(lin.fit.weights, group, problem.joints) * np.sqrt(lin.fit.weights.stretch)[:, None, None]
         weight = (weight * seen)[:, lin.picked]
         flat = lambda z, w=weight: (z[:, lin.picked] * w[..., None]).reshape(len(z), -1, z.shape[-1])
-        out.append(_output(made, slope, list(entries), flat))
+        columns = _output(made, slope, list(entries), flat)
+        for k, (e, shape) in enumerate(entries):
+            effect = problem.effect(e.owner)
+            if effect.place == "drive" and e.name in (shape or {}) and e.joints[0] in group.joints:
+                at = [group.joints.index(e.joints[0]) + n for n in (0, made.n)]
+                swings = np.zeros((len(seen), made.path.x.shape[0], 2 * made.n, 2))
+                swings[:, :, at] = made.alone(effect, e.name, shape)[1:, :, at].transpose(3, 1, 2, 0)
+                columns[..., k : k + 1] = project(np.concatenate([start, flat(swings)], 2), columns[..., k : k + 1])[0]
+        out.append(columns)
     return out
 
 
@@ -334,6 +370,7 @@ def settled(
     best: list = []
 
     def offer(starts: Sequence[np.ndarray]) -> None:
+        starts = widened(problem, vector, starts)
         paths = run(problem, vector, starts, rows)
         loss = losses(problem, paths, lin.fit.weights)
         if not best:
@@ -354,7 +391,7 @@ def settled(
             refitted_start(x, weighted(problem, lin, g, p))
             for g, p, x in zip(problem.groups, best[2], lin.start, strict=True)
         ]
-        offer([x + d for x, d in zip(best[0], moves, strict=True)])
+        offer([x + _as_long(d, len(x)) for x, d in zip(best[0], moves, strict=True)])
     return best[0], best[1], best[2]
 
 
@@ -370,7 +407,7 @@ def fit(
     """Fit the vector and all starts. weights: fixed ones (made anew along the way where None); glance: rounds after which a fit
     that is only to be compared ends once a round gains little. Codes: converged, stopped (rounds
     are used up), stuck (no step lowers the loss), diverged (the start itself runs away)."""
-    starts = starts_of(problem) if starts is None else tuple(starts)
+    starts = widened(problem, vector, starts_of(problem) if starts is None else starts)
     paths = run(problem, vector, starts)
     own = weights is None
     weights = weigh(problem, paths) if own else weights

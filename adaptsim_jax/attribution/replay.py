@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import check_conventions
-from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refitted_start, run, starts_of
+from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refitted_start, run, starts_of, widened
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
@@ -112,7 +112,7 @@ def fitted_starts(problem: Problem, vector: Vector, rounds: int = ROUNDS) -> tup
     """Starts by plain least squares on the angles, from the smoothed ones."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
-    starts = starts_of(problem)
+    starts = widened(problem, vector, starts_of(problem))
     by_lane = lambda starts: losses(problem, run(problem, vector, starts), weights)
     best = by_lane(starts)
     bare = Vector((), np.zeros(0))

@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 
 PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
-           "drive_compliance", "drive_play")  # fmt: skip
+           "drive_compliance", "drive_play", "drive_elasticity", "drive_backlash")  # fmt: skip
 """Effects on the torque of an actuator: not of a joint that has none."""
 BEYOND = 1.5  # of the amplitude at which an effect that does not act linearly is scored, up to which the score is good for it
 
@@ -129,6 +129,12 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
         if effect.name == "position_gain" and not follows:
             continue
         grids = [(j, effect.grid_points(reach, j)) for j in free]
+        if effect.place == "drive":
+            rotors = [j for j in free if off_value(problem, "armature", "inertia", j) > 0.0 or ("armature", j) in taken]
+            # without a position controller it does not matter on which side that one's encoder is
+            grids = [
+                (j, [z for z in points if follows or z["link"] == z["control"]]) for j, points in grids if j in rotors
+            ]
         make = lambda joints, shared, effect=effect: entries_of(problem, reach, effect, joints, shared)
         for j, points in grids:
             for point in points:

@@ -135,11 +135,20 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     # half by what they gain at first order, half by what a step leaves
     first = criteria.tried // 2
     begun = begun[:first] + sorted(begun[first:], key=lambda b: b[3].sum())
-    best = _best(problem, base, begun[: criteria.tried], good, criteria, trace, say)
+    begun = begun[: criteria.tried]
+    begun += _begun(problem, base, reach, _larger(problem, scores, [b[0] for b in begun]))
+    best = _best(problem, base, begun, good, criteria, trace, say)
     if best is None:
         why = f"{len(hopeful)} of {family} candidates pass the score test, none holds out"
         trace.append(Step("ended", None, None, None, why))
     return best
+
+
+def _larger(problem: Problem, scores, tried: list[Score]) -> list[Score]:
+    """Of what is not tried what has some of it as a special case at the same joints."""
+    done = {(s.candidate.effect, s.candidate.joints) for s in tried}
+    holds = lambda c: any((name, c.joints) in done for name in problem.effect(c.effect).contains)
+    return [s for s in scores if s.candidate.key not in {t.candidate.key for t in tried} and holds(s.candidate)]
 
 
 def _begun(problem, base: Model, reach, scores) -> list[tuple]:

@@ -3,7 +3,8 @@
 A step solves for dry friction first (the force that would stop each joint within the step, within its level: Gauss and Seidel's
 sweeps over the joints, as in time-stepping of rigid contact; Stewart and Trinkle, 1996) and then integrates everything else by
 Runge and Kutta's fourth order under that force. So a joint that sticks does not creep. Bristles that yield (presliding) are a spring
-in the same place: a third state of each joint, their deflection, where any model has them. Where controllers are too fast for that
+in the same place: a third state of each joint, their deflection, where any model has them; drives that give are two more
+(`drive.py`). Where controllers are too fast for that
 (`stiff`: a light joint, rows far apart), a Rosenbrock method of second order stands in, which damps what it cannot follow (ROS2;
 Verwer et al., SIAM J. Sci. Comput. 20, 1999); its Jacobian holds their stiffness and damping only, and adds to the inertia.
 """
@@ -16,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.acting import Model, Values, carried, forces, held_by, with_bristles
+from adaptsim_jax.attribution import drive as drives
+from adaptsim_jax.attribution.acting import Model, Values, bent_at, carried, forces, held_by
 from adaptsim_jax.mechanisms import dynamics
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
@@ -26,17 +28,23 @@ ROSENBROCK = np.array([[0.0, 0.0, 1.5], [1.0, 2.0, 0.5]])
 IMPLICIT = 1.0 - np.sqrt(0.5)  # gamma of ROS2, with which it is L-stable
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["substeps", "rough"], meta_fields=["past", "bristles", "stiff"])
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["substeps", "rough"],
+    meta_fields=["past", "bristles", "stiff", "gives"],
+)
 @dataclass(frozen=True)
 class Scheme:
     """How stretches are stepped through. substeps of a row; rough: whether anything rubs dry; and, static, past: rows of the command
-    before a stretch, bristles: whether these have a state, stiff: whether controllers are faster than the substeps."""
+    before a stretch, bristles: whether these have a state, stiff: whether controllers are faster than the substeps, gives: whether any
+    drive does."""
 
     substeps: Any
     rough: Any
     past: int
     bristles: bool = False
     stiff: bool = False
+    gives: bool = False
 
 
 class Rows(NamedTuple):
@@ -53,16 +61,57 @@ def _implicit(hold, part, v):
     return part * (damping + part * stiffness), -part * stiffness * v
 
 
-def _friction(model: Model, values: Values, q, v, u, t, extra, bent, h, hold):
+class Moving(NamedTuple):
+    """Equations of motion in the coordinates of a scheme: forces(x, t), accelerations(x, force, inertia) of what friction rubs on,
+    rates(x, force, inertia), answers(x, inertia) `[n, n, .]`, speeds(x) of what friction rubs on."""
+
+    forces: Any
+    accelerations: Any
+    rates: Any
+    answers: Any
+    speeds: Any
+
+
+def _rigid(model: Model, values: Values, u) -> Moving:
+    """Of states [2n, W]."""
+    accelerate = lambda x, force, inertia: dynamics.acceleration(
+        model.tree, values.inertial, *jnp.split(x, 2), force, inertia, values.gravity
+    )
+    speeds = lambda x: jnp.split(x, 2)[1]
+    return Moving(
+        lambda x, t: forces(model, values, *jnp.split(x, 2), u, t),
+        accelerate,
+        lambda x, force, inertia: jnp.concatenate([speeds(x), accelerate(x, force, inertia)]),
+        lambda x, inertia: dynamics.inverse_mass(model.tree, values.inertial, jnp.split(x, 2)[0], inertia),
+        speeds,
+    )
+
+
+def _giving(model: Model, values: Values, u, more) -> Moving:
+    """Of states [4n, W], under a force `more` [n, W] on the links besides."""
+    drive = drives.drive_of(model, values)
+    parts = lambda x: drives.parts_of(drive, x)
+    both = lambda x, force, inertia: drives.accelerations(model, values, drive, parts(x), force, inertia, more)
+    return Moving(
+        lambda x, t: drives.acting(model, values, drive, parts(x), u, t),
+        lambda x, force, inertia: both(x, force, inertia)[0],
+        lambda x, force, inertia: drives.rates(drive, parts(x), *both(x, force, inertia)),
+        lambda x, inertia: drives.answers(model, values, drive, parts(x), inertia),
+        lambda x: parts(x).v,
+    )
+
+
+def _friction(moving: Moving, x, t, extra, bent, h, hold):
     """Dry friction [n, W] held over a step of h s, and the deflection of bristles by its end, from that before, bent [n, W]. hold:
     stiffness and damping that are stepped implicitly, None where none are."""
-    n = v.shape[0]
-    act = forces(model, values, q, v, u, t)
+    v = moving.speeds(x)
+    n = len(v)
+    act = moving.forces(x, t)
     more, pull = (0.0, 0.0) if hold is None else _implicit(hold, h[None], v)
     inertia = act.inertia + more
     force = act.smooth + extra + pull
-    free = dynamics.acceleration(model.tree, values.inertial, q, v, force, inertia, values.gravity)
-    answer = dynamics.inverse_mass(model.tree, values.inertial, q, inertia)  # column j: force of 1 at joint j
+    free = moving.accelerations(x, force, inertia)
+    answer = moving.answers(x, inertia)  # column j: force of 1 at joint j
     level = jnp.maximum(act.level, 0.0)
     safe = jnp.where(h > 0, h, 1.0)
     own = jnp.stack([answer[j, j] for j in range(n)])
@@ -80,35 +129,35 @@ def _friction(model: Model, values: Values, q, v, u, t, extra, bent, h, hold):
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
-    """State [2n, W] (or [3n, W] with the bristles' deflection) after a row, and the mean dry friction over it [n, W]. extra [n, W]
-    N m."""
-    n = len(extra)
+    """State after a row, [2n, W] (2n more where drives give, then n of the deflection of bristles), and the mean dry friction over it
+    [n, W]. extra [n, W] N m on the joints, or [2n, W] on rotors and links where drives give."""
+    n = model.tree.n
+    moves = (4 if scheme.gives else 2) * n
     h = dt / scheme.substeps
     wide = h[None]
     hold = tuple(jnp.maximum(z, 0.0).astype(x.dtype) for z in held_by(values)) if scheme.stiff else None
+    moving = _giving(model, values, u, extra[n:]) if scheme.gives else _rigid(model, values, u)
+    extra = extra[:n]
 
     def substep(i, carry):
         whole, rubbed = carry
         now = t[None] + i * wide
-        x, q, v = whole[: 2 * n], whole[:n], whole[n : 2 * n]
-        still = jnp.zeros_like(v)
-        bent = whole[2 * n :] if len(whole) > 2 * n else still
-        rubs = lambda: _friction(model, values, q, v, u, now, extra, bent, h, hold)
+        x = whole[:moves]
+        still = jnp.zeros_like(extra)
+        bent = whole[moves:] if len(whole) > moves else still
+        rubs = lambda: _friction(moving, x, now, extra, bent, h, hold)
         rub, yielded = jax.lax.cond(scheme.rough, rubs, lambda: (still, still))
 
         def slope(x, at, k, less):
-            q, v = x[:n], x[n:]
-            act = forces(model, values, q, v, u, now + at)
-            force, inertia, rate = act.smooth + extra + rub, act.inertia, v
-            if hold:  # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix
-                rate = v - less * k[:n]
-                more, pull = _implicit(hold, IMPLICIT * wide, rate)
-                force, inertia = force + pull + less * more * k[n:], inertia + more
-            a = dynamics.acceleration(model.tree, values.inertial, q, v, force, inertia, values.gravity)
-            if hold:
-                a = a - less * k[n:]
-                rate = rate + IMPLICIT * wide * a
-            return jnp.concatenate([rate, a])
+            act = moving.forces(x, now + at)
+            force, inertia = act.smooth + extra + rub, act.inertia
+            if not hold:
+                return moving.rates(x, force, inertia)
+            # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix
+            rate = x[n:] - less * k[:n]
+            more, pull = _implicit(hold, IMPLICIT * wide, rate)
+            a = moving.accelerations(x, force + pull + less * more * k[n:], inertia + more) - less * k[n:]
+            return jnp.concatenate([rate + IMPLICIT * wide * a, a])
 
         def stage(carry, part):
             k, total = carry
@@ -119,11 +168,11 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
         stages = jnp.asarray(ROSENBROCK if hold else RUNGE_KUTTA, x.dtype)
         (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
         after = x + wide * total
-        if len(whole) > 2 * n:
+        if len(whole) > moves:
             after = jnp.concatenate([after, yielded])
         return after, rubbed + rub / scheme.substeps
 
-    return jax.lax.fori_loop(0, scheme.substeps, substep, (x, jnp.zeros_like(x[:n])))
+    return jax.lax.fori_loop(0, scheme.substeps, substep, (x, jnp.zeros_like(extra)))
 
 
 def command_rows(model: Model, values: Values, stamp, command, past: int, rows: int):
@@ -149,17 +198,19 @@ def measure(model: Model, values: Values, time, x, u):
 
 
 class Path(NamedTuple):
-    """x [L+1, 2n, W]; sensed [L+1, 2n, W]; rub [L, n, W] mean dry friction; u [L, n, W] command as it arrived."""
+    """x [L+1, 2n, W]; sensed [L+1, 2n, W]; rub [L, n, W] mean dry friction; u [L, n, W] command as it arrived; ahead [L+1, 2n, W]: of
+    drives that give, how far links are ahead of rotors and at which rate ([L+1, 0, W] where none does)."""
 
     x: Any
     sensed: Any
     rub: Any
     u: Any
+    ahead: Any
 
 
 @jax.jit
 def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme) -> Path:
-    """Stretches from x0 [2n, W]."""
+    """Stretches from x0 [2n, W], [4n, W] where drives give."""
     drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
     nothing = jnp.zeros_like(x0[: len(x0) // 2])
 
@@ -168,14 +219,13 @@ def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Sch
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, begin, drive)
-    x = jnp.concatenate([x, last[None]])[:, : len(x0)]
-    return Path(x, measure(model, values, time, x, drive.u), rub, drive.u)
+    return _path(model, values, time, jnp.concatenate([x, last[None]])[:, : len(x0)], rub, drive.u)
 
 
 @jax.jit
 def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
-    """(Path, derivatives of each row's end by its start [L, 2n, 2n, W] and by a force held over the row [L, 2n, n, W]); with bristles
-    3n states."""
+    """(Path, derivatives of each row's end by its start [L, S, S, W] and by a force held over the row [L, S, F, W]): S = 2n states and
+    F = n forces, or 4n and 2n (on rotors, on links) where drives give, and n states more with bristles."""
     drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
     n, (states, width) = len(x0) // 2, begin.shape
     zero = jnp.zeros((n, width), x0.dtype)
@@ -188,8 +238,13 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Sc
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))
 
     last, (x, rub, slopes) = jax.lax.scan(row, begin, drive)
-    x = jnp.concatenate([x, last[None]])[:, : len(x0)]
-    return Path(x, measure(model, values, time, x, drive.u), rub, drive.u), slopes[:, :, :states], slopes[:, :, states:]
+    path = _path(model, values, time, jnp.concatenate([x, last[None]])[:, : len(x0)], rub, drive.u)
+    return path, slopes[:, :, :states], slopes[:, :, states:]
+
+
+def _path(model: Model, values: Values, time, states, rub, u) -> Path:
+    x = states[:, : 2 * model.tree.n]
+    return Path(x, measure(model, values, time, x, u), rub, u, states[:, 2 * model.tree.n :])
 
 
 def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
@@ -197,24 +252,33 @@ def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Schem
     rows = len(time) - 1
     u = command_rows(model, values, stamp, command, scheme.past, rows)
     drive = Rows(u, time[:-1], jnp.diff(time, axis=0))
-    return drive, with_bristles(model, values, x0, drive.u[0], drive.t[0]) if scheme.bristles else x0
+    if scheme.bristles:
+        x0 = jnp.concatenate([x0, bent_at(model, values, x0, drive.u[0], drive.t[0])])
+    return drive, x0
 
 
-def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Change of the states [W, L+1, 2n, K] under force columns [W, L, n, K]; slopes [W, L, S, S] and [W, L, S, n] of S states, of
+@partial(jax.jit, static_argnames="past")
+def with_drives(model: Model, values: Values, time, stamp, command, x0, past: int):
+    """Starts [4n, W] of stretches that begin at x0 [2n, W] where drives give: at rest in their springs."""
+    u = command_rows(model, values, stamp, command, past, len(time) - 1)
+    return drives.at_rest(model, values, x0, u[0], time[0])
+
+
+def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray, joints: int) -> np.ndarray:
+    """Change of what is logged [W, L+1, 2n, K] under force columns [W, L, F, K]; slopes [W, L, S, S] and [W, L, S, F] of S states, of
     which the first are angles and speeds."""
-    width, rows, joints, count = force.shape
+    width, rows, _, count = force.shape
     out = np.zeros((width, rows + 1, by_state.shape[2], count))
     for k in range(rows):
         out[:, k + 1] = by_state[:, k] @ out[:, k] + by_force[:, k] @ force[:, k]
     return out[:, :, : 2 * joints]
 
 
-def responded_start(by_state: np.ndarray, joints: int) -> np.ndarray:
-    """Change of the states [W, L+1, 2n, 2n] with the start."""
+def responded_start(by_state: np.ndarray, joints: int, starts: int) -> np.ndarray:
+    """Change of what is logged [W, L+1, 2n, starts] with the start, of the first states."""
     width, rows, states, _ = by_state.shape
-    out = np.zeros((width, rows + 1, states, 2 * joints))
-    out[:, 0] = np.eye(states)[:, : 2 * joints]
+    out = np.zeros((width, rows + 1, states, starts))
+    out[:, 0] = np.eye(states)[:, :starts]
     for k in range(rows):
         out[:, k + 1] = by_state[:, k] @ out[:, k]
     return out[:, :, : 2 * joints]

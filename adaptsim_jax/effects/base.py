@@ -14,7 +14,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 
-PLACES = ("command", "force", "measurement", "model")
+PLACES = ("command", "force", "drive", "measurement", "model")
 NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
 UNITS = {
     "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
@@ -142,6 +142,7 @@ class Effect:
     - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to the next row;
     - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where `memory` is true; where
       `inertia` is true, `apply(p) -> kg m^2` added to the joint;
+    - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link, of mechanisms only;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
       says; `first` is the angle that it did say at the first time, for sensors that remember;
     - model: `of_the_engine`.

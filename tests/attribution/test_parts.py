@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.acting import Values, actuated
-from adaptsim_jax.attribution.catalogue import drive_play, sensor_delay
+from adaptsim_jax.attribution.catalogue import sensor_delay
+from adaptsim_jax.attribution.drive_effects import drive_play
 from adaptsim_jax.attribution.held_out import sign_flip
 from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, Problem, beginnings

@@ -157,10 +157,12 @@ class Sight:
             yield "sensor_delay", everywhere, True
         elif e.name in ("torque_coupling", "friction_coupling"):  # told at the later of its joints
             yield e.name, e.joints[1:], True
-        elif (
-            e.name in ("drive_elasticity", "drive_play") and not e.params[0]["link_side"]
-        ):  # an encoder on the motor's side
-            yield {"drive_elasticity": "drive_compliance", "drive_play": "backlash"}[e.name], e.joints, True
+        elif e.name == "drive_elasticity" and not e.params[0]["link_side"]:  # an encoder on the motor's side
+            yield "drive_compliance", e.joints, True
+        elif e.name == "drive_play":
+            yield "drive_backlash", e.joints, True
+            if not e.params[0]["link_side"]:
+                yield "backlash", e.joints, True
         elif e.name == "spring":
             yield "bias", e.joints, False
         elif e.name == "place_friction":  # its mean

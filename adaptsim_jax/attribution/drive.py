@@ -1,0 +1,162 @@
+"""Drives that give: a spring with play between a joint's rotor and its link, each with its own motion (Spong, 1987).
+
+A joint's `armature` is its rotor. Actuators, friction and all else that acts on a joint act on the rotor; the link feels the spring
+alone. States of a stretch are what the log's encoder sees (of the rotor or of the link) and how far the link is ahead of the rotor,
+so that rigid joints have the same equations with nothing ahead.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.attribution.acting import Forces, Model, Values, forces
+from adaptsim_jax.mechanisms import dynamics
+
+LEAST = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
+FINE = 8  # steps of a row, of the linear look at one joint
+
+
+class Drive(NamedTuple):
+    """[n, .] each. compliance rad/(N m), 0: rigid; damping s, that of a dashpot beside the spring over its stiffness; gap rad; link:
+    1 where the log's encoder is on the link's side, 0 on the rotor's; control: the same of the encoder that the controller has."""
+
+    compliance: Any
+    damping: Any
+    gap: Any
+    link: Any
+    control: Any
+
+
+def drive_of(model: Model, values: Values) -> Drive:
+    """What the effects of the place `drive` come to: springs and plays in a row, of those that have a compliance."""
+    parts = [e.apply(values.effects[e.name]) for e in model.effects if e.place == "drive" and e.name in values.effects]
+    parts = [jax.tree.map(lambda z, on=part.compliance > 0.0: jnp.where(on, z, 0.0), part) for part in parts]
+    return Drive(*(sum(some) for some in zip(*parts, strict=True)))
+
+
+def gives(model: Model, values: Values) -> bool:
+    """Whether any drive does."""
+    some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
+    return any(np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0) for e in some)
+
+
+def sprung(drive: Drive, ahead, rate):
+    """Torque of the springs on the links [n, .] where these are so far ahead of the rotors [n, .] rad, at such a rate."""
+    half = 0.5 * drive.gap
+    bent = ahead - jnp.clip(ahead, -half, half)
+    stiffness = jnp.where(drive.compliance > 0.0, 1.0 / jnp.where(drive.compliance > 0.0, drive.compliance, 1.0), 0.0)
+    return -stiffness * (bent + jnp.where(bent != 0.0, drive.damping * rate, 0.0))
+
+
+class Parts(NamedTuple):
+    """Motion of the parts of joints, [n, .] each: of the rotors and of the links, and how far these are ahead."""
+
+    q: Any
+    v: Any
+    link_q: Any
+    link_v: Any
+    ahead: Any
+    rate: Any
+
+
+def parts_of(drive: Drive, x) -> Parts:
+    """Of states [4n, .]: logged angles and speeds, how far the links are ahead, at which rate."""
+    q, v, ahead, rate = jnp.split(x, 4)
+    ahead, rate = (jnp.where(drive.compliance > 0.0, z, 0.0) for z in (ahead, rate))
+    of = lambda share, z, w: z + share * w
+    return Parts(
+        of(-drive.link, q, ahead), of(-drive.link, v, rate), of(1.0 - drive.link, q, ahead), of(1.0 - drive.link, v, rate), ahead,
+        rate,
+    )  # fmt: skip
+
+
+def acting(model: Model, values: Values, drive: Drive, at: Parts, u, t) -> Forces:
+    """`forces` on the rotors of joints whose drives give, on the joints elsewhere."""
+    seen = at.q + drive.control * at.ahead, at.v + drive.control * at.rate
+    return forces(model, values, at.q, at.v, u, t, seen)
+
+
+def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, inertia, more):
+    """(of the rotors, of the links) [n, .] under force [n, .] on the rotors and `more` [n, .] on the links."""
+    give = drive.compliance > 0.0
+    spring = sprung(drive, at.ahead, at.rate)
+    on_link = jnp.where(give, spring, force) + more
+    link = dynamics.acceleration(
+        model.tree, values.inertial, at.link_q, at.link_v, on_link, jnp.where(give, 0.0, inertia), values.gravity
+    )
+    return jnp.where(give, (force - spring) / jnp.maximum(inertia, LEAST), link), link
+
+
+def rates(drive: Drive, at: Parts, rotor, link):
+    """Rate of change [4n, .] of the states at accelerations of rotors and links [n, .]."""
+    speed = at.v + drive.link * at.rate
+    return jnp.concatenate([speed, rotor + drive.link * (link - rotor), at.rate, link - rotor])
+
+
+def answers(model: Model, values: Values, drive: Drive, at: Parts, inertia):
+    """Accelerations [n, n, .] of the rotors (of the joints, where these are rigid) under a force of 1 at one: second axis."""
+    give = drive.compliance > 0.0
+    give = give + jnp.zeros(inertia.shape, bool)
+    whole = dynamics.inverse_mass(model.tree, values.inertial, at.link_q, jnp.where(give, 0.0, inertia))
+    n = len(inertia)
+    own = jnp.eye(n).reshape((n, n) + (1,) * (inertia.ndim - 1)) * (1.0 / jnp.maximum(inertia, LEAST))[None]
+    return jnp.where(give[:, None] | give[None], own, whole)
+
+
+def at_rest(model: Model, values: Values, x0, u, t):
+    """Start [4n, W] of stretches that begin at x0 [2n, W] with springs that yield by what they carry there."""
+    q, v = jnp.split(x0, 2)
+    drive = drive_of(model, values)
+    act = forces(model, values, q, v, u, t[None])
+    a = dynamics.acceleration(model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity)
+    return jnp.concatenate([x0, yielded(drive, act.smooth - act.inertia * a), 0.0 * v])
+
+
+def yielded(drive: Drive, carries):
+    """How far links are ahead of rotors whose springs carry so much, N m."""
+    return -jnp.where(drive.compliance > 0.0, drive.compliance * carries + 0.5 * drive.gap * jnp.sign(carries), 0.0)
+
+
+def _shared(local: "Local", ahead):
+    """Rotors and links [2, n, .] so far from their common middle."""
+    link = local.rotor / (local.rotor + local.link)
+    return jnp.stack([(link - 1.0) * ahead, link * ahead])
+
+
+class Local(NamedTuple):
+    """One joint by itself, [n, 1, 1] each: inertia of rotor and link kg m^2; what its controller answers, N m/rad and N m s/rad."""
+
+    rotor: Any
+    link: Any
+    stiffness: Any
+    damping: Any
+
+
+@partial(jax.jit, static_argnames="fine")
+def alone(drive: Drive, local: Local, carries, dt, swung=None, fine: int = FINE):
+    """How rotors and links of drives [n, 1] move beside the motion of rigid ones, which carry [n, L, W] N m: angles and speeds
+    [2, L+1, n, W] of each joint by itself, with its controller. dt [L, W] s. swung: how far links are ahead of rotors at the start
+    and at which rate, [n, W] each; at rest where None."""
+    local = Local(*(z[:, 0] for z in local))
+
+    def substep(_, state, carries, h):
+        q, v = state
+        ahead, rate = q[1] - q[0], v[1] - v[0]
+        over = sprung(drive, ahead, rate) - carries
+        held = local.stiffness * (q[0] + drive.control * ahead) + local.damping * drive.control * rate
+        damped = 1.0 + h * local.damping / local.rotor
+        v = jnp.stack([(v[0] - h * (over + held) / local.rotor) / damped, v[1] + h * over / local.link])
+        return jnp.stack([q[0] + h * v[0], q[1] + h * v[1]]), v
+
+    def row(state, now):
+        carries, dt = now
+        new = jax.lax.fori_loop(0, fine, lambda i, s: substep(i, s, carries, dt[None] / fine), state)
+        return new, new
+
+    ahead, rate = (yielded(drive, carries[:, 0]), 0.0 * carries[:, 0]) if swung is None else swung
+    start = _shared(local, ahead), _shared(local, rate)
+    _, path = jax.lax.scan(row, start, (jnp.moveaxis(carries, 1, 0), dt))
+    return tuple(jnp.swapaxes(jnp.concatenate([a[None], b]), 0, 1) for a, b in zip(start, path, strict=True))
