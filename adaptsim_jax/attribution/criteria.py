@@ -16,6 +16,8 @@ class Criteria:
     alike: share of what an effect gains (in logarithms) by which an alternative may be worse all the same.
     steady: an effect's size over its scatter between folds, of mechanisms with all else held.
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
+    within_row: of the log's sampling interval; commands that act this much early at most, at all joints, changed between two rows
+        (of a controller faster than its log): read so, not an effect.
     least_change: share of a value that the model file declares (armature, dry friction) below which it is not worth correcting.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
@@ -37,6 +39,7 @@ class Criteria:
     alike: float = 0.1
     steady: float = 3.0
     least_shift: float = 0.25
+    within_row: float = 0.6
     least_change: float = 0.1
     most_effects: int = 8
     tried: int = 4

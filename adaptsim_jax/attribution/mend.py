@@ -140,7 +140,7 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
                 out.setdefault(key, {})[name] = (1.0 + float(value)) * (gains.get(name, 1.0) if key == "gain" else 1.0)
             elif key == "limit" and e.name == "cut":
                 out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
-            elif key in ("delay", "lag") and e.name == key:
+            elif key in ("delay", "lag") and e.name == key and value > 0.0:
                 out.setdefault(key, {})[name] = float(value)
     return out
 

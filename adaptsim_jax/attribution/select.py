@@ -26,7 +26,7 @@ from adaptsim_jax.attribution.held_out import (
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import eased, steadiness, why_not
+from adaptsim_jax.attribution.stays import between_rows, eased, steadiness, why_not
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 
@@ -35,7 +35,7 @@ ROUNDS = 15  # of the declared model's fit
 
 @dataclass(frozen=True)
 class Step:
-    """What the search did: action (added, refused, dropped, replaced, ended), candidate, its test, why."""
+    """What the search did: action (added, refused, dropped, read, replaced, ended), candidate, its test, why."""
 
     action: str
     candidate: Candidate | None
@@ -251,10 +251,17 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
 
         tests = parallel_map(tested, model.added)
-        failing = []
+        failing, read = [], None
         for c, less, test, steady in tests:
-            if why := why_not(problem, model, less, c, test, steady, criteria):
+            if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
+                read = c, test
+            elif why := why_not(problem, model, less, c, test, steady, criteria):
                 failing.append((test.gain, c, less, test, why))
+        if read:
+            c, test = read
+            trace.append(Step("read", c, None, test, "commands changed between rows: how they are read, not an effect"))
+            model = replace(model, added=tuple(k for k in model.added if k is not c))
+            continue
         if failing:
             _, c, less, test, why = min(failing, key=lambda f: f[0])
             trace.append(Step("dropped", c, None, test, why))

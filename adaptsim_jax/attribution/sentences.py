@@ -100,13 +100,15 @@ def soft_friction(named: tuple[Named, ...], kind: str, over: float) -> list[str]
 
 def early_commands(problem: Problem, found: Selection) -> list[str]:
     """What a delay below zero means."""
-    delays = [
-        z
-        for e, z in zip(found.final.fit.vector.entries, found.final.fit.vector.values, strict=True)
-        if e.owner == "delay"
-    ]
+    vector = found.final.fit.vector
+    delays = [z for e, z in zip(vector.entries, vector.values, strict=True) if e.owner == "delay"]
     if not delays or min(delays) >= 0.0:
         return []
+    if not any(n.candidate.effect == "delay" for n in found.named):
+        return [
+            f"Commands act {-1e3 * min(delays):.2g} ms before their row (rows are {1e3 * problem.reach.dt:.3g} ms apart): they "
+            "changed between rows, by a controller faster than its log, or were logged that late. Read so; no effect is named for it."
+        ]
     return [
         "a delay below zero is the log's, not the machine's: commands were logged late, or changed between two rows (of a controller "
         "that runs faster than its log, half of the difference of both intervals)"

@@ -42,6 +42,17 @@ def eased(problem: Problem, less: Model, model: Model) -> float:
     return 1.0 - float(np.exp(np.min(np.mean(np.log(np.maximum(after, 1e-12) / np.maximum(before, 1e-12)), 1))))
 
 
+def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether it is how commands are read: they act early at all driven joints, by no more than those of a controller that is faster
+    than its log (half of the difference of both intervals)."""
+    driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
+    times = [
+        z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key == c.entries[0].key
+    ]
+    early = bool(times) and -criteria.within_row * problem.reach.dt < times[0] < 0.0
+    return c.effect == "delay" and early and len(c.entries) == 1 and driven <= set(c.joints)
+
+
 def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
     """Whether it is a shift in time of less than the log resolves."""
     times = [

@@ -14,9 +14,10 @@ solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 
 def record(
     folder: Path, friction: float, trials: int = 6, seconds: float = 4.0, seed: int = 0, noise: float = 2e-4,
-    rate: int = 250, digits: int = 8,
+    rate: int = 250, digits: int = 8, held: bool = True,
 ) -> Path:  # fmt: skip
-    """A folder with meta.toml, the declared model (mass 20 % off, no friction) and trials of the true one."""
+    """A folder with meta.toml, the declared model (mass 20 % off, no friction) and trials of the true one; held: whether the torque
+    is from row to row."""
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(XML.format(damping=0.02, friction=friction, mass=1.0))
     folder.mkdir(parents=True, exist_ok=True)
@@ -28,12 +29,12 @@ def record(
         data.qpos[0] = rng.uniform(-1.0, 1.0)
         phase, speed = rng.uniform(0, 6, 3), rng.uniform(1.0, 9.0, 3)
         rows = []
+        torque = lambda t, speed=speed, phase=phase: 0.6 * np.sin(speed * t + phase).sum()
         for i in range(round(seconds * rate)):
             t = i / rate
-            torque = 0.6 * np.sin(speed * t + phase).sum()
-            data.ctrl[0] = torque
-            rows.append([t, data.qpos[0] + noise * rng.normal(), torque])
-            for _ in range(steps):
+            rows.append([t, data.qpos[0] + noise * rng.normal(), torque(t)])
+            for step in range(steps):
+                data.ctrl[0] = torque(t if held else t + step * model.opt.timestep)
                 mujoco.mj_step(model, data)
         np.savetxt(
             folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt=f"%.{digits}g"

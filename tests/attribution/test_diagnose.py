@@ -148,6 +148,17 @@ def test_where_nothing_is_hidden_nothing_is_named(tmp_path):
     assert report["verdict"] == "within_noise" and report["effects"] == []
 
 
+def test_torques_that_change_between_rows_are_no_effect(tmp_path):
+    data = record(tmp_path / "fast", friction=0.0, rate=100, held=False, noise=5e-5)
+    others = [e.name for e in MACHINE if e.name not in ("viscous", "delay", "sensor_delay", "torque_gain")]
+    report = diagnose(data, out=tmp_path / "out", exclude=tuple(others))
+    assert (report["verdict"], report["effects"]) == ("within_noise", [])
+    (note,) = [n for n in report["notes"] if "before their row" in n]
+    assert 4.0 < float(note.split()[2]) < 6.0 and "10 ms apart" in note
+    told = replay_files(tmp_path / "out" / "model.toml", data).told()["median"]
+    assert told == pytest.approx(report["error"]["after"], rel=0.15)
+
+
 def test_the_folder_of_the_recordings_is_no_place_for_results(tmp_path, capsys):
     data = record(tmp_path / "rub", friction=0.1, trials=1, seconds=1.0)
     assert cli.main(["diagnose", str(data), "--out", str(data)]) == 2
