@@ -2,6 +2,7 @@
 
     python benchmarks/phase1.py --speed      10,000 trajectories of 10 steps, compile included, beside NumPy + PyTorch
     python benchmarks/phase1.py --seeds 20   time per seed: one seed, then all of them by lax.map and by vmap
+    python benchmarks/phase1.py --together 1 64 512     so many seeds in one program by vmap (for a GPU)
     python benchmarks/phase1.py --replay     the block-written ring beside flashbax's item buffer, 20 seeds at once
 
 CPU seconds stand beside wall seconds, because on a busy machine only they can be compared. `--speed` needs torch for the peer
@@ -84,6 +85,26 @@ def seeds(count: int) -> None:
         print(f"{name}: {seconds:.2f} s, {seconds / runs:.2f} s a seed; CPU {cpu / runs:.2f} s a seed")
 
 
+def together(counts: list[int]) -> None:
+    """So many seeds in one program: seconds of compilation and a seed, adaptation steps a second, mean reward of the last rounds."""
+    phase1 = make_phase1(make_task("pendulum", PAPER.task), SIZES)
+    hyper, rounds = traced(PAPER.hyper), jnp.arange(SIZES.rounds)
+    one = lambda key: phase1.run(phase1.init(key), hyper, rounds)[1].reward[-10:].mean()
+    for count in counts:
+        keys = jax.random.split(jax.random.key(0), count)
+        begin = time.perf_counter()
+        program = jax.jit(jax.vmap(one)).lower(keys).compile()
+        compiled = time.perf_counter() - begin
+        jax.block_until_ready(program(keys))
+        seconds, _, reward = timed(program, keys)
+        rate = count * SIZES.trajectories * SIZES.horizon / seconds
+        print(
+            f"{count} seeds on the {jax.default_backend()}: compiled in {compiled:.1f} s, {seconds / count:.4f} s a seed, "
+            f"{rate:,.0f} steps/s, reward {float(reward.mean()):.3f}",
+            flush=True,
+        )
+
+
 def replays(count: int = 20, rounds: int = 200) -> None:
     """Add a block of 500 transitions and draw 60 batches of 64, `rounds` times."""
     import flashbax
@@ -123,6 +144,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--speed", action="store_true")
     parser.add_argument("--seeds", type=int, metavar="N")
+    parser.add_argument("--together", type=int, nargs="+", metavar="N")
     parser.add_argument("--replay", action="store_true")
     parser.add_argument("--peer-python", default=sys.executable, help="a Python that has torch")
     args = parser.parse_args()
@@ -130,5 +152,7 @@ if __name__ == "__main__":
         speed(args.peer_python)
     if args.seeds:
         seeds(args.seeds)
+    if args.together:
+        together(args.together)
     if args.replay:
         replays()

@@ -22,6 +22,7 @@ from adaptsim_jax.mechanisms import dynamics
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
 SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance", "drive_play")
 NEAR = 0.02  # of a value, by which it is moved at most
+FAR = 1e3  # rad (rad/s): drives that would run away so far are not looked at
 SLIDING = 0.99  # of its level, that dry friction takes over a row in which the joint slides
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
 
@@ -328,8 +329,10 @@ class Columns:
             local, carries = self._carries()
             with jax.enable_x64(True):
                 seen = np.array(_alone(local, p, carries, jnp.diff(self.time, axis=0), effect))
+            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(seen) < FAR)
+            seen = np.where(there, seen, 0.0)
             seen[0] /= shape[parameter]
-            self._made[key] = np.where(np.tile(self.gives, 2)[:, None] | ~np.isfinite(seen), 0.0, seen)
+            self._made[key] = seen
         return self._made[key]
 
     @property
