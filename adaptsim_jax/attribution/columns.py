@@ -209,6 +209,7 @@ class Columns:
         self.known = {e.key: float(z) for e, z in zip(vector.entries, vector.values, strict=True)}
         self._made: dict = {}
         self.rotor, self.link = _sides(group.model, values, path)
+        self.gives = drives.compliant(group.model, values)
         level = np.abs(np.asarray(path.rub)).max()
         moved = np.moveaxis(np.asarray(path.rub), 0, 1)
         self.rub = self._direction(moved) if level > 0 else (np.zeros_like(moved), np.zeros_like(moved))
@@ -335,12 +336,6 @@ class Columns:
             self._made[key] = seen
         return self._made[key]
 
-    @property
-    def gives(self) -> np.ndarray:
-        """[n], joints whose drives do."""
-        with jax.enable_x64(True):
-            return np.asarray(drives.drive_of(self.group.model, self.values).compliance)[:, 0] > 0.0
-
     def _carries(self):
         """Each joint by itself, and the torque [n, L, W] that its link takes of its drive."""
         if "carries" not in self._made:
@@ -354,12 +349,13 @@ class Columns:
         return self._made["carries"]
 
     def stack(self, entries: Sequence[tuple[Entry, Shapes | None]]):
-        """(force [W, L, F, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry is of another group. F is n, or 2n
-        (on rotors, on links) where drives give."""
+        """(force [W, L, F, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry is of another group. The F forces
+        are on the n joints, and on the links of those whose drives give."""
         width, rows = self.path.x.shape[2], self.path.u.shape[0]
-        sides = 2 if self.path.ahead.shape[1] else 1
-        force = np.zeros((width, rows, sides * self.n, len(entries)))
-        on_links = slice((sides - 1) * self.n, None)
+        giving = np.flatnonzero(self.gives)
+        force = np.zeros((width, rows, self.n + len(giving), len(entries)))
+        on_links = np.arange(self.n)
+        on_links[giving] = self.n + np.arange(len(giving))
         output = None
         for k, (e, shape) in enumerate(entries):
             if e.owner == TILT:
@@ -374,10 +370,10 @@ class Columns:
                     continue
                 effect = self.problem.effect(e.owner)
                 if effect.place == "drive":
-                    if sides == 2:
+                    if at in giving:
                         torque = self.spring(effect, e.name)[at].T
                         force[:, :, at, k] -= torque
-                        force[:, :, self.n + at, k] += torque
+                        force[:, :, on_links[at], k] += torque
                     if e.name not in (shape or {}):
                         continue
                     z = self.alone(effect, e.name, shape)[0]

@@ -37,10 +37,16 @@ def drive_of(model: Model, values: Values) -> Drive:
     return Drive(*(sum(some) for some in zip(*parts, strict=True)))
 
 
+def compliant(model: Model, values: Values) -> np.ndarray:
+    """[n], whether a joint's drive gives."""
+    some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
+    each = [np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0, axis=1) for e in some]
+    return np.any([np.zeros(model.tree.n, bool), *each], axis=0)
+
+
 def gives(model: Model, values: Values) -> bool:
     """Whether any drive does."""
-    some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
-    return any(np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0) for e in some)
+    return bool(np.any(compliant(model, values)))
 
 
 def sprung(drive: Drive, ahead, rate):
@@ -62,10 +68,11 @@ class Parts(NamedTuple):
     rate: Any
 
 
-def parts_of(drive: Drive, x) -> Parts:
-    """Of states [4n, .]: logged angles and speeds, how far the links are ahead, at which rate."""
-    q, v, ahead, rate = jnp.split(x, 4)
-    ahead, rate = (jnp.where(drive.compliance > 0.0, z, 0.0) for z in (ahead, rate))
+def parts_of(drive: Drive, giving, x) -> Parts:
+    """Of states [2n + 2G, .]: logged angles and speeds; of the joints `giving` [G] how far their links are ahead, at which rate."""
+    n, count = len(drive.compliance), len(giving)
+    q, v, some = x[:n], x[n : 2 * n], x[2 * n :]
+    ahead, rate = (jnp.zeros_like(q).at[giving].set(z) for z in (some[:count], some[count:]))
     of = lambda share, z, w: z + share * w
     return Parts(
         of(-drive.link, q, ahead), of(-drive.link, v, rate), of(1.0 - drive.link, q, ahead), of(1.0 - drive.link, v, rate), ahead,
@@ -90,10 +97,10 @@ def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, 
     return jnp.where(give, (force - spring) / jnp.maximum(inertia, LEAST), link), link
 
 
-def rates(drive: Drive, at: Parts, rotor, link):
-    """Rate of change [4n, .] of the states at accelerations of rotors and links [n, .]."""
+def rates(drive: Drive, giving, at: Parts, rotor, link):
+    """Rate of change [2n + 2G, .] of the states at accelerations of rotors and links [n, .]."""
     speed = at.v + drive.link * at.rate
-    return jnp.concatenate([speed, rotor + drive.link * (link - rotor), at.rate, link - rotor])
+    return jnp.concatenate([speed, rotor + drive.link * (link - rotor), at.rate[giving], (link - rotor)[giving]])
 
 
 def answers(model: Model, values: Values, drive: Drive, at: Parts, inertia):

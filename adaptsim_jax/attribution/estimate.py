@@ -72,9 +72,8 @@ def scheme(problem: Problem, vector: Vector, group: Group, values: Values) -> Sc
     stiffness, damping = (np.abs(np.asarray(z)[:, 0]) for z in held_by(at))
     gaps = np.diff(group.stretches.time, axis=0)
     row = float(np.median(gaps[gaps > 0]))
-    give = gives(group.model, at)
-    fastest = 200.0
-    if give:
+    giving, fastest = np.zeros(0, int), 200.0
+    if gives(group.model, at):
         rotor = at.effects["armature"]["inertia"][:, 0]
         drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
         soft = drive.compliance > 0.0
@@ -82,11 +81,12 @@ def scheme(problem: Problem, vector: Vector, group: Group, values: Values) -> Sc
         both = both / np.where(soft, drive.compliance, 1.0)
         fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
         inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
+        giving = np.flatnonzero(soft)
     swing = np.sqrt(stiffness / inertia) * 2.0
     need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
-    stiff = bool(need > MOST_SUBSTEPS) and not give
+    stiff = bool(need > MOST_SUBSTEPS) and not len(giving)
     steps = 2 * MOST_SUBSTEPS if need > MOST_SUBSTEPS else max(1, int(np.ceil(need)))
-    return Scheme(steps, rough(group.model, values), group.stretches.past, bristles(group.model, values), stiff, give)
+    return Scheme(steps, rough(group.model, values), giving, group.stretches.past, bristles(group.model, values), stiff)
 
 
 def widened(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -200,7 +200,11 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             weight = (weight * seen)[:, at]
             flat = lambda z, w=weight: (z[:, at] * w[..., None]).reshape(len(z), -1, z.shape[-1])
             residual.append((residuals(group, path)[:, at] * weight).reshape(len(seen), -1))
-            start.append(flat(responded_start(slope[0], len(group.joints), len(x0))))
+            n, g = len(group.joints), how.giving
+            free = np.concatenate([np.arange(2 * n), 2 * n + g, 3 * n + g])
+            by_start = np.zeros((len(by_state), by_state.shape[1] + 1, 2 * n, len(x0)))
+            by_start[..., free] = responded_start(by_state, n, len(free))
+            start.append(flat(by_start))
             columns.append(made)
             slopes.append(slope)
             shared.append(_output(made, slope, [(e, None) for e in entries], flat))

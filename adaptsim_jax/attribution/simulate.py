@@ -30,21 +30,26 @@ IMPLICIT = 1.0 - np.sqrt(0.5)  # gamma of ROS2, with which it is L-stable
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["substeps", "rough"],
-    meta_fields=["past", "bristles", "stiff", "gives"],
+    data_fields=["substeps", "rough", "giving"],
+    meta_fields=["past", "bristles", "stiff"],
 )
 @dataclass(frozen=True)
 class Scheme:
-    """How stretches are stepped through. substeps of a row; rough: whether anything rubs dry; and, static, past: rows of the command
-    before a stretch, bristles: whether these have a state, stiff: whether controllers are faster than the substeps, gives: whether any
-    drive does."""
+    """How stretches are stepped through. substeps of a row; rough: whether anything rubs dry; giving [G]: the joints whose drives
+    give; and, static, past: rows of the command before a stretch, bristles: whether these have a state, stiff: whether controllers
+    are faster than the substeps."""
 
     substeps: Any
     rough: Any
+    giving: Any
     past: int
     bristles: bool = False
     stiff: bool = False
-    gives: bool = False
+
+    @property
+    def gives(self) -> bool:
+        """Whether any drive does."""
+        return len(self.giving) > 0
 
 
 class Rows(NamedTuple):
@@ -87,15 +92,16 @@ def _rigid(model: Model, values: Values, u) -> Moving:
     )
 
 
-def _giving(model: Model, values: Values, u, more) -> Moving:
-    """Of states [4n, W], under a force `more` [n, W] on the links besides."""
+def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
+    """Of states [2n + 2G, W] where the drives of the joints `giving` [G] give, under forces `pushed` [G, W] on their links besides."""
     drive = drives.drive_of(model, values)
-    parts = lambda x: drives.parts_of(drive, x)
+    more = jnp.zeros((model.tree.n, pushed.shape[1]), pushed.dtype).at[giving].set(pushed)
+    parts = lambda x: drives.parts_of(drive, giving, x)
     both = lambda x, force, inertia: drives.accelerations(model, values, drive, parts(x), force, inertia, more)
     return Moving(
         lambda x, t: drives.acting(model, values, drive, parts(x), u, t),
         lambda x, force, inertia: both(x, force, inertia)[0],
-        lambda x, force, inertia: drives.rates(drive, parts(x), *both(x, force, inertia)),
+        lambda x, force, inertia: drives.rates(drive, giving, parts(x), *both(x, force, inertia)),
         lambda x, inertia: drives.answers(model, values, drive, parts(x), inertia),
         lambda x: parts(x).v,
     )
@@ -129,14 +135,14 @@ def _friction(moving: Moving, x, t, extra, bent, h, hold):
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
-    """State after a row, [2n, W] (2n more where drives give, then n of the deflection of bristles), and the mean dry friction over it
-    [n, W]. extra [n, W] N m on the joints, or [2n, W] on rotors and links where drives give."""
+    """State after a row, [2n, W] (2G more where drives give, then n of the deflection of bristles), and the mean dry friction over it
+    [n, W]. extra [n, W] N m on the joints, and [G, W] on the links whose drives give."""
     n = model.tree.n
-    moves = (4 if scheme.gives else 2) * n
+    moves = 2 * (n + len(scheme.giving))
     h = dt / scheme.substeps
     wide = h[None]
     hold = tuple(jnp.maximum(z, 0.0).astype(x.dtype) for z in held_by(values)) if scheme.stiff else None
-    moving = _giving(model, values, u, extra[n:]) if scheme.gives else _rigid(model, values, u)
+    moving = _giving(model, values, u, scheme.giving, extra[n:]) if scheme.gives else _rigid(model, values, u)
     extra = extra[:n]
 
     def substep(i, carry):
@@ -212,24 +218,27 @@ class Path(NamedTuple):
 def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme) -> Path:
     """Stretches from x0 [2n, W], [4n, W] where drives give."""
     drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
-    nothing = jnp.zeros_like(x0[: len(x0) // 2])
+    nothing = jnp.zeros_like(x0[: model.tree.n + len(scheme.giving)])
 
     def row(x, now):
         new, rub = row_step(model, values, x, *now, nothing, scheme)
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, begin, drive)
-    return _path(model, values, time, jnp.concatenate([x, last[None]])[:, : len(x0)], rub, drive.u)
+    return _path(model, values, time, jnp.concatenate([x, last[None]]), rub, drive.u, scheme)
 
 
 @jax.jit
 def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
-    """(Path, derivatives of each row's end by its start [L, S, S, W] and by a force held over the row [L, S, F, W]): S = 2n states and
-    F = n forces, or 4n and 2n (on rotors, on links) where drives give, and n states more with bristles."""
+    """(Path, derivatives of each row's end by its start [L, S, S, W] and by a force held over the row [L, S, F, W]).
+
+    S = 2n states and F = n forces; where G drives give 2G states (how far their links are ahead, and the rates) and G forces (on these
+    links) more, with bristles n states more.
+    """
     drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
-    n, (states, width) = len(x0) // 2, begin.shape
-    zero = jnp.zeros((n, width), x0.dtype)
-    ways = jnp.eye(states + n, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
+    (states, width), forced = begin.shape, model.tree.n + len(scheme.giving)
+    zero = jnp.zeros((forced, width), x0.dtype)
+    ways = jnp.eye(states + forced, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
 
     def row(x, now):
         end = lambda x, extra: row_step(model, values, x, *now, extra, scheme)
@@ -238,23 +247,32 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Sc
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))
 
     last, (x, rub, slopes) = jax.lax.scan(row, begin, drive)
-    path = _path(model, values, time, jnp.concatenate([x, last[None]])[:, : len(x0)], rub, drive.u)
+    path = _path(model, values, time, jnp.concatenate([x, last[None]]), rub, drive.u, scheme)
     return path, slopes[:, :, :states], slopes[:, :, states:]
 
 
-def _path(model: Model, values: Values, time, states, rub, u) -> Path:
-    x = states[:, : 2 * model.tree.n]
-    return Path(x, measure(model, values, time, x, u), rub, u, states[:, 2 * model.tree.n :])
+def _path(model: Model, values: Values, time, states, rub, u, scheme: Scheme) -> Path:
+    n, count = model.tree.n, len(scheme.giving)
+    x = states[:, : 2 * n]
+    ahead = x[:, :0]
+    if scheme.gives:
+        some = states[:, 2 * n : 2 * (n + count)]
+        at = jnp.concatenate([scheme.giving, n + scheme.giving])
+        ahead = jnp.zeros_like(x).at[:, at].set(some)
+    return Path(x, measure(model, values, time, x, u), rub, u, ahead)
 
 
 def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
     """What drives the rows, and the state that they begin at."""
-    rows = len(time) - 1
+    rows, n = len(time) - 1, model.tree.n
     u = command_rows(model, values, stamp, command, scheme.past, rows)
     drive = Rows(u, time[:-1], jnp.diff(time, axis=0))
+    begin = x0
+    if scheme.gives:
+        begin = jnp.concatenate([x0[: 2 * n], x0[2 * n + scheme.giving], x0[3 * n + scheme.giving]])
     if scheme.bristles:
-        x0 = jnp.concatenate([x0, bent_at(model, values, x0, drive.u[0], drive.t[0])])
-    return drive, x0
+        begin = jnp.concatenate([begin, bent_at(model, values, x0, drive.u[0], drive.t[0])])
+    return drive, begin
 
 
 @partial(jax.jit, static_argnames="past")
