@@ -121,6 +121,13 @@ def read_tracks(
     columns = ("trial", "time", "x", "y", *kind.optional)
     tables = [(path, read_table(path, columns, least=1, lost=("x", "y"), gaps=kind.angles)) for path in paths]
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
+    for name in (c for c in kind.angles if c not in more):
+        have, lack = ([path for path, t in tables if (name in t.columns) == has] for has in (True, False))
+        if have:
+            raise BadInput(
+                f"{lack[0]}: no column {name!r}, which {have[0].name} has; add it, empty where it was not seen, or take it "
+                "out of all files"
+            )
     for path, table in tables:
         _read_tracks(path, table, numbers, actions, kind, more, without, as_declared, found)
     check_different({n: track.places for n, track in found.items()}, place_of(paths))

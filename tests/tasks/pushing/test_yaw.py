@@ -23,6 +23,16 @@ def world(tmp_path_factory):
     return folder / "off_axis-9043001"
 
 
+def test_a_turn_in_some_files_only_is_refused_by_the_file_that_lacks_it(world, tmp_path):
+    folder = changed(world, tmp_path / "some", lambda yaw: yaw)
+    lines = (folder / "tracks.csv").read_text().splitlines()
+    last = [line for line in lines[1:] if float(line.split(",")[0]) == float(lines[-1].split(",")[0])]
+    (folder / "tracks.csv").write_text("\n".join([lines[0], *(line for line in lines[1:] if line not in last), ""]))
+    (folder / "more.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in [lines[0], *last]) + "\n")
+    with pytest.raises(BadInput, match=r"more.csv: no column 'yaw', which tracks.csv has; add it"):
+        read(folder)
+
+
 def changed(world, folder, change, meta=""):
     """A copy of the world with `change(yaw [N]) -> [N]` of all rows, or without the column where there is none."""
     folder.mkdir()
