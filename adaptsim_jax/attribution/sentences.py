@@ -35,10 +35,10 @@ def message(
     told = _found(problem, found, before, after, over, bool(odd), criteria.explained)
     if not odd:
         return told
-    _, joint, times = odd[0]
+    worst, joint, times = odd[0]
     few = f"in {far} of {len(problem.fold)} stretches " if far >= criteria.few else ""
     if len(odd) > 0.5 * len(problem.folds):
-        return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}." if few else told
+        return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}, most in {worst}." if few else told
     names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
     more = (
         f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
@@ -55,7 +55,7 @@ def _found(
     worst = int(np.argmax(median))
     many = f", most of it at {problem.joint_names[worst]}" if over > explained and problem.joints > 1 else ""
     if not found.named:
-        told = f"The declared model, fitted, simulates left-out stretches to {size(before)} {unit}, {over:.1f} times the noise floor"
+        told = f"The declared model, fitted, simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
         if over <= explained:
             return f"{told}." if odd else f"{told}. Nothing need be added."
         at = f"{many} ({median[worst]:.0f} times)" if many else ""
