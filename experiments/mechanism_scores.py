@@ -24,10 +24,12 @@ def option(entry: str | dict, joints: frozenset[str]) -> Option:
     return name.strip(), frozenset(filter(None, re.split(r"[,+\s]+", where))) or joints
 
 
-def options(effect: dict) -> list[Option]:
-    """What a named effect may be: itself first, then what the report says does as well."""
+def options(effect: dict, joints: list[str]) -> list[Option]:
+    """What a named effect may be, at a machine with these joints: itself first, then what the report says does as well."""
     own = option(effect, frozenset())
-    return [own] + [option(x, own[1]) for x in effect.get("class", effect.get("alternatives", [])) or []]
+    others = effect.get("class", effect.get("alternatives", [])) or []
+    spelt = [x.replace("all joints", ",".join(joints)) if isinstance(x, str) else x for x in others]
+    return [own] + [option(x, own[1]) for x in spelt]
 
 
 def holds(name: str, joint: str | None, right: list[Option]) -> bool:
@@ -35,9 +37,9 @@ def holds(name: str, joint: str | None, right: list[Option]) -> bool:
     return any(name == n and (joint is None or not js or joint in js) for n, js in right)
 
 
-def judged(effect: dict, right: list[Option]) -> list[bool]:
+def judged(named: list[Option], right: list[Option]) -> list[bool]:
     """For each joint of a named effect (once, where it has none): whether it is right there, or something of its class is."""
-    own, *others = options(effect)
+    own, *others = named
     out = []
     for joint in sorted(own[1]) or [None]:
         there = [own] + [(n, js) for n, js in others if joint in js or joint is None]
@@ -63,8 +65,8 @@ def judge(truth: dict, report: dict) -> dict[str, object]:
         (a["name"], frozenset(a["joints"])) for e in truth["effects"] for a in e["accept"] + e.get("also_right", [])
     ]
     named = report.get("effects", []) or []
-    found = [options(e) for e in named]
-    each = [b for e in named for b in judged(e, right)]
+    found = [options(e, truth["joints"]) for e in named]
+    each = [b for f in found for b in judged(f, right)]
     needed = [e for e in hidden if not e.get("absorbed")]
     hits = sum(covered(e["accept"], found) for e in needed)
     wrong = sum(not b for b in each)

@@ -101,6 +101,9 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
             key = f"{e.name}[{problem.joint_names[e.joints[0]]}]" if own else e.name
             low, high = max(value - width, min(e.low, value)), min(value + width, max(e.high, value))
             numbers[key] = {"value": value, "low": low, "high": high, "unit": e.unit}
+            held = next(p for p in problem.effect(c.effect).parameters if p.name == e.name)
+            if held.held and held.meaning:
+                numbers[key]["meaning"] = held.meaning
     if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
         body = next(iter(c.joints))
         of = f" of {machine.tree.body_names[body]}"

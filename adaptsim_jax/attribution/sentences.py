@@ -38,7 +38,11 @@ def message(
     worst, joint, times = odd[0]
     few = f"in {far} of {len(problem.fold)} stretches " if far >= criteria.few else ""
     if len(odd) > 0.5 * len(problem.folds):
-        return f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}, most in {worst}." if few else told
+        return (
+            f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}, most in {worst}."
+            if few
+            else told
+        )
     names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
     more = (
         f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "

@@ -27,8 +27,10 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
                 "value": fmt.between(*_shown(p, _is_factor(effect, name)), p["unit"]),
                 "interval": None not in (p["low"], p["high"]),
             }
+            if not p["value"] == p["low"] == p["high"]
+            else {"name": _held(name, p), "value": fmt.quantity(p["value"], p["unit"]), "interval": False}
             for name, p in effect["parameters"].items()
-            if not p["value"] == p["low"] == p["high"] == 0.0
+            if p.get("meaning") or not p["value"] == p["low"] == p["high"] == 0.0
         ]
         rows.append(
             {
@@ -39,6 +41,12 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _held(name: str, p: Mapping[str, Any]) -> str:
+    """A parameter that was chosen, not fitted."""
+    said = p.get("meaning")
+    return name.replace("_", " ") + (f" ({said})" if said else "")
 
 
 def _is_factor(effect: Mapping, name: str) -> bool:

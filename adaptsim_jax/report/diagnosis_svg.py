@@ -88,7 +88,10 @@ def themed(svg: str, label: str) -> str:
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     for colour, name in THEMED.items():
         svg = svg.replace(colour, f"var(--{name})")
-    svg = re.sub(r"-?\d+\.\d{3,}", lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."), svg)
+    # of places, not of what is written
+    svg = re.sub(
+        r"-?\d+\.\d{3,}(?!\d*</text>)", lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."), svg
+    )
     svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     head = re.search(r'viewBox="[^"]*"', svg)
     box = head.group() if head else ""
