@@ -17,7 +17,6 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -55,6 +54,10 @@ def one(kind: str, seed: int, given: dict[str, str], diagnose: str, keep: str | 
             shutil.rmtree(folder, ignore_errors=True)
 
 
+def _one(given: tuple) -> dict[str, object]:
+    return one(*given)
+
+
 def read(out: Path) -> list[dict[str, str]]:
     if not out.exists():
         return []
@@ -89,10 +92,11 @@ def main() -> None:
     given = {k: v for k in ("machine", "mode", "effect") if (v := getattr(a, k))}
     a.out.parent.mkdir(parents=True, exist_ok=True)
     if a.jobs > 1:
-        # a process maps each compiled program into its memory, and the system allows only so many of these
-        with ProcessPoolExecutor(a.jobs, get_context("spawn"), max_tasks_per_child=10) as pool:
-            for future in as_completed([pool.submit(one, a.kind, s, given, a.diagnose, a.keep) for s in todo]):
-                tell(a.out, future.result())
+        # a process maps each compiled program into its memory, and the system allows only so many of these; not by
+        # concurrent.futures, whose pool waits for ever where all its processes end their last task together
+        with get_context("spawn").Pool(a.jobs, maxtasksperchild=10) as pool:
+            for row in pool.imap_unordered(_one, [(a.kind, s, given, a.diagnose, a.keep) for s in todo]):
+                tell(a.out, row)
     else:
         for s in todo:
             tell(a.out, one(a.kind, s, given, a.diagnose, a.keep))
