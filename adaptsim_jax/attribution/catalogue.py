@@ -193,7 +193,7 @@ OWN: tuple[Effect, ...] = (
         "spring", "force",
         (Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1), Parameter("preload", "N m", -5.0, 5.0, 0.0)), spring,
         "a torsional spring or a cable; at rest at preload / stiffness", "a wide range of angles",
-        ("bias", "position_gain", "encoder_offset"), contains=("bias",), formula="preload - stiffness q",
+        ("bias", "position_gain", "encoder_offset"), formula="preload - stiffness q",
     ),
     Effect(
         "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0),), disturbance.bias,
