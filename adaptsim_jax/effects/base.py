@@ -151,8 +151,8 @@ class Effect:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
     as it does not act linearly. `starts(reach, joint) -> [{parameter: value}, ...]`: where plain fits of it start as well, if a
     linear score is a poor guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
-    effects that this one includes as a special case (of mechanisms: it is tried where one of these is). `clocked`: it follows `motion.clock`, a sine of which (amplitudes sine,
-    cosine; shape frequency) may have another phase in each trial.
+    effects that this one includes as a special case (of mechanisms it is tried where one of these is). `clocked`: it follows
+    `motion.clock`, a sine of which (amplitudes sine, cosine; shape frequency) may have another phase in each trial.
     `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
     this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
     `pair`: its force is on the joint and on the one before it, too. `carried`: a measurement effect that is also given the torque
