@@ -13,6 +13,7 @@ import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
 from adaptsim_jax.attribution.acting import BENT, Motion, actuated, carried, held_by
+from adaptsim_jax.attribution.drive_alone import Local, logged_alone
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
@@ -117,18 +118,6 @@ def _spring(model, values, ahead, p, effect: str, parameter: str):
         return drives.sprung(drives.Drive(*(z[:, None] for z in drive)), *jnp.split(middle, 2))
 
     return jax.jvp(torque, (p[parameter],), (jnp.ones_like(p[parameter]),))[1]
-
-
-@partial(jax.jit, static_argnames="effect")
-def _alone(local, p, carries, dt, effect: Effect):
-    """Logged angles and speeds [3, L+1, 2n, W] of drives that give beside those of rigid ones: as they carry so much, and swinging
-    from a start of 1 rad or 1 rad/s ahead."""
-    drive = effect.apply({k: z[:, None] for k, z in p.items()})
-    of = lambda z: z[0] + drive.link[None] * (z[1] - z[0])
-    seen = lambda *how: jnp.concatenate([of(z) for z in drives.alone(drive, local, *how)], 1)
-    one, none = jnp.ones_like(carries[:, 0]), jnp.zeros_like(carries[:, 0])
-    swings = (seen(0.0 * carries, dt, some) for some in ((one, none), (none, one)))
-    return jnp.stack([seen(carries, dt), *swings])
 
 
 @jax.jit
@@ -329,7 +318,7 @@ class Columns:
             p = self.at(effect, shape) | {parameter: np.full(self.n, shape[parameter])}
             local, carries = self._carries()
             with jax.enable_x64(True):
-                seen = np.array(_alone(local, p, carries, jnp.diff(self.time, axis=0), effect))
+                seen = np.array(logged_alone(local, p, carries, jnp.diff(self.time, axis=0), effect))
             there = ~np.tile(self.gives, 2)[:, None] & (np.abs(seen) < FAR)
             seen = np.where(there, seen, 0.0)
             seen[0] /= shape[parameter]
@@ -343,7 +332,7 @@ class Columns:
             rotor = plain.effects["armature"]["inertia"][:, 0]
             link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.LEAST)
             held = (np.asarray(z)[:, 0] + np.zeros(self.n) for z in held_by(plain))
-            local = drives.Local(*(z[:, None, None] for z in (np.maximum(rotor, drives.LEAST), link, *held)))
+            local = Local(*(z[:, None, None] for z in (np.maximum(rotor, drives.LEAST), link, *held)))
             y = self._regressed()
             self._made["carries"] = local, np.einsum("niLW,i->nLW", y, plain.inertial[..., 0].reshape(-1))
         return self._made["carries"]

@@ -5,7 +5,6 @@ alone. States of a stretch are what the log's encoder sees (of the rotor or of t
 so that rigid joints have the same equations with nothing ahead.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +15,6 @@ from adaptsim_jax.attribution.acting import Forces, Model, Values, forces
 from adaptsim_jax.mechanisms import dynamics
 
 LEAST = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
-FINE = 8  # steps of a row, of the linear look at one joint
 
 
 class Drive(NamedTuple):
@@ -125,45 +123,3 @@ def at_rest(model: Model, values: Values, x0, u, t):
 def yielded(drive: Drive, carries):
     """How far links are ahead of rotors whose springs carry so much, N m."""
     return -jnp.where(drive.compliance > 0.0, drive.compliance * carries + 0.5 * drive.gap * jnp.sign(carries), 0.0)
-
-
-def _shared(local: "Local", ahead):
-    """Rotors and links [2, n, .] so far from their common middle."""
-    link = local.rotor / (local.rotor + local.link)
-    return jnp.stack([(link - 1.0) * ahead, link * ahead])
-
-
-class Local(NamedTuple):
-    """One joint by itself, [n, 1, 1] each: inertia of rotor and link kg m^2; what its controller answers, N m/rad and N m s/rad."""
-
-    rotor: Any
-    link: Any
-    stiffness: Any
-    damping: Any
-
-
-@partial(jax.jit, static_argnames="fine")
-def alone(drive: Drive, local: Local, carries, dt, swung=None, fine: int = FINE):
-    """How rotors and links of drives [n, 1] move beside the motion of rigid ones, which carry [n, L, W] N m: angles and speeds
-    [2, L+1, n, W] of each joint by itself, with its controller. dt [L, W] s. swung: how far links are ahead of rotors at the start
-    and at which rate, [n, W] each; at rest where None."""
-    local = Local(*(z[:, 0] for z in local))
-
-    def substep(_, state, carries, h):
-        q, v = state
-        ahead, rate = q[1] - q[0], v[1] - v[0]
-        over = sprung(drive, ahead, rate) - carries
-        held = local.stiffness * (q[0] + drive.control * ahead) + local.damping * drive.control * rate
-        damped = 1.0 + h * local.damping / local.rotor
-        v = jnp.stack([(v[0] - h * (over + held) / local.rotor) / damped, v[1] + h * over / local.link])
-        return jnp.stack([q[0] + h * v[0], q[1] + h * v[1]]), v
-
-    def row(state, now):
-        carries, dt = now
-        new = jax.lax.fori_loop(0, fine, lambda i, s: substep(i, s, carries, dt[None] / fine), state)
-        return new, new
-
-    ahead, rate = (yielded(drive, carries[:, 0]), 0.0 * carries[:, 0]) if swung is None else swung
-    start = _shared(local, ahead), _shared(local, rate)
-    _, path = jax.lax.scan(row, start, (jnp.moveaxis(carries, 1, 0), dt))
-    return tuple(jnp.swapaxes(jnp.concatenate([a[None], b]), 0, 1) for a, b in zip(start, path, strict=True))

@@ -12,19 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from adaptsim_jax.attribution.acting import Values, bristles, held_by, rough
 from adaptsim_jax.attribution.columns import Columns, Shapes
-from adaptsim_jax.attribution.drive import LEAST, Drive, drive_of, gives
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
-from adaptsim_jax.attribution.simulate import Path, Scheme, linearise, respond, responded_start, simulate, with_drives
+from adaptsim_jax.attribution.paths import residuals, run, scheme, starts_of, widened
+from adaptsim_jax.attribution.problem import Group, Problem, values_of
+from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
 CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
 GOING_ON = 0.03  # the same of a fit that is only to be compared
 WILD = 3.0  # times the median error of a stretch, from which it counts less
-STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
-MOST_SUBSTEPS = 12
 
 
 @dataclass(frozen=True)
@@ -64,69 +61,9 @@ class Linear:
     picked: np.ndarray
 
 
-def scheme(problem: Problem, vector: Vector, group: Group, values: Values) -> Scheme:
-    """Steps within a row such that Runge and Kutta's method is stable and good for drag, controllers and drives; where controllers
-    want more than there may be, as much work goes into stiff steps, which have half as many stages."""
-    at = values_of(problem, group, vector)
-    inertia = group_inertia(at, group)[0]
-    stiffness, damping = (np.abs(np.asarray(z)[:, 0]) for z in held_by(at))
-    gaps = np.diff(group.stretches.time, axis=0)
-    row = float(np.median(gaps[gaps > 0]))
-    giving, fastest = np.zeros(0, int), 200.0
-    if gives(group.model, at):
-        rotor = at.effects["armature"]["inertia"][:, 0]
-        drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
-        soft = drive.compliance > 0.0
-        both = np.where(soft, 1.0 / np.maximum(rotor, LEAST) + 1.0 / np.maximum(inertia - rotor, LEAST), 0.0)
-        both = both / np.where(soft, drive.compliance, 1.0)
-        fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
-        inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
-        giving = np.flatnonzero(soft)
-    swing = np.sqrt(stiffness / inertia) * 2.0
-    need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
-    stiff = bool(need > MOST_SUBSTEPS) and not len(giving)
-    steps = 2 * MOST_SUBSTEPS if need > MOST_SUBSTEPS else max(1, int(np.ceil(need)))
-    return Scheme(steps, rough(group.model, values), giving, group.stretches.past, bristles(group.model, values), stiff)
-
-
-def widened(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Starts by group as the model at `vector` has them: [2n, W], or [4n, W] where drives give."""
-    out = []
-    for group, x in zip(problem.groups, starts, strict=True):
-        values, n = values_of(problem, group, vector), len(group.joints)
-        if gives(group.model, values) and len(x) == 2 * n:
-            s = group.stretches
-            with jax.enable_x64(True):
-                x = np.asarray(with_drives(group.model, values, s.time, s.stamp, s.command, x, s.past))
-        out.append(x if gives(group.model, values) else x[: 2 * n])
-    return tuple(out)
-
-
 def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
     """The first rows of x [R, W], with rows of zeros where it has fewer."""
     return x[:rows] if len(x) >= rows else np.concatenate([x, np.zeros((rows - len(x), *x.shape[1:]))])
-
-
-def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
-    """Simulated paths by group; rows [W, P]: other parameters for each stretch."""
-    out = []
-    with jax.enable_x64(True):
-        for group, start in zip(problem.groups, widened(problem, vector, starts), strict=True):
-            values = values_of(problem, group, vector, rows)
-            s = group.stretches
-            how = scheme(problem, vector, group, values)
-            path = simulate(group.model, values, s.time, s.stamp, s.command, start, how)
-            out.append(Path(*(np.asarray(z) for z in path)))
-    return out
-
-
-def residuals(group: Group, path: Path) -> np.ndarray:
-    """Measured less simulated [W, L+1, 2n]; 0 where nothing was measured, and where the simulation ran away a large number."""
-    s = group.stretches
-    measured = np.concatenate([s.q, s.v], 1)
-    seen = np.concatenate([s.seen, s.seen_v], 1)
-    off = np.where(np.isfinite(path.sensed), measured - path.sensed, 1e3)
-    return (np.clip(off, -1e3, 1e3) * seen).transpose(2, 0, 1)
 
 
 def _own(weights: Weights, group: Group, joints: int) -> np.ndarray:
@@ -175,11 +112,6 @@ def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
     return Weights(channel / alike, 1.0 / np.square(np.maximum(1.0, size / (WILD * usual))))
 
 
-def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
-    """Smoothed starts, by group."""
-    return tuple(g.stretches.start for g in problem.groups)
-
-
 def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -> Linear:
     """Linearise a fit, by the starts and by `entries` (those of its vector where None)."""
     entries = fit.vector.entries if entries is None else entries
@@ -189,7 +121,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
         for group, x0 in zip(problem.groups, widened(problem, fit.vector, fit.starts), strict=True):
             values = values_of(problem, group, fit.vector)
             s = group.stretches
-            how = scheme(problem, fit.vector, group, values)
+            how = scheme(group, values)
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
             path = Path(*(np.asarray(z) for z in path))
             by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))

@@ -23,12 +23,11 @@ from adaptsim_jax.attribution.estimate import (
     losses,
     normal,
     padded_fold,
-    residuals,
-    run,
     settled,
     start_steps,
 )
 from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.paths import residuals, run
 from adaptsim_jax.attribution.problem import Problem, blocks_of
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
 from adaptsim_jax.effects.base import Effect, Reach

@@ -7,8 +7,9 @@ import pytest
 
 from adaptsim_jax.attribution.acting import bristles
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import Fit, linear, run, starts_of, weigh
+from adaptsim_jax.attribution.estimate import Fit, linear, weigh
 from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect, Parameter

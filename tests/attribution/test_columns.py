@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import Fit, _without_lost, bounded_step, linear, run, starts_of, weigh
+from adaptsim_jax.attribution.estimate import Fit, _without_lost, bounded_step, linear, weigh
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
+from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
 from adaptsim_jax.attribution.score import candidates, score_p
 from adaptsim_jax.attribution.stretches import Track

@@ -8,9 +8,10 @@ import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.estimate import Fit, fit, linear, losses, residuals, run, starts_of, weigh, widened
+from adaptsim_jax.attribution.estimate import Fit, fit, linear, losses, weigh
 from adaptsim_jax.attribution.held_out import modelled
 from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.paths import residuals, run, starts_of, widened
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
 from adaptsim_jax.attribution.stretches import Track

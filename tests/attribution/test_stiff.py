@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import run, scheme, starts_of
 from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.paths import run, scheme, starts_of
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.simulate import simulate
 from adaptsim_jax.attribution.stretches import Track
@@ -40,7 +40,7 @@ def test_stiff_steps_follow_what_many_small_ones_do(arm, kind):
     problem, vectors = arm
     (group,), vector = problem.groups, vectors[kind]
     s, values = group.stretches, values_of(problem, group, vector)
-    how = scheme(problem, vector, group, values)
+    how = scheme(group, values)
     assert how.stiff and how.substeps == 24 and how.rough == (kind == "rubs")
     (path,) = run(problem, vector, starts_of(problem))
     plain = replace(how, stiff=False)

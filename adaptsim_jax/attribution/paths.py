@@ -1,0 +1,86 @@
+"""A problem simulated: how its stretches are stepped, where they begin, and what is left of the measured ones."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from adaptsim_jax.attribution.acting import Values, bristles, held_by, rough
+from adaptsim_jax.attribution.drive import LEAST, Drive, drive_of, gives
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
+from adaptsim_jax.attribution.simulate import Path, Scheme, simulate, with_drives
+
+STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
+MOST_SUBSTEPS = 12
+
+
+def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
+    """Smoothed starts, by group."""
+    return tuple(g.stretches.start for g in problem.groups)
+
+
+def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
+    """Steps within a row such that Runge and Kutta's method is stable and good for drag, controllers and drives; where controllers
+    want more than there may be, as much work goes into stiff steps, which have half as many stages. some: other values, for
+    each stretch, of which dry friction may be."""
+    some = at if some is None else some
+    inertia = group_inertia(at, group)[0]
+    stiffness, damping = (np.abs(np.asarray(z)[:, 0]) for z in held_by(at))
+    gaps = np.diff(group.stretches.time, axis=0)
+    row = float(np.median(gaps[gaps > 0]))
+    giving, fastest = np.zeros(0, int), 200.0
+    if gives(group.model, at):
+        rotor = at.effects["armature"]["inertia"][:, 0]
+        drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
+        soft = drive.compliance > 0.0
+        both = np.where(soft, 1.0 / np.maximum(rotor, LEAST) + 1.0 / np.maximum(inertia - rotor, LEAST), 0.0)
+        both = both / np.where(soft, drive.compliance, 1.0)
+        fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
+        inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
+        giving = np.flatnonzero(soft)
+    swing = np.sqrt(stiffness / inertia) * 2.0
+    need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
+    stiff = bool(need > MOST_SUBSTEPS) and not len(giving)
+    steps = 2 * MOST_SUBSTEPS if need > MOST_SUBSTEPS else max(1, int(np.ceil(need)))
+    return Scheme(steps, rough(group.model, some), giving, group.stretches.past, bristles(group.model, some), stiff)
+
+
+def widened(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Starts by group as the model at `vector` has them: [2n, W], or [4n, W] where drives give."""
+    each = zip(problem.groups, starts, strict=True)
+    return tuple(_start(group, values_of(problem, group, vector), x) for group, x in each)
+
+
+def _start(group: Group, values: Values, x: np.ndarray) -> np.ndarray:
+    moves = 2 * len(group.joints)
+    if not gives(group.model, values):
+        return x[:moves]
+    if len(x) > moves:
+        return x
+    s = group.stretches
+    with jax.enable_x64(True):
+        return np.asarray(with_drives(group.model, values, s.time, s.stamp, s.command, x, s.past))
+
+
+def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
+    """Simulated paths by group; rows [W, P]: other parameters for each stretch."""
+    out = []
+    with jax.enable_x64(True):
+        for group, start in zip(problem.groups, starts, strict=True):
+            at = values_of(problem, group, vector)
+            values = at if rows is None else values_of(problem, group, vector, rows)
+            s = group.stretches
+            how = scheme(group, at, values)
+            path = simulate(group.model, values, s.time, s.stamp, s.command, _start(group, at, start), how)
+            out.append(Path(*(np.asarray(z) for z in path)))
+    return out
+
+
+def residuals(group: Group, path: Path) -> np.ndarray:
+    """Measured less simulated [W, L+1, 2n]; 0 where nothing was measured, and where the simulation ran away a large number."""
+    s = group.stretches
+    measured = np.concatenate([s.q, s.v], 1)
+    seen = np.concatenate([s.seen, s.seen_v], 1)
+    off = np.where(np.isfinite(path.sensed), measured - path.sensed, 1e3)
+    return (np.clip(off, -1e3, 1e3) * seen).transpose(2, 0, 1)
