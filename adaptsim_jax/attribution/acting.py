@@ -117,19 +117,31 @@ def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
     tau, pull = actuated(values, *(seen or (q, v)), u)
     gravity = lambda q: dynamics.gravity_force(model.tree, values.inertial, q, values.gravity)
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
-    smooth, level, inertia, yielding = tau, jnp.zeros_like(q), jnp.zeros_like(q), jnp.zeros_like(q)
+    nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)
+    smooth, level, inertia, yielding = tau + nothing, nothing, nothing, nothing
     for effect in model.effects:
         if effect.place != "force" or effect.name not in values.effects:
             continue
         p = values.effects[effect.name]
         if effect.inertia:
             inertia = inertia + effect.apply(p)
-            continue
-        answer = effect.apply(p, motion)
-        if isinstance(answer, Dry):
-            level, yielding, answer = level + answer.level, yielding + answer.yielding, answer.force
-        smooth = smooth + answer
+        elif _dry(effect)[0]:
+            rubs = lambda z, e=effect, p=p: _rubbing(z, e.apply(p, motion))
+            smooth, level, yielding = _where_on(effect, p, rubs, (smooth, level, yielding))
+        else:
+            smooth = _where_on(effect, p, lambda z, e=effect, p=p: z + e.apply(p, motion), smooth)
     return Forces(smooth, level, inertia, yielding)
+
+
+def _rubbing(total, dry: Dry):
+    smooth, level, yielding = total
+    return smooth + dry.force, level + dry.level, yielding + dry.yielding
+
+
+def _where_on(effect: Effect, p, added, total):
+    """added(total) if the effect does anything to any joint of any stretch: what is off costs nothing."""
+    on = [jnp.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p]
+    return jax.lax.cond(jnp.any(jnp.stack(on)), added, lambda z: z, total)
 
 
 def rough(model: Model, values: Values) -> bool:
