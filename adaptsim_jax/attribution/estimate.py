@@ -14,8 +14,8 @@ import scipy.linalg
 
 from adaptsim_jax.attribution.columns import Columns, Shapes
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.paths import residuals, run, scheme, starts_of, widened
-from adaptsim_jax.attribution.problem import Group, Problem, values_of
+from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
+from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
@@ -118,15 +118,14 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
     at = picked(problem)
     residual, start, shared, columns, slopes = [], [], [], [], []
     with jax.enable_x64(True):
-        for group, x0 in zip(problem.groups, widened(problem, fit.vector, fit.starts), strict=True):
-            values = values_of(problem, group, fit.vector)
+        made = ready(problem, fit.vector)
+        for (group, values, _, how), x0 in zip(made, widened(made, fit.starts), strict=True):
             s = group.stretches
-            how = scheme(group, values)
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
             path = Path(*(np.asarray(z) for z in path))
             by_state, by_force = (np.array(z).transpose(3, 0, 1, 2) for z in (a, f))
             slope = (by_state, by_force)
-            made = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
+            own = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
             weight = _own(fit.weights, group, problem.joints) * np.sqrt(fit.weights.stretch)[:, None, None]
             seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)
             weight = (weight * seen)[:, at]
@@ -137,9 +136,9 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             by_start = np.zeros((len(by_state), by_state.shape[1] + 1, 2 * n, len(x0)))
             by_start[..., free] = responded_start(by_state, n, len(free))
             start.append(flat(by_start))
-            columns.append(made)
+            columns.append(own)
             slopes.append(slope)
-            shared.append(_output(made, slope, [(e, None) for e in entries], flat))
+            shared.append(_output(own, slope, [(e, None) for e in entries], flat))
             _without_lost(residual[-1], start[-1], shared[-1], *slope)
     return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), at)
 
@@ -304,10 +303,11 @@ def settled(
     """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better, refined `refine` times by least
     squares with the derivatives of `lin`. A stretch that sticks and slips need not follow them: no step is taken on trust."""
     best: list = []
+    made = ready(problem, vector, rows)
 
     def offer(starts: Sequence[np.ndarray]) -> None:
-        starts = widened(problem, vector, starts)
-        paths = run(problem, vector, starts, rows)
+        starts = widened(made, starts)
+        paths = simulated(made, starts)
         loss = losses(problem, paths, lin.fit.weights)
         if not best:
             best[:] = [tuple(starts), loss, paths]
@@ -343,8 +343,9 @@ def fit(
     """Fit the vector and all starts. weights: fixed ones (made anew along the way where None); glance: rounds after which a fit
     that is only to be compared ends once a round gains little. Codes: converged, stopped (rounds
     are used up), stuck (no step lowers the loss), diverged (the start itself runs away)."""
-    starts = widened(problem, vector, starts_of(problem) if starts is None else starts)
-    paths = run(problem, vector, starts)
+    made = ready(problem, vector)
+    starts = widened(made, starts_of(problem) if starts is None else starts)
+    paths = simulated(made, starts)
     own = weights is None
     weights = weigh(problem, paths) if own else weights
     now = Fit(vector, starts, weights, losses(problem, paths, weights), "stopped", 0)

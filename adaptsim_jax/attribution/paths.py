@@ -1,6 +1,7 @@
 """A problem simulated: how its stretches are stepped, where they begin, and what is left of the measured ones."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -46,10 +47,29 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
     return Scheme(steps, rough(group.model, some), giving, group.stretches.past, bristles(group.model, some), stiff)
 
 
-def widened(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Starts by group as the model at `vector` has them: [2n, W], or [4n, W] where drives give."""
-    each = zip(problem.groups, starts, strict=True)
-    return tuple(_start(group, values_of(problem, group, vector), x) for group, x in each)
+class Ready(NamedTuple):
+    """A group ready to be stepped through: its values, those of each stretch where they differ, and how."""
+
+    group: Group
+    at: Values
+    values: Values
+    how: Scheme
+
+
+def ready(problem: Problem, vector: Vector, rows: np.ndarray | None = None) -> tuple[Ready, ...]:
+    """By group; rows [W, P]: other parameters for each stretch."""
+    out = []
+    with jax.enable_x64(True):
+        for group in problem.groups:
+            at = values_of(problem, group, vector)
+            values = at if rows is None else values_of(problem, group, vector, rows)
+            out.append(Ready(group, at, values, scheme(group, at, values)))
+    return tuple(out)
+
+
+def widened(made: Sequence[Ready], starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Starts by group as the model has them: [2n, W], or [4n, W] where drives give."""
+    return tuple(_start(group, at, x) for (group, at, *_), x in zip(made, starts, strict=True))
 
 
 def _start(group: Group, values: Values, x: np.ndarray) -> np.ndarray:
@@ -63,16 +83,18 @@ def _start(group: Group, values: Values, x: np.ndarray) -> np.ndarray:
         return np.asarray(with_drives(group.model, values, s.time, s.stamp, s.command, x, s.past))
 
 
-def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[Path]:
-    """Simulated paths by group; rows [W, P]: other parameters for each stretch."""
+def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:
+    """Simulated paths by group."""
+    return simulated(ready(problem, vector), starts)
+
+
+def simulated(made: Sequence[Ready], starts: Sequence[np.ndarray]) -> list[Path]:
+    """Simulated paths by group, from starts as `widened` has them or without what drives give."""
     out = []
     with jax.enable_x64(True):
-        for group, start in zip(problem.groups, starts, strict=True):
-            at = values_of(problem, group, vector)
-            values = at if rows is None else values_of(problem, group, vector, rows)
+        for (group, _, values, how), start in zip(made, widened(made, starts), strict=True):
             s = group.stretches
-            how = scheme(group, at, values)
-            path = simulate(group.model, values, s.time, s.stamp, s.command, _start(group, at, start), how)
+            path = simulate(group.model, values, s.time, s.stamp, s.command, start, how)
             out.append(Path(*(np.asarray(z) for z in path)))
     return out
 

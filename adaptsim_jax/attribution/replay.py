@@ -17,7 +17,7 @@ from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refi
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import run, starts_of, widened
+from adaptsim_jax.attribution.paths import ready, run, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import Problem, prepare
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED
@@ -113,8 +113,9 @@ def fitted_starts(problem: Problem, vector: Vector, rounds: int = ROUNDS) -> tup
     """Starts by plain least squares on the angles, from the smoothed ones."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
-    starts = widened(problem, vector, starts_of(problem))
-    by_lane = lambda starts: losses(problem, run(problem, vector, starts), weights)
+    made = ready(problem, vector)
+    starts = widened(made, starts_of(problem))
+    by_lane = lambda starts: losses(problem, simulated(made, starts), weights)
     best = by_lane(starts)
     bare = Vector((), np.zeros(0))
     for _ in range(rounds):

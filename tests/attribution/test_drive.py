@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import Fit, fit, linear, losses, weigh
 from adaptsim_jax.attribution.held_out import modelled
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.paths import residuals, run, starts_of, widened
+from adaptsim_jax.attribution.paths import ready, residuals, run, starts_of, widened
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
 from adaptsim_jax.attribution.stretches import Track
@@ -66,7 +66,7 @@ def test_it_moves_as_a_machine_with_a_joint_for_the_spring(tmp_path, link):
     q, v, _ = recorded(121)
     first = problem.groups[0].stretches.time[0, 0]
     row = round(first / DT)
-    start = widened(problem, vector, starts_of(problem))[0].copy()
+    start = widened(ready(problem, vector), starts_of(problem))[0].copy()
     ahead = np.array([q[row, 1], 0.0, v[row, 1], 0.0])
     start[:, 0] = *(z[row, 0] + link * z[row, 1] if k == 0 else z[row, 2] for z in (q, v) for k in (0, 1)), *ahead
     (path,) = run(problem, vector, (start,))
@@ -78,7 +78,7 @@ def test_it_moves_as_a_machine_with_a_joint_for_the_spring(tmp_path, link):
 
 def test_derivatives_are_those_of_the_simulation(tmp_path):
     problem, vector = declared(tmp_path, 1, 0.0)
-    (start,) = widened(problem, vector, starts_of(problem))
+    (start,) = widened(ready(problem, vector), starts_of(problem))
     (path,) = run(problem, vector, (start,))
     weights = replace(weigh(problem, [path]), channel=np.ones(4), stretch=np.ones(start.shape[1]))
     lin = linear(problem, Fit(vector, (start,), weights, losses(problem, [path], weights), "", 0))
