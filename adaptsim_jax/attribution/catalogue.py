@@ -7,6 +7,7 @@ be made by an actuator's own law from a command.
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.attribution.angle_effects import BY_ANGLE
 from adaptsim_jax.attribution.drive_effects import DRIVES
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, WIDEST
 from adaptsim_jax.core.registry import Registry
@@ -285,6 +286,7 @@ OWN: tuple[Effect, ...] = (
         "angle and speed come through a first-order filter", "fast motion", ("sensor_delay", "delay"), jump=True, grid=_lags,
         formula="lag reading' = q - reading",
     ),
+    *BY_ANGLE,
     *DRIVES,
     Effect(
         "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,

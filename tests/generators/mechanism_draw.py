@@ -159,10 +159,10 @@ KINDS: dict[str, Kind] = {
     "drive_elasticity": Kind("driven", lambda r, s, j, k: _drive(r, s, j, r.uniform(5, 10), 0.05, 0.0), family="drive"),
     "drive_play": Kind("driven", lambda r, s, j, k: _drive(r, s, j, 25.0, 0.3, r.uniform(0.02, 0.06) * s.span(j)), family="drive"),
     "hard_stop": Kind("one", _stop),
-    "magnet": Kind("one", _magnet, outside=True),
+    "magnet": Kind("one", _magnet),
     "periodic_torque": Kind("one", lambda r, s, j, k: {
         "size": 1.41 * k * s.torque[j], "frequency": r.uniform(0.7, 2.5), "phase": r.uniform(0, 6.28)}, outside=True),
-    "place_friction": Kind("one", _place_friction, outside=True),
+    "place_friction": Kind("one", _place_friction),
     "wandering_torque": Kind("one", lambda r, s, j, k: {
         "size": k * s.torque[j], "seed": float(r.integers(2**31))}, outside=True),
     "dropped_mass": Kind("base", lambda r, s, j, k: {"share": r.uniform(0.15, 0.5), "time": r.uniform(2, 3)}, family="drop",

@@ -165,7 +165,10 @@ class Sight:
                 yield "backlash", e.joints, True
         elif e.name == "spring":
             yield "bias", e.joints, False
-        elif e.name == "place_friction":  # its mean
+        elif e.name == "magnet":
+            yield "angle_torque", e.joints, True
+        elif e.name == "place_friction":  # and its mean
+            yield "angle_friction", e.joints, True
             yield "coulomb", e.joints, False
 
     def _rivals(self):
