@@ -16,15 +16,15 @@ DT = 0.005  # s
 GOOD = Paired(0.4, 0.0001, 6, 6, 24)
 
 
-def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0):
-    """Of a delay [s] that leaves `angles` times the error of the angles without it."""
+def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1):
+    """Of a delay [s] that leaves `angles` times the error of the angles without it, at a noise floor."""
     entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
     candidate = Candidate("delay", (0,), "joint", (entry,))
     vector: Any = SimpleNamespace(entries=(entry,), values=np.array([delay]))
     of: Any = lambda size: SimpleNamespace(
         fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2))
     )
-    problem: Any = SimpleNamespace(reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1)
+    problem: Any = SimpleNamespace(reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor))
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
 
@@ -40,6 +40,8 @@ def test_what_holds_out_stays():
         ({"test": Paired(0.005, 0.0001, 6, 6, 24)}, "less than 1 %"),
         ({"steady": 1.2}, "1.2 times its scatter"),
         ({"angles": 1.1}, "do not come nearer"),
+        ({"angles": 0.97}, "less than 10 % off the squared error of any joint"),
+        ({"angles": 0.9, "floor": 1.5}, "less than 10 % off the squared error of any joint"),
     ],
 )
 def test_the_rule_that_failed_is_told(change, says):
