@@ -239,7 +239,7 @@ def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: f
     hess = hess + np.diag(prior)
     slope = slope - prior * (vector.values - vector.start)
     low, high = vector.low - vector.values, vector.high - vector.values
-    free = np.ones(len(slope), bool)
+    free = np.diagonal(hess) > 0.0
     step = np.zeros(len(slope))
     for _ in range(8):
         size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))

@@ -32,6 +32,7 @@ from adaptsim_jax.attribution.problem import Problem, blocks_of
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
 from adaptsim_jax.effects.base import Effect, Reach
 
+ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothing
 BLOCKS = 24  # of consecutive stretches, about, whose losses a paired test compares
 EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 
@@ -93,6 +94,10 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     both = np.array([without(slope) for slope in slopes])
     length = np.einsum("mfp,pq,mfq->mf", both, hess + np.diag(vector.precision), both)
     steps = both[np.argmin(length, 0), np.arange(len(n.hess))]
+    # of what no other fold has seen (a stop, an angle) nothing is known without it
+    told = lambda h: np.diagonal(h) + vector.precision
+    alone = np.array([told(hess - h) < ALONE * told(hess) for h in n.hess])
+    steps = np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]

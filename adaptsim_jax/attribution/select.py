@@ -224,11 +224,18 @@ def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
 
 
 def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
-    """Whether a model is to be taken instead of another: the one with fewer parameters, unless the larger holds out better."""
+    """Whether a model is to be taken instead of another: the one with fewer parameters, unless the larger holds out better by `size`
+    for each that it has more."""
     small, large = sorted((other, model), key=lambda m: len(m.fit.vector))
     test = paired(problem, small.held.loss, large.held.loss)
-    chosen = large if test.gain > criteria.size and test.p < criteria.confidence else small
-    return chosen is model
+    least = criteria.size * max(1, _more(large, small))
+    return (large if test.gain > least and test.p < criteria.confidence else small) is model
+
+
+def _more(large: Model, small: Model) -> int:
+    """Fitted parameters that one model has more than another."""
+    fitted = lambda m: sum(e.low < e.high for e in m.fit.vector.entries)
+    return fitted(large) - fitted(small)
 
 
 def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
@@ -273,7 +280,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
                 for other, test in others
                 if other.added[-1].key not in gone
                 and len(other.fit.vector) < len(model.fit.vector)
-                and test.gain < criteria.gap
+                and test.gain < max(criteria.gap, criteria.size * _more(model, other))
             ]
             if not simpler:
                 break

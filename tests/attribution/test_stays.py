@@ -24,7 +24,9 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1):
     of: Any = lambda size: SimpleNamespace(
         fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2))
     )
-    problem: Any = SimpleNamespace(reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor))
+    problem: Any = SimpleNamespace(
+        reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor)
+    )
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
 
