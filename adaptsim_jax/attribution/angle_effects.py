@@ -25,8 +25,9 @@ def angle_friction(p, m):
     return Dry(_between(p, m.q))
 
 
-def _parameters(sign: int, least: float) -> tuple[Parameter, ...]:
-    nodes = [Parameter(f"at{k}", "N m", least, 1.0, 0.0, sign=sign, meaning=f"at node {k}") for k in range(NODES)]
+def _parameters() -> tuple[Parameter, ...]:
+    """A weak prior, so that a level which is the same everywhere is Coulomb's, and a node that no motion passes has none."""
+    nodes = [Parameter(f"at{k}", "N m", -1.0, 1.0, 0.0, meaning=f"at node {k}", prior=0.3) for k in range(NODES)]
     ends = [
         Parameter(name, "rad", -1e9, 1e9, at, None, held=True, meaning=f"angle of the {which} node; not fitted")
         for name, at, which in (("low", -1.0, "first"), ("high", 1.0, "last"))
@@ -40,13 +41,13 @@ def _range(reach, joint):
 
 BY_ANGLE: tuple[Effect, ...] = (
     Effect(
-        "angle_torque", "force", _parameters(0, -1.0), angle_torque,
+        "angle_torque", "force", _parameters(), angle_torque,
         "a torque that depends on the angle in a way of its own (a magnet, a cable, a cam)",
         "slow and fast passes over the whole range", ("cogging", "spring", "bias", "hard_stop"), contains=("cogging",),
         grid=_range, formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
     ),
     Effect(
-        "angle_friction", "force", _parameters(1, 0.0), angle_friction,
+        "angle_friction", "force", _parameters(), angle_friction,
         "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
         "reversals all over the range", ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
         contains=("stribeck",), grid=_range, formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",

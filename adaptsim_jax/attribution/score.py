@@ -66,18 +66,9 @@ def entries_of(
             start = off_value(problem, effect.name, p.name, j[0])
             low, high = min(e[0] for e in ends), max(e[1] for e in ends)
             low = 0.0 if p.sign > 0 else low
-            out.append(
-                Entry(
-                    effect.name,
-                    p.name,
-                    j,
-                    start,
-                    start,
-                    min(low, start),
-                    high + start,
-                    unit_at(p.unit, problem.kinds[j[0]]),
-                )
-            )
+            prior = p.prior * max(e[1] for e in ends) / p.high
+            unit = unit_at(p.unit, problem.kinds[j[0]])
+            out.append(Entry(effect.name, p.name, j, start, start, min(low, start), high + start, unit, prior))
     return tuple(out)
 
 

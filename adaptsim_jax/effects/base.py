@@ -43,7 +43,7 @@ class Parameter:
     serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1 where only positive values are that
     effect. A `held` shape is chosen on the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is
     `default` there. `meaning`: what it is, where its name does not say. A `late` one stays at its default until its effect has
-    been found (`sysid/select/nested.py`).
+    been found (`sysid/select/nested.py`). `prior`: standard deviation about none of it, scaled as the bounds are (of mechanisms).
     """
 
     name: str
@@ -58,6 +58,7 @@ class Parameter:
     optional: bool = False
     meaning: str = ""
     late: bool = False
+    prior: float = float("inf")
 
     def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s, `speed` rad/s, those of what makes
