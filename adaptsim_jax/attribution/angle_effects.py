@@ -44,12 +44,12 @@ BY_ANGLE: tuple[Effect, ...] = (
         "angle_torque", "force", _parameters(), angle_torque,
         "a torque that depends on the angle in a way of its own (a magnet, a cable, a cam)",
         "slow and fast passes over the whole range", ("cogging", "spring", "bias", "hard_stop"), contains=("cogging",),
-        grid=_range, formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
+        grid=_range, describes=True, formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
     ),
     Effect(
         "angle_friction", "force", _parameters(), angle_friction,
         "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
         "reversals all over the range", ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
-        contains=("stribeck",), grid=_range, formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
+        contains=("stribeck",), grid=_range, describes=True, formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
     ),
 )  # fmt: skip

@@ -12,6 +12,7 @@ class Criteria:
         that are in the model).
     size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming.
     worth: least share of the squared error of some joint's angles (at least of the noise floor's square) that an effect must take off.
+    described: the same of an effect that is no law but describes one (a torque that depends on the angle in any way).
     gap: share of the loss by which an alternative may be worse and still be told as doing as well; of mechanisms one with fewer
         parameters then has the name.
     alike: share of what an effect gains (in logarithms) by which an alternative may be worse all the same.
@@ -37,6 +38,7 @@ class Criteria:
     confidence: float = 0.05
     size: float = 0.01
     worth: float = 0.1
+    described: float = 0.5
     gap: float = 0.02
     alike: float = 0.1
     steady: float = 3.0

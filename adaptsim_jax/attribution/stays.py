@@ -29,9 +29,15 @@ def why_not(
         return f"changes what the model file declares by less than {100 * criteria.least_change:.0f} %"
     if eased(problem, less, model) < 0.0:
         return "the simulated angles do not come nearer to the measured ones"
-    if worth(problem, less, model) < criteria.worth:
-        return f"takes less than {100 * criteria.worth:.0f} % off the squared error of any joint's simulated angles"
+    least = least_worth(problem, c, criteria)
+    if worth(problem, less, model) < least:
+        return f"takes less than {100 * least:.0f} % off the squared error of any joint's simulated angles"
     return ""
+
+
+def least_worth(problem: Problem, c: Candidate, criteria: Criteria) -> float:
+    """What `worth` an effect must have: more where it is no law."""
+    return criteria.described if problem.effect(c.effect).describes else criteria.worth
 
 
 def worth(problem: Problem, less: Model, model: Model) -> float:

@@ -158,6 +158,7 @@ class Effect:
     this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
     `pair`: its force is on the joint and on the one before it, too. `carried`: a measurement effect that is also given the torque
     [N m] which the joint's drive carries, `apply(p, t, q, v, first, torque)`.
+    `describes`: it is no law but a form that fits many (of mechanisms it must take off `Criteria.described`).
     `formula`: the physics in a line, for people.
     """
 
@@ -176,6 +177,7 @@ class Effect:
     clocked: bool = False
     pair: bool = False
     carried: bool = False
+    describes: bool = False
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = field(
         default=None,
