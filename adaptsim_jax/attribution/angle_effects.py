@@ -50,6 +50,7 @@ BY_ANGLE: tuple[Effect, ...] = (
         "angle_friction", "force", _parameters(), angle_friction,
         "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
         "reversals all over the range", ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
-        contains=("stribeck",), grid=_range, describes=True, formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
+        contains=("stribeck",), grid=_range, describes=True,
+        formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
     ),
 )  # fmt: skip

@@ -25,7 +25,11 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, describes=
         fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2))
     )
     problem: Any = SimpleNamespace(
-        reach=SimpleNamespace(dt=DT), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor)
+        reach=SimpleNamespace(dt=DT),
+        fold=np.zeros(8, int),
+        joints=1,
+        floor=np.full(2, floor),
+        effect=lambda name: SimpleNamespace(describes=describes),
     )
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
