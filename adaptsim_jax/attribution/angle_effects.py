@@ -1,7 +1,7 @@
 """Torque and dry friction that depend on the joint's angle in whatever way: linear between nodes over the range of motion.
 
 What no law of the catalogue describes (a magnet, a cable, a cam, a worn spot) would otherwise be given the name of the law that is
-least unlike it. A law with fewer parameters has the name wherever it predicts as well.
+least unlike it. They are tried once no law holds out any more; a law with fewer parameters has the name wherever it does as well.
 """
 
 import jax.numpy as jnp
@@ -43,14 +43,14 @@ BY_ANGLE: tuple[Effect, ...] = (
     Effect(
         "angle_torque", "force", _parameters(), angle_torque,
         "a torque that depends on the angle in a way of its own (a magnet, a cable, a cam)",
-        "slow and fast passes over the whole range", ("cogging", "spring", "bias", "hard_stop"), contains=("cogging",),
-        grid=_range, describes=True, formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
+        "slow and fast passes over the whole range", ("cogging", "spring", "bias", "hard_stop"), grid=_range,
+        describes=True, formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
     ),
     Effect(
         "angle_friction", "force", _parameters(), angle_friction,
         "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
         "reversals all over the range", ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
-        contains=("stribeck",), grid=_range, describes=True,
+        grid=_range, describes=True,
         formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
     ),
 )  # fmt: skip

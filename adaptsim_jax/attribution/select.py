@@ -26,7 +26,7 @@ from adaptsim_jax.attribution.held_out import (
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import between_rows, eased, least_worth, steadiness, why_not, worth
+from adaptsim_jax.attribution.stays import between_rows, eased, steadiness, why_not
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 
@@ -82,8 +82,10 @@ def select(
     stages = [first]
     scores = opening = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
     while len(base.added) < criteria.most_effects:
-        better = _forward(problem, base, scores, reach, criteria, trace, say)
+        laws, forms = ([s for s in scores if problem.effect(s.candidate.effect).describes is k] for k in (False, True))
+        better = _forward(problem, base, laws, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
+        better = better or _forward(problem, base, forms, reach, criteria, trace, say)
         if better is None:
             break
         base = better
@@ -130,11 +132,7 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     """The best candidate that gains held out, fitted; None where none does."""
     family = max(len(scores), 1)
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
-    useful = lambda m: worth(problem, base, m) >= least_worth(problem, m.added[-1], criteria)
-    describes = lambda m: problem.effect(m.added[-1].effect).describes
-    good = lambda m, test: (
-        test.gain > criteria.size and test.better > 0.5 * test.folds and (useful(m) or not describes(m))
-    )
+    good = lambda model, test: test.gain > criteria.size and test.better > 0.5 * test.folds
     begun = _begun(problem, base, reach, hopeful[: 2 * criteria.tried])
     # half by what they gain at first order, half by what a step leaves
     first = criteria.tried // 2
