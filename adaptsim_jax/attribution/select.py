@@ -303,8 +303,11 @@ def look_alikes(
     problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
 ) -> list[tuple[Model, Test]]:
     """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
-    those that gain most without it, and of those that it is mistaken for."""
-    scores = table(problem, less.lin, candidates(problem, less.fit.vector, reach))
+    those that gain most without it, and of those that it is mistaken for. What describes without a law is no rival of one: it does
+    nearly as well as most."""
+    law = not problem.effect(c.effect).describes
+    every = candidates(problem, less.fit.vector, reach)
+    scores = table(problem, less.lin, [k for k in every if not (law and problem.effect(k.effect).describes)])
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
     rivals = [
