@@ -80,19 +80,27 @@ def select(
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     trace: list[Step] = []
     stages = [first]
-    scores = opening = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
+    opening = scored(problem, base, reach, True) + scored(problem, base, reach, False)
+    scores = [s for s in opening if not problem.effect(s.candidate.effect).describes]
     while len(base.added) < criteria.most_effects:
-        laws, forms = ([s for s in scores if problem.effect(s.candidate.effect).describes is k] for k in (False, True))
-        better = _forward(problem, base, laws, reach, criteria, trace, say)
+        better = _forward(problem, base, scores, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
-        better = better or _forward(problem, base, forms, reach, criteria, trace, say)
+        if better is None:  # no law holds out any more: what only describes
+            better = _forward(problem, base, scored(problem, base, reach, False), reach, criteria, trace, say)
         if better is None:
             break
         base = better
         stages.append(base)
-        scores = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
+        scores = scored(problem, base, reach, True)
     final, named = judged(problem, base, reach, criteria, trace, say)
+    opening = sorted(opening, key=lambda s: -s.held_out)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
+
+
+def scored(problem: Problem, model: Model, reach: Reach, laws: bool) -> list[Score]:
+    """Scores of all candidates that are laws, or of those that only describe."""
+    every = candidates(problem, model.fit.vector, reach)
+    return table(problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws])
 
 
 def declared(problem: Problem, null: Vector, criteria: Criteria) -> Model:
@@ -305,9 +313,9 @@ def look_alikes(
     """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
     those that gain most without it, and of those that it is mistaken for. What describes without a law is no rival of one: it does
     nearly as well as most."""
-    law = not problem.effect(c.effect).describes
-    every = candidates(problem, less.fit.vector, reach)
-    scores = table(problem, less.lin, [k for k in every if not (law and problem.effect(k.effect).describes)])
+    scores = scored(problem, less, reach, True)
+    if problem.effect(c.effect).describes:
+        scores += scored(problem, less, reach, False)
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
     rivals = [
