@@ -315,7 +315,7 @@ def look_alikes(
     nearly as well as most."""
     scores = scored(problem, less, reach, True)
     if problem.effect(c.effect).describes:
-        scores += scored(problem, less, reach, False)
+        scores = sorted(scores + scored(problem, less, reach, False), key=lambda s: -s.held_out)
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
     rivals = [
