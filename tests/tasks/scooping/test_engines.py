@@ -120,14 +120,14 @@ def test_a_batch_of_the_wrong_shape_is_refused(ours):
 
 
 def test_drake_agrees_with_itself_about_as_much_as_with_us(found):
-    """Over 200 trials 0.85 end alike, two meshes of Drake 0.91 (docs/results/scooping.md). Which ones is chaos, other on another
-    processor: of so few, two in three or more with a probability of 0.999 where 0.85 do."""
+    """Three in four end alike at least (over 200 it is more, docs/results/scooping.md). Which ones do is chaos, other on another
+    processor, so that twelve are too few."""
     pytest.importorskip("pydrake")
     params, actions, out = (x[:COUNT] if i < 2 else x for i, x in enumerate(found))
     theirs = backends.make_backend("drake").simulate(params, actions, np.zeros((COUNT, 2)))
     assert not theirs.code.any()
     alike = interface.outcome(theirs.state)[0] == interface.outcome(out.state[:COUNT])[0]
-    assert alike.mean() >= 2 / 3
+    assert alike.mean() >= 0.75
     # before the blade comes, as deep in the table: cylinders to microns, ellipsoids by the 0.1 mm that Drake's mesh of flat
     # facets lies inside of them; and the tip is where it was told to be throughout
     gap, flat = np.abs(theirs.state[:12, :6, [0, 2]] - out.state[:12, :6, [0, 2]]).max((1, 2)), params[:12, 2] == 1
