@@ -10,7 +10,8 @@ class Criteria:
     alpha: family-wise level of the score test over all candidates, which lets one be tried.
     confidence: level of the paired test over left-out blocks by which each effect stays (short trials, such as pushes: Holm over those
         that are in the model).
-    size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming.
+    size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming. Of
+        mechanisms also what each parameter that a model has more must take off.
     worth: least share of the squared error of some joint's angles (at least of the noise floor's square) that an effect must take off.
     described: the same of an effect that is no law but describes one (a torque that depends on the angle in any way).
     gap: share of the loss by which an alternative may be worse and still be told as doing as well; of mechanisms one with fewer

@@ -85,14 +85,15 @@ def _start(group: Group, values: Values, x: np.ndarray) -> np.ndarray:
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:
     """Simulated paths by group."""
-    return simulated(ready(problem, vector), starts)
+    made = ready(problem, vector)
+    return simulated(made, widened(made, starts))
 
 
 def simulated(made: Sequence[Ready], starts: Sequence[np.ndarray]) -> list[Path]:
-    """Simulated paths by group, from starts as `widened` has them or without what drives give."""
+    """Simulated paths by group, from starts as `widened` has them."""
     out = []
     with jax.enable_x64(True):
-        for (group, _, values, how), start in zip(made, widened(made, starts), strict=True):
+        for (group, _, values, how), start in zip(made, starts, strict=True):
             s = group.stretches
             path = simulate(group.model, values, s.time, s.stamp, s.command, start, how)
             out.append(Path(*(np.asarray(z) for z in path)))
