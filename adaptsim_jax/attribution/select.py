@@ -80,20 +80,21 @@ def select(
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     trace: list[Step] = []
     stages = [first]
-    opening = scored(problem, base, reach, True) + scored(problem, base, reach, False)
-    scores = [s for s in opening if not problem.effect(s.candidate.effect).describes]
+    scores, forms = (scored(problem, base, reach, laws) for laws in (True, False))
+    opening = sorted(scores + forms, key=lambda s: -s.held_out)
+    family = max(len(opening), 1)
     while len(base.added) < criteria.most_effects:
-        better = _forward(problem, base, scores, reach, criteria, trace, say)
+        better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
         if better is None:  # no law holds out any more: what only describes
-            better = _forward(problem, base, scored(problem, base, reach, False), reach, criteria, trace, say)
+            forms = forms if base is first else scored(problem, base, reach, False)
+            better = _forward(problem, base, forms, family, reach, criteria, trace, say)
         if better is None:
             break
         base = better
         stages.append(base)
         scores = scored(problem, base, reach, True)
     final, named = judged(problem, base, reach, criteria, trace, say)
-    opening = sorted(opening, key=lambda s: -s.held_out)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
 
 
@@ -136,9 +137,8 @@ def select_shorter(
     return replace(near, null=found.null, final=final, stages=(found.null,), shorter=True)
 
 
-def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say) -> Model | None:
-    """The best candidate that gains held out, fitted; None where none does."""
-    family = max(len(scores), 1)
+def _forward(problem, base: Model, scores, family: int, reach, criteria: Criteria, trace, say) -> Model | None:
+    """The best candidate that gains held out, fitted; None where none does. family: how many candidates there are in all."""
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
     good = lambda model, test: test.gain > criteria.size and test.better > 0.5 * test.folds
     begun = _begun(problem, base, reach, hopeful[: 2 * criteria.tried])
@@ -149,7 +149,7 @@ def _forward(problem, base: Model, scores, reach, criteria: Criteria, trace, say
     begun += _begun(problem, base, reach, _larger(problem, scores, [b[0] for b in begun]))
     best = _best(problem, base, begun, good, criteria, trace, say)
     if best is None:
-        why = f"{len(hopeful)} of {family} candidates pass the score test, none holds out"
+        why = f"{len(hopeful)} of {len(scores)} candidates pass the score test, none holds out"
         trace.append(Step("ended", None, None, None, why))
     return best
 
