@@ -10,26 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.estimate import (
-    WILD,
-    Fit,
-    Linear,
-    Normal,
-    Weights,
-    bounded_step,
-    candidate_columns,
-    fit,
-    linear,
-    losses,
-    normal,
-    padded_fold,
-    settled,
-    start_steps,
-)
+from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_steps
+from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
 from adaptsim_jax.attribution.problem import Problem, blocks_of
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
+from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
 from adaptsim_jax.effects.base import Effect, Reach
 
 ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothing

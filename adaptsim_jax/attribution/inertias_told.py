@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.estimate import normal
 from adaptsim_jax.attribution.held_out import Model
+from adaptsim_jax.attribution.linear import normal
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import ETA, INERTIA
 from adaptsim_jax.attribution.problem import Problem

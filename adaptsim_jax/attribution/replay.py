@@ -13,12 +13,14 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import check_conventions
-from adaptsim_jax.attribution.estimate import Fit, Weights, linear, losses, refitted_start
+from adaptsim_jax.attribution.estimate import refitted_start
+from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, run, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import Problem, prepare
+from adaptsim_jax.attribution.weights import Fit, Weights, losses
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED
 

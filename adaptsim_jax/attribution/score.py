@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
-from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
+from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, Entry, Vector, inertia_entries
 from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
@@ -194,8 +194,8 @@ class _Sums:
         shared = lin.shared[0].shape[2]
         hess = np.zeros((shared, shared))
         for r, x, s in zip(lin.residual, lin.start, lin.shared, strict=True):
-            live = np.flatnonzero(np.any(s != 0.0, axis=(0, 1)))
-            rp, sp = project(x, r[..., None], s[..., live])
+            live = np.flatnonzero(np.any(s, axis=(0, 1)))
+            rp, sp = project(x, r[..., None], s if len(live) == shared else s[..., live])
             flat = rows(sp)
             hess[np.ix_(live, live)] += flat.T @ flat
             self.kept.append((rp, sp, x, live))
@@ -212,8 +212,8 @@ class _Sums:
         mixed = np.zeros((self.inverse.shape[0], count))
         freed = []
         for c, (_, sp, x, live) in zip(blocks, self.kept, strict=True):
-            own = np.flatnonzero(np.any(c != 0.0, axis=(0, 1)))
-            cp = project(x, c[..., own])[0]
+            own = np.flatnonzero(np.any(c, axis=(0, 1)))
+            cp = project(x, c if len(own) == count else c[..., own])[0]
             freed.append((cp, own))
             mixed[np.ix_(live, own)] += rows(sp).T @ rows(cp)
         share = self.inverse @ mixed

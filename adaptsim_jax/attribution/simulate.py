@@ -282,21 +282,29 @@ def with_drives(model: Model, values: Values, time, stamp, command, x0, past: in
     return drives.at_rest(model, values, x0, u[0], time[0])
 
 
-def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray, joints: int) -> np.ndarray:
-    """Change of what is logged [W, L+1, 2n, K] under force columns [W, L, F, K]; slopes [W, L, S, S] and [W, L, S, F] of S states, of
-    which the first are angles and speeds."""
-    width, rows, _, count = force.shape
-    out = np.zeros((width, rows + 1, by_state.shape[2], count))
-    for k in range(rows):
-        out[:, k + 1] = by_state[:, k] @ out[:, k] + by_force[:, k] @ force[:, k]
-    return out[:, :, : 2 * joints]
+def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray, rows, channels) -> np.ndarray:
+    """Change of what is logged [W, T, C, K] at some rows, in some channels, under force columns [W, L, F, K]; slopes [W, L, S, S] and
+    [W, L, S, F] of S states, of which the first are angles and speeds."""
+    width, count, _, columns = force.shape
+    out = np.zeros((width, len(rows), len(channels), columns))
+    place = {int(row): i for i, row in enumerate(rows)}
+    now = np.zeros((width, by_state.shape[2], columns))
+    for k in range(count):
+        now = by_state[:, k] @ now + by_force[:, k] @ force[:, k]
+        if k + 1 in place:
+            out[:, place[k + 1]] = now[:, channels]
+    return out
 
 
-def responded_start(by_state: np.ndarray, joints: int, starts: int) -> np.ndarray:
-    """Change of what is logged [W, L+1, 2n, starts] with the start, of the first states."""
-    width, rows, states, _ = by_state.shape
-    out = np.zeros((width, rows + 1, states, starts))
-    out[:, 0] = np.eye(states)[:, :starts]
-    for k in range(rows):
-        out[:, k + 1] = by_state[:, k] @ out[:, k]
-    return out[:, :, : 2 * joints]
+def responded_start(by_state: np.ndarray, starts: int, rows, channels) -> np.ndarray:
+    """The same [W, T, C, starts] under a change of the start, of the first states."""
+    width, count, states, _ = by_state.shape
+    out = np.zeros((width, len(rows), len(channels), starts))
+    place = {int(row): i for i, row in enumerate(rows)}
+    now = np.broadcast_to(np.eye(states)[:, :starts], (width, states, starts))
+    for k in range(count + 1):
+        if k in place:
+            out[:, place[k]] = now[:, channels]
+        if k < count:
+            now = by_state[:, k] @ now
+    return out

@@ -7,12 +7,14 @@ import pytest
 from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.estimate import Fit, _without_lost, bounded_step, linear, weigh
+from adaptsim_jax.attribution.estimate import bounded_step
+from adaptsim_jax.attribution.linear import _without_lost, linear
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
 from adaptsim_jax.attribution.score import candidates, score_p
 from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.weights import Fit, weigh
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>
@@ -51,11 +53,7 @@ def test_columns_are_those_of_differences(fitted, name):
         one = fit.vector.with_entries([entry])
         at = lambda value, one=one: run(problem, one.at(np.append(fit.vector.values, value)), fit.starts)[0].sensed
         lin = linear(problem, replace(fit, vector=one))
-        weight = fit.weights.channel * np.sqrt(fit.weights.stretch)[:, None, None]
-        s = problem.groups[0].stretches
-        seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)[:, lin.picked]
-        differences = ((at(1e-5) - at(-1e-5)) / 2e-5).transpose(2, 0, 1)[:, lin.picked] * weight * seen
-        flat = differences.reshape(len(differences), -1)
+        flat = lin.counted[0].flat(((at(1e-5) - at(-1e-5)) / 2e-5).transpose(2, 0, 1))
         assert np.linalg.norm(flat) > 0.0
         # a force is taken as held over a row, which makes a per cent under a stiff controller
         assert np.linalg.norm(lin.shared[0][:, :, -1] - flat) < 0.03 * np.linalg.norm(flat)

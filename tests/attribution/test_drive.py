@@ -8,13 +8,15 @@ import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.estimate import Fit, fit, linear, losses, weigh
+from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import modelled
+from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import ready, residuals, run, starts_of, widened
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
 from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.weights import Fit, losses, weigh
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><option timestep="0.0002" integrator="RK4"/><worldbody><body><joint name="arm" axis="0 0 1" damping="0.02"
@@ -82,7 +84,7 @@ def test_derivatives_are_those_of_the_simulation(tmp_path):
     (path,) = run(problem, vector, (start,))
     weights = replace(weigh(problem, [path]), channel=np.ones(4), stretch=np.ones(start.shape[1]))
     lin = linear(problem, Fit(vector, (start,), weights, losses(problem, [path], weights), "", 0))
-    off = lambda v, s: residuals(problem.groups[0], run(problem, v, (s,))[0])[:, lin.picked].reshape(start.shape[1], -1)
+    off = lambda v, s: lin.counted[0].flat(residuals(problem.groups[0], run(problem, v, (s,))[0]))
     for k in range(len(start)):
         step = 1e-6 * (np.arange(len(start)) == k)[:, None]
         slope = (off(vector, start - step) - off(vector, start + step)) / 2e-6

@@ -1,0 +1,148 @@
+"""Simulated stretches linearised: how what is logged changes with the starts, with the parameters and with candidates.
+
+Starts are eliminated stretch by stretch (variable projection; Golub and Pereyra, 1973).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.attribution.columns import Columns, Shapes
+from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.paths import ready, residuals, widened
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
+from adaptsim_jax.attribution.weights import Counted, Fit, counted
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A fit linearised. By group: residual [W, R], start and parameter columns [W, R, 2n], [W, R, P]; weights in all of them."""
+
+    fit: Fit
+    residual: tuple[np.ndarray, ...]
+    start: tuple[np.ndarray, ...]
+    shared: tuple[np.ndarray, ...]
+    paths: tuple[Columns, ...]
+    slopes: tuple[tuple[np.ndarray, np.ndarray], ...]
+    counted: tuple[Counted, ...]
+
+
+def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -> Linear:
+    """Linearise a fit, by the starts and by `entries` (those of its vector where None)."""
+    entries = fit.vector.entries if entries is None else entries
+    residual, start, shared, columns, slopes, sums = [], [], [], [], [], []
+    with jax.enable_x64(True):
+        made = ready(problem, fit.vector)
+        for (group, values, _, how), x0 in zip(made, widened(made, fit.starts), strict=True):
+            s = group.stretches
+            path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
+            path = Path(*(np.asarray(z) for z in path))
+            by_state, by_force = (np.array(np.asarray(z).transpose(3, 0, 1, 2), order="C") for z in (a, f))
+            slope = (by_state, by_force)
+            own = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
+            mine = counted(problem, group, fit.weights)
+            residual.append(mine.flat(residuals(group, path)))
+            n, g = len(group.joints), how.giving
+            free = np.concatenate([np.arange(2 * n), 2 * n + g, 3 * n + g])
+            by_start = np.zeros((*residual[-1].shape, len(x0)))
+            by_start[..., free] = mine.weigh(responded_start(by_state, len(free), mine.rows, mine.channels))
+            start.append(by_start)
+            columns.append(own)
+            slopes.append(slope)
+            sums.append(mine)
+            shared.append(_output(own, slope, [(e, None) for e in entries], mine))
+            _without_lost(residual[-1], start[-1], shared[-1], *slope)
+    return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), tuple(sums))
+
+
+def _without_lost(*by_lane: np.ndarray) -> None:
+    """Stretches [W, ...] that ran away beyond all numbers say nothing of where to go: their rows become zero, in place."""
+    lost = ~np.all([np.isfinite(z).reshape(len(z), -1).all(1) for z in by_lane], 0)
+    for z in by_lane if lost.any() else ():
+        z[lost] = 0.0
+
+
+def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: Counted) -> np.ndarray:
+    """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
+    own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
+    out = np.zeros((len(mine.weight), mine.weight[0].size, len(entries)))
+    for first in range(0, len(own), 48):
+        some = own[first : first + 48]
+        force, output = made.stack([entries[k] for k in some])
+        y = respond(*slope, force, mine.rows, mine.channels)
+        if output is not None:
+            y += mine.pick(output)
+        whole = some == list(range(some[0], some[0] + len(some)))  # neighbours, as with one group all are
+        out[..., slice(some[0], some[0] + len(some)) if whole else some] = mine.weigh(y)
+    return out
+
+
+def candidate_columns(
+    problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
+) -> list[np.ndarray]:
+    """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`. Those of drives that would give are freed of
+    how these swing from a start that nobody knows."""
+    out = []
+    for group, made, slope, start, mine in zip(
+        problem.groups, lin.paths, lin.slopes, lin.start, lin.counted, strict=True
+    ):
+        columns = _output(made, slope, list(entries), mine)
+        for k, (e, shape) in enumerate(entries):
+            effect = problem.effect(e.owner)
+            if effect.place == "drive" and e.name in (shape or {}) and e.joints[0] in group.joints:
+                at = [group.joints.index(e.joints[0]) + n for n in (0, made.n)]
+                swings = np.zeros((len(start), made.path.x.shape[0], 2 * made.n, 2))
+                swings[:, :, at] = made.alone(effect, e.name, shape)[1:, :, at].transpose(3, 1, 2, 0)
+                both = np.concatenate([start, mine.flat(swings)], 2)
+                columns[..., k : k + 1] = project(both, columns[..., k : k + 1])[0]
+        out.append(columns)
+    return out
+
+
+def project(start: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
+    """Columns [W, R, .] less what the free starts explain of them."""
+    scale = np.sqrt(np.square(start).sum(1, keepdims=True))
+    q, r = np.linalg.qr(start / np.where(scale > 0, scale, 1.0))
+    good = (np.abs(np.diagonal(r, axis1=1, axis2=2)) > 1e-9)[:, None, :]
+    q = q * good
+    return [c - q @ (np.swapaxes(q, 1, 2) @ c) for c in columns]
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations by fold: hess [F, P, P], slope [F, P]; of the shared parameters with starts eliminated."""
+
+    hess: np.ndarray
+    slope: np.ndarray
+
+
+def normal(problem: Problem, residual: Sequence[np.ndarray], start, shared) -> Normal:
+    """Summed over groups, by fold."""
+    count, folds = shared[0].shape[2], len(problem.folds)
+    hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
+    for r, x, s in zip(residual, start, shared, strict=True):
+        live = np.flatnonzero(np.any(s, axis=(0, 1)))
+        rp, sp = project(x, r[..., None], s if len(live) == count else s[..., live])
+        fold = padded_fold(problem, len(r))
+        for k in range(folds):
+            mine = rows(sp[fold == k])
+            hess[k][np.ix_(live, live)] += mine.T @ mine
+            slope[k][live] += mine.T @ rp[fold == k].reshape(-1)
+    return Normal(hess, slope)
+
+
+def rows(columns: np.ndarray) -> np.ndarray:
+    """[W, R, K] as [W R, K]."""
+    return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
+
+
+def padded_fold(problem: Problem, width: int) -> np.ndarray:
+    return (
+        np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
+        if width > len(problem.fold)
+        else problem.fold
+    )
