@@ -25,6 +25,7 @@ class Criteria:
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they gain); the best is fitted whole.
+    apart: share of the held-out loss by which a model that is only compared must be worse for its fit to end early.
     explained: held-out error over the noise floor up to which nothing is left to explain.
     quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0: always goes on.
     beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take off of the squared error
@@ -50,6 +51,7 @@ class Criteria:
     tried: int = 4
     rounds: int = 12
     glance: int = 2
+    apart: float = 0.3
     explained: float = 1.5
     quiet: float = 0.0
     beyond: float = 0.0

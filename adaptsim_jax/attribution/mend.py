@@ -1,5 +1,7 @@
 """What a fitted model changes in the user's model file, and what the file cannot hold."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import Criteria
@@ -35,7 +37,7 @@ def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Cri
     alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
         if not _holds(machine, model, c):
-            model = without(problem, model, c, criteria.rounds)
+            model = without(problem, model, c, replace(criteria, apart=1.0))
             level = lambda k, c=c: (
                 c.effect in DRY and k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"
             )

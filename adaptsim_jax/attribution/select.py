@@ -27,6 +27,7 @@ from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import between_rows, eased, steadiness, why_not
+from adaptsim_jax.attribution.weights import Fit
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 
@@ -140,7 +141,9 @@ def select_shorter(
 def _forward(problem, base: Model, scores, family: int, reach, criteria: Criteria, trace, say) -> Model | None:
     """The best candidate that gains held out, fitted; None where none does. family: how many candidates there are in all."""
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
-    good = lambda model, test: test.gain > criteria.size and test.better > 0.5 * test.folds
+    good = lambda model, test: (
+        test.gain > criteria.size and test.better > 0.5 * test.folds and test.p <= criteria.confidence
+    )
     begun = _begun(problem, base, reach, hopeful[: 2 * criteria.tried])
     # half by what they gain at first order, half by what a step leaves
     first = criteria.tried // 2
@@ -248,12 +251,28 @@ def _more(large: Model, small: Model) -> int:
     return fitted(large) - fitted(small)
 
 
-def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
+def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria) -> Model:
     """The model without one of its effects, refitted under the same weights."""
     keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
     vector = model.fit.vector.without(keys)
-    fitted = refit(problem, model.fit, vector, model.fit.starts, gone.joints, rounds, model.fit.weights)
-    return modelled(problem, [c for c in model.added if c is not gone], fitted, model.fit.weights)
+    less = tuple(c for c in model.added if c is not gone)
+    return compared(problem, model, less, model.fit, vector, model.fit.starts, gone.joints, criteria)
+
+
+def compared(
+    problem: Problem, model: Model, added, base: Fit, vector: Vector, starts, joints, criteria: Criteria
+) -> Model:
+    """Another model, refitted under the weights of `model` as far as it takes to compare them: to the end where it might do as
+    well."""
+    weights, most = model.fit.weights, criteria.rounds
+    fitted = refit(problem, base, vector, starts, joints, most, weights, 2 * criteria.glance)
+    other = modelled(problem, added, fitted, weights)
+    left = most - fitted.rounds
+    far = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart
+    if far or left <= 0 or fitted.code == "stuck":
+        return other
+    fitted = refit(problem, base, fitted.vector, fitted.starts, joints, left, weights)
+    return modelled(problem, added, fitted, weights)
 
 
 def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
@@ -264,7 +283,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
 
         def tested(c: Candidate, model=model) -> tuple[Candidate, Model, Test, float]:
             say(f"without {c.effect} at {_where(problem, c)}")
-            less = without(problem, model, c, criteria.rounds)
+            less = without(problem, model, c, criteria)
             return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
 
         tests = parallel_map(tested, model.added)
@@ -329,16 +348,14 @@ def look_alikes(
     def instead(score: Score) -> tuple[Model, Test]:
         say(f"{score.candidate.effect} in place of {c.effect}")
         touched = (*c.joints, *score.candidate.joints)
-        settle = lambda vector, starts: refit(
-            problem, less.fit, vector, starts, touched, criteria.rounds, model.fit.weights
-        )
+        added = (*less.added, score.candidate)
+        settle = lambda vector, starts: compared(problem, model, added, less.fit, vector, starts, touched, criteria)
         vector, starts, _ = attempted(problem, less, reach, score)
-        fitted = settle(vector, starts)
-        if fitted.code == "stuck":
+        other = settle(vector, starts)
+        if other.fit.code == "stuck":
             # what weighs after a good fit is a narrow valley from afar: first by weights of its own
             near = fit(problem, vector, starts, rounds=criteria.rounds)
-            fitted = min(fitted, settle(near.vector, near.starts), key=lambda f: f.total)
-        other = modelled(problem, (*less.added, score.candidate), fitted, model.fit.weights)
+            other = min(other, settle(near.vector, near.starts), key=lambda m: m.fit.total)
         return other, paired(problem, other.held.loss, model.held.loss)
 
     return [
