@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.backward import Named, Step, judged, more, scored, where
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
     Model,
-    Test,
     astray,
     attempted,
     evenly_weighted,
@@ -23,37 +23,14 @@ from adaptsim_jax.attribution.held_out import (
     placed,
     refit,
 )
-from adaptsim_jax.attribution.parameters import TILT, Vector
+from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import between_rows, eased, steadiness, why_not
-from adaptsim_jax.attribution.weights import Fit
+from adaptsim_jax.attribution.stays import eased
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit
-
-
-@dataclass(frozen=True)
-class Step:
-    """What the search did: action (added, refused, dropped, read, replaced, ended), candidate, its test, why."""
-
-    action: str
-    candidate: Candidate | None
-    score: Score | None
-    test: Test | None
-    why: str
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect that holds out. test: beside all others; alternatives: effects that do as well in its place; z: size over scatter."""
-
-    candidate: Candidate
-    test: Test
-    alternatives: tuple[Candidate, ...]
-    steady: float
-    p: float
 
 
 @dataclass(frozen=True)
@@ -97,12 +74,6 @@ def select(
         scores = scored(problem, base, reach, True)
     final, named = judged(problem, base, reach, criteria, trace, say)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
-
-
-def scored(problem: Problem, model: Model, reach: Reach, laws: bool) -> list[Score]:
-    """Scores of all candidates that are laws, or of those that only describe."""
-    every = candidates(problem, model.fit.vector, reach)
-    return table(problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws])
 
 
 def declared(problem: Problem, null: Vector, criteria: Criteria) -> Model:
@@ -199,7 +170,7 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
 
     def fitted(start) -> Model:
         score, vector, starts, _ = start
-        say(f"{score.candidate.effect} at {_where(problem, score.candidate)}")
+        say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
         whole = refit(
             problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance
         )
@@ -241,129 +212,5 @@ def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> 
     for each that it has more."""
     small, large = sorted((other, model), key=lambda m: len(m.fit.vector))
     test = paired(problem, small.held.loss, large.held.loss)
-    least = criteria.size * max(1, _more(large, small))
+    least = criteria.size * max(1, more(large, small))
     return (large if test.gain > least and test.p < criteria.confidence else small) is model
-
-
-def _more(large: Model, small: Model) -> int:
-    """Fitted parameters that one model has more than another."""
-    fitted = lambda m: sum(e.low < e.high for e in m.fit.vector.entries)
-    return fitted(large) - fitted(small)
-
-
-def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria) -> Model:
-    """The model without one of its effects, refitted under the same weights."""
-    keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
-    vector = model.fit.vector.without(keys)
-    less = tuple(c for c in model.added if c is not gone)
-    return compared(problem, model, less, model.fit, vector, model.fit.starts, gone.joints, criteria)
-
-
-def compared(
-    problem: Problem, model: Model, added, base: Fit, vector: Vector, starts, joints, criteria: Criteria
-) -> Model:
-    """Another model, refitted under the weights of `model` as far as it takes to compare them: to the end where it might do as
-    well."""
-    weights, most = model.fit.weights, criteria.rounds
-    fitted = refit(problem, base, vector, starts, joints, most, weights, 2 * criteria.glance)
-    other = modelled(problem, added, fitted, weights)
-    left = most - fitted.rounds
-    far = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart
-    if far or left <= 0 or fitted.code == "stuck":
-        return other
-    fitted = refit(problem, base, fitted.vector, fitted.starts, joints, left, weights)
-    return modelled(problem, added, fitted, weights)
-
-
-def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
-    """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes, of which
-    the simplest has the name."""
-    gone: set[tuple] = set()
-    while True:
-
-        def tested(c: Candidate, model=model) -> tuple[Candidate, Model, Test, float]:
-            say(f"without {c.effect} at {_where(problem, c)}")
-            less = without(problem, model, c, criteria)
-            return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
-
-        tests = parallel_map(tested, model.added)
-        failing, read = [], None
-        for c, less, test, steady in tests:
-            if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
-                read = c, test
-            elif why := why_not(problem, model, less, c, test, steady, criteria):
-                failing.append((test.gain, c, less, test, why))
-        if read:
-            c, test = read
-            trace.append(Step("read", c, None, test, "commands changed between rows: how they are read, not an effect"))
-            model = replace(model, added=tuple(k for k in model.added if k is not c))
-            continue
-        if failing:
-            _, c, less, test, why = min(failing, key=lambda f: f[0])
-            trace.append(Step("dropped", c, None, test, why))
-        else:
-            alike = [look_alikes(problem, model, less, c, reach, criteria, say) for c, less, _, _ in tests]
-            simpler = [
-                (c, other, test)
-                for (c, *_), others in zip(tests, alike, strict=True)
-                for other, test in others
-                if other.added[-1].key not in gone
-                and len(other.fit.vector) < len(model.fit.vector)
-                and test.gain < max(criteria.gap, criteria.size * _more(model, other))
-            ]
-            if not simpler:
-                break
-            c, less, test = min(simpler, key=lambda s: s[2].gain)
-            gone.add(c.key)
-            trace.append(
-                Step("replaced", c, None, test, f"{less.added[-1].effect} has fewer parameters and does as well")
-            )
-        own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
-        model = modelled(problem, less.added, own)
-    return model, tuple(
-        Named(c, test, tuple(other.added[-1] for other, _ in others), steady, test.p)
-        for (c, _, test, steady), others in zip(tests, alike, strict=True)
-    )
-
-
-def look_alikes(
-    problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
-) -> list[tuple[Model, Test]]:
-    """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
-    those that gain most without it, and of those that it is mistaken for. What describes without a law is no rival of one: it does
-    nearly as well as most."""
-    scores = scored(problem, less, reach, True)
-    if problem.effect(c.effect).describes:
-        scores = sorted(scores + scored(problem, less, reach, False), key=lambda s: -s.held_out)
-    own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
-    alike = problem.effect(c.effect).look_alikes
-    rivals = [
-        s for s in scores
-        if s.candidate.key != c.key and not (s.candidate.effect == c.effect and set(c.joints) & set(s.candidate.joints))
-        and s.held_out > (0.5 if s.candidate.effect in alike else 0.8) * own
-    ]  # fmt: skip
-    gained = paired(problem, less.held.loss, model.held.loss).gain
-    gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
-
-    def instead(score: Score) -> tuple[Model, Test]:
-        say(f"{score.candidate.effect} in place of {c.effect}")
-        touched = (*c.joints, *score.candidate.joints)
-        added = (*less.added, score.candidate)
-        settle = lambda vector, starts: compared(problem, model, added, less.fit, vector, starts, touched, criteria)
-        vector, starts, _ = attempted(problem, less, reach, score)
-        other = settle(vector, starts)
-        if other.fit.code == "stuck":
-            # what weighs after a good fit is a narrow valley from afar: first by weights of its own
-            near = fit(problem, vector, starts, rounds=criteria.rounds)
-            other = min(other, settle(near.vector, near.starts), key=lambda m: m.fit.total)
-        return other, paired(problem, other.held.loss, model.held.loss)
-
-    return [
-        (other, test)
-        for other, test in parallel_map(instead, rivals[:3])
-        if test.gain < gap or test.p > criteria.confidence
-    ]
-
-
-def _where(problem: Problem, c: Candidate) -> str:
-    return "base" if c.effect == TILT else ", ".join(problem.joint_names[j] for j in c.joints)

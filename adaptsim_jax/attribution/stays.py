@@ -1,4 +1,4 @@
-"""Whether an effect stays in the model, beside all others, and if not, why: the rules of `select.judged`."""
+"""Whether an effect stays in the model, beside all others, and if not, why: the rules of `backward.judged`."""
 
 import numpy as np
 

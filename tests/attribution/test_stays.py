@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.attribution.held_out import Test as Paired
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.select import Test as Paired
 from adaptsim_jax.attribution.stays import steadiness, why_not
 
 DT = 0.005  # s
