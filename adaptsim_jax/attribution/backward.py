@@ -9,7 +9,6 @@ from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
-from adaptsim_jax.attribution.weights import Fit
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
 
@@ -53,23 +52,23 @@ def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria)
     keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
     vector = model.fit.vector.without(keys)
     less = tuple(c for c in model.added if c is not gone)
-    return compared(problem, model, less, model.fit, vector, model.fit.starts, gone.joints, criteria)
+    return compared(problem, model, less, model, vector, model.fit.starts, gone.joints, criteria)
 
 
 def compared(
-    problem: Problem, model: Model, added, base: Fit, vector: Vector, starts, joints, criteria: Criteria
+    problem: Problem, model: Model, added, like: Model, vector: Vector, starts, joints, criteria: Criteria
 ) -> Model:
     """Another model, refitted under the weights of `model` as far as it takes to compare them: to the end where it might do as
-    well."""
+    well. like: one that is the same but at `joints`."""
     weights, most = model.fit.weights, criteria.rounds
-    fitted = refit(problem, base, vector, starts, joints, most, weights, 2 * criteria.glance)
-    other = modelled(problem, added, fitted, weights)
+    fitted = refit(problem, vector, starts, joints, most, weights, 2 * criteria.glance)
+    other = modelled(problem, added, fitted, weights, like)
     left = most - fitted.rounds
     far = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart
     if far or left <= 0 or fitted.code == "stuck":
         return other
-    fitted = refit(problem, base, fitted.vector, fitted.starts, joints, left, weights)
-    return modelled(problem, added, fitted, weights)
+    fitted = refit(problem, fitted.vector, fitted.starts, joints, left, weights)
+    return modelled(problem, added, fitted, weights, like)
 
 
 def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
@@ -146,7 +145,7 @@ def look_alikes(
         say(f"{score.candidate.effect} in place of {c.effect}")
         touched = (*c.joints, *score.candidate.joints)
         added = (*less.added, score.candidate)
-        settle = lambda vector, starts: compared(problem, model, added, less.fit, vector, starts, touched, criteria)
+        settle = lambda vector, starts: compared(problem, model, added, less, vector, starts, touched, criteria)
         vector, starts, _ = attempted(problem, less, reach, score)
         other = settle(vector, starts)
         if other.fit.code == "stuck":

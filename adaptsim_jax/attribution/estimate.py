@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import Fit, Weights, losses, weigh
+from adaptsim_jax.attribution.weights import Fit, Weights, group_losses, losses, weigh
 
 CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
 GOING_ON = 0.03  # the same of a fit that is only to be compared
@@ -87,33 +87,32 @@ def settled(
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, list[Path]]:
     """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better, refined `refine` times by least
     squares with the derivatives of `lin`. A stretch that sticks and slips need not follow them: no step is taken on trust."""
-    best: list = []
     made = ready(problem, vector, rows)
+    best: list = []  # by group: starts, loss, path
 
     def offer(starts: Sequence[np.ndarray]) -> None:
         starts = widened(made, starts)
         paths = simulated(made, starts)
-        loss = losses(problem, paths, lin.fit.weights)
-        if not best:
-            best[:] = [tuple(starts), loss, paths]
-            return
-        good = loss < best[1]
-        pick = lambda a, b: np.where(good, a, b)
-        best[0] = tuple(pick(a, b) for a, b in zip(starts, best[0], strict=True))
-        best[2] = [
-            Path(*(pick(a, b) for a, b in zip(new, old, strict=True))) for new, old in zip(paths, best[2], strict=True)
-        ]
-        best[1] = pick(loss, best[1])
+        new = list(zip(starts, group_losses(problem, paths, lin.fit.weights), paths, strict=True))
+        best[:] = [_better(*both) for both in zip(new, best, strict=True)] if best else new
 
     for starts in options:
         offer(starts)
     for _ in range(refine):
         moves = [
             refitted_start(x, mine.flat(residuals(g, p)))
-            for g, p, x, mine in zip(problem.groups, best[2], lin.start, lin.counted, strict=True)
+            for g, (_, _, p), x, mine in zip(problem.groups, best, lin.start, lin.counted, strict=True)
         ]
-        offer([x + _as_long(d, len(x)) for x, d in zip(best[0], moves, strict=True)])
-    return best[0], best[1], best[2]
+        offer([x + _as_long(d, len(x)) for (x, _, _), d in zip(best, moves, strict=True)])
+    starts, loss, paths = zip(*best, strict=True)
+    return starts, np.sum(loss, 0), list(paths)
+
+
+def _better(new: tuple, old: tuple) -> tuple:
+    """Starts [2n, W], loss [W] and path of two simulations of a group, stretch by stretch those with less loss."""
+    good = new[1] < old[1]
+    pick = lambda a, b: np.where(good, a, b)
+    return pick(new[0], old[0]), pick(new[1], old[1]), Path(*(pick(a, b) for a, b in zip(new[2], old[2], strict=True)))
 
 
 def fit(

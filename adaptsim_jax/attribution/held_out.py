@@ -9,13 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.apart import apart, linear_part, part_of, touched
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_steps
-from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold
+from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold, unchanged
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
 from adaptsim_jax.attribution.problem import Problem, blocks_of
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
+from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
 from adaptsim_jax.effects.base import Effect, Reach
 
@@ -27,12 +29,13 @@ EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 @dataclass(frozen=True)
 class HeldOut:
     """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over a stretch), parameters [F, P];
-    normal equations by fold."""
+    normal equations by fold; paths by group."""
 
     loss: np.ndarray
     squared: np.ndarray
     vectors: np.ndarray
     normal: Normal
+    paths: tuple[Path, ...]
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,13 @@ class Test:
     parts: int
 
 
-def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> HeldOut:
-    """Each fold predicted with parameters from the others."""
+def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like: Model | None = None) -> HeldOut:
+    """Each fold predicted with parameters from the others. like: a model whose predictions are taken for the groups of joints in
+    which it is the same."""
     now = lin.fit
     weights = now.weights if weights is None else weights
     n = normal(problem, lin.residual, lin.start, lin.shared)
-    hess, vector = n.hess.sum(0), now.vector
+    total, vector = n.hess.sum(0), now.vector
     inside = (vector.values > vector.low) & (vector.values < vector.high)
     # one step from the fit, which is taken for the best there is (a step that gained nothing, where dry friction bends the loss, no
     # fold takes either), or for what its slope says of it (a fit that a kink has stopped short): of both the shorter one. The prior
@@ -76,19 +80,29 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
     prior = vector.precision * (vector.values - vector.start)
     slopes = np.where(inside, 0.0, n.slope.sum(0)) + prior, n.slope.sum(0) + prior
     without = lambda slope: [
-        bounded_step(hess - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)
+        bounded_step(total - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)
     ]
     both = np.array([without(slope) for slope in slopes])
-    length = np.einsum("mfp,pq,mfq->mf", both, hess + np.diag(vector.precision), both)
-    steps = both[np.argmin(length, 0), np.arange(len(n.hess))]
+    hess, folds, steps = total + np.diag(vector.precision), np.arange(len(n.hess)), np.zeros_like(both[0])
+    for at in apart(problem, vector.entries):
+        length = np.einsum("mfp,pq,mfq->mf", both[..., at], hess[np.ix_(at, at)], both[..., at])
+        steps[:, at] = both[np.argmin(length, 0), folds][:, at]
     # of what no other fold has seen (a stop, an angle) nothing is known without it
     told = lambda h: np.diagonal(h) + vector.precision
-    alone = np.array([told(hess - h) < ALONE * told(hess) for h in n.hess])
+    alone = np.array([told(total - h) < ALONE * told(total) for h in n.hess])
     steps = np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
-    _, _, kept = settled(problem, lin, now.vector, (starts, now.starts), rows, refine=2)
+    same = [like is not None and unchanged(problem, k, now, like.fit) for k in range(len(problem.groups))]
+    some = [k for k, known in enumerate(same) if not known]
+    kept = list(like.held.paths) if like is not None else [None] * len(same)
+    if some:
+        part, own, at = part_of(problem, now.vector, some)
+        options = [[z[k] for k in some] for z in (starts, now.starts)]
+        paths = settled(part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2)[2]
+        for k, path in zip(some, paths, strict=True):
+            kept[k] = path
     loss = losses(problem, kept, weights)
     width, joints = len(loss), problem.joints
     squared = np.zeros((width, 2 * joints))
@@ -97,7 +111,7 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None) -> H
         seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
         j = np.array(group.joints)
         squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
-    return HeldOut(loss, squared, now.vector.values + steps, n)
+    return HeldOut(loss, squared, now.vector.values + steps, n, tuple(kept))
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
@@ -153,14 +167,17 @@ def sign_flip(d: np.ndarray) -> float:
     return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
 
 
-def modelled(problem: Problem, added: Sequence[Candidate], fitted: Fit, weights: Weights | None = None) -> Model:
-    lin = linear(problem, fitted)
-    return Model(tuple(added), fitted, lin, held_out(problem, lin, weights))
+def modelled(
+    problem: Problem, added: Sequence[Candidate], fitted: Fit, weights: Weights | None = None, like: Model | None = None
+) -> Model:
+    """A fit linearised and predicting. like: a model from which it differs in some groups of joints only: of the others its numbers
+    are taken."""
+    lin = linear(problem, fitted, like=like and like.lin)
+    return Model(tuple(added), fitted, lin, held_out(problem, lin, weights, like))
 
 
 def refit(
     problem: Problem,
-    base: Fit,
     vector: Vector,
     starts,
     joints: Sequence[int],
@@ -169,25 +186,14 @@ def refit(
     glance: int | None = None,
 ) -> Fit:
     """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
-    touched = [k for k, g in enumerate(problem.groups) if set(g.joints) & set(joints)]
-    owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
-    shared = any(len({owner[j] for j in e.joints}) > 1 for e in vector.entries)
-    if shared or weights is None or len(touched) == len(problem.groups):
+    some = touched(problem, vector.entries, joints)
+    if weights is None or len(some) == len(problem.groups):
         return fit(problem, vector, starts, rounds=rounds, weights=weights, glance=glance)
-    part = replace(problem, groups=tuple(problem.groups[k] for k in touched))
-    inside = {j for k in touched for j in problem.groups[k].joints}
-    at = [i for i, e in enumerate(vector.entries) if set(e.joints) <= inside]
-    local = fit(
-        part,
-        Vector(tuple(vector.entries[i] for i in at), vector.values[at]),
-        [starts[k] for k in touched],
-        rounds=rounds,
-        weights=weights,
-        glance=glance,
-    )
+    part, own, at = part_of(problem, vector, some)
+    local = fit(part, own, [starts[k] for k in some], rounds=rounds, weights=weights, glance=glance)
     values, starts = vector.values.copy(), list(starts)
     values[at] = local.vector.values
-    for k, x in zip(touched, local.starts, strict=True):
+    for k, x in zip(some, local.starts, strict=True):
         starts[k] = x
     whole = vector.at(values)
     loss = losses(problem, run(problem, whole, starts), weights)
@@ -200,6 +206,9 @@ Begun = tuple[Vector, tuple[np.ndarray, ...], np.ndarray]
 def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begun:
     """The base with a candidate added, one step on: vector, starts, and loss [W] of the best of a few lengths of the step."""
     c = score.candidate
+    some = touched(problem, (*base.fit.vector.entries, *c.entries), c.joints)
+    if len(some) < len(problem.groups):
+        return _attempted_apart(problem, base, reach, score, some)
     columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
     wide = replace(
         base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True))
@@ -223,6 +232,21 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begu
             break
     assert best is not None
     return best
+
+
+def _attempted_apart(problem: Problem, base: Model, reach: Reach, score: Score, some: Sequence[int]) -> Begun:
+    """The same in the groups that the candidate touches, the others being as they are."""
+    part, own, at = part_of(problem, base.fit.vector, some)
+    lin = linear_part(part, base.lin, own, at, some)
+    new, local, loss = attempted(part, replace(base, fit=lin.fit, lin=lin), reach, score)
+    known, values = new.index(), base.fit.vector.values.copy()
+    values[at] = [new.values[known[e.key]] for e in own.entries]
+    fresh = [i for i, e in enumerate(new.entries) if e.key not in own.index()]
+    vector = base.fit.vector.at(values).with_entries([new.entries[i] for i in fresh], new.values[fresh])
+    starts = list(base.fit.starts)
+    for k, x in zip(some, local, strict=True):
+        starts[k] = x
+    return vector, tuple(starts), base.fit.loss - lin.fit.loss + loss
 
 
 def placed(problem: Problem, base: Model, reach: Reach, c: Candidate) -> list[tuple[Candidate, Begun]]:

@@ -3,7 +3,7 @@
 Starts are eliminated stretch by stretch (variable projection; Golub and Pereyra, 1973).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -13,7 +13,7 @@ import numpy as np
 from adaptsim_jax.attribution.columns import Columns, Shapes
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import ready, residuals, widened
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
 from adaptsim_jax.attribution.weights import Counted, Fit, counted
 
@@ -31,13 +31,34 @@ class Linear:
     counted: tuple[Counted, ...]
 
 
-def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -> Linear:
-    """Linearise a fit, by the starts and by `entries` (those of its vector where None)."""
+def inside(entries: Sequence[Entry], groups: Iterable[Group]) -> list[int]:
+    """Numbers of the entries that act in some groups."""
+    joints = {j for g in groups for j in g.joints}
+    return [i for i, e in enumerate(entries) if set(e.joints) & joints]
+
+
+def unchanged(problem: Problem, k: int, new: Fit, old: Fit) -> bool:
+    """Whether all that a group depends on is the same in two fits."""
+    own = lambda f: {f.vector.entries[i].key: f.vector.values[i] for i in inside(f.vector.entries, [problem.groups[k]])}
+    return new.weights is old.weights and np.array_equal(new.starts[k], old.starts[k]) and own(new) == own(old)
+
+
+def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, like: "Linear | None" = None) -> Linear:
+    """Linearise a fit, by the starts and by `entries` (those of its vector where None). like: a fit linearised, of which what is the
+    same is taken."""
     entries = fit.vector.entries if entries is None else entries
     residual, start, shared, columns, slopes, sums = [], [], [], [], [], []
     with jax.enable_x64(True):
         made = ready(problem, fit.vector)
-        for (group, values, _, how), x0 in zip(made, widened(made, fit.starts), strict=True):
+        for k, ((group, values, _, how), x0) in enumerate(zip(made, widened(made, fit.starts), strict=True)):
+            if like is not None and unchanged(problem, k, fit, like.fit):
+                residual.append(like.residual[k])
+                start.append(like.start[k])
+                columns.append(like.paths[k])
+                slopes.append(like.slopes[k])
+                sums.append(like.counted[k])
+                shared.append(_reordered(like.shared[k], like.fit.vector.entries, entries))
+                continue
             s = group.stretches
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
             path = Path(*(np.asarray(z) for z in path))
@@ -57,6 +78,15 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None) -
             shared.append(_output(own, slope, [(e, None) for e in entries], mine))
             _without_lost(residual[-1], start[-1], shared[-1], *slope)
     return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), tuple(sums))
+
+
+def _reordered(columns: np.ndarray, known: Sequence[Entry], entries: Sequence[Entry]) -> np.ndarray:
+    """Columns [W, R, K] of other entries than they were made for; zero of those that are new, which act elsewhere."""
+    at = {e.key: i for i, e in enumerate(known)}
+    out = np.zeros((*columns.shape[:2], len(entries)))
+    both = [(i, at[e.key]) for i, e in enumerate(entries) if e.key in at]
+    out[..., [i for i, _ in both]] = columns[..., [i for _, i in both]]
+    return out
 
 
 def _without_lost(*by_lane: np.ndarray) -> None:

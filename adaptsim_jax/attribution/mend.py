@@ -46,7 +46,7 @@ def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Cri
                     if k.effect in HELD and (k.key in alike.get(c.key, ()) or level(k))]  # fmt: skip
             for row in table(problem, model.lin, rows)[:1]:
                 vector, starts, _ = attempted(problem, model, found.reach, row)
-                fitted = refit(problem, model.fit, vector, starts, c.joints, criteria.rounds, model.fit.weights)
+                fitted = refit(problem, vector, starts, c.joints, criteria.rounds, model.fit.weights)
                 model = modelled(problem, (*model.added, row.candidate), fitted, model.fit.weights)
     return model
 

@@ -171,10 +171,8 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     def fitted(start) -> Model:
         score, vector, starts, _ = start
         say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
-        whole = refit(
-            problem, base.fit, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance
-        )
-        return modelled(problem, (*base.added, score.candidate), whole, weights)
+        whole = refit(problem, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance)
+        return modelled(problem, (*base.added, score.candidate), whole, weights, base)
 
     best = None
     for (score, *_), model in zip(begun, parallel_map(fitted, begun), strict=True):

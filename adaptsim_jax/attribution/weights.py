@@ -76,11 +76,16 @@ def counted(problem: Problem, group: Group, weights: Weights) -> Counted:
 
 def losses(problem: Problem, paths: Sequence[Path], weights: Weights) -> np.ndarray:
     """Half the weighted sum of squares of each stretch [W], over the samples that count."""
-    total = np.zeros(len(weights.stretch))
+    return np.sum(group_losses(problem, paths, weights), 0)
+
+
+def group_losses(problem: Problem, paths: Sequence[Path], weights: Weights) -> list[np.ndarray]:
+    """The same of each group of joints by itself, [W] each."""
+    out = []
     for group, path in zip(problem.groups, paths, strict=True):
         r = residuals(group, path)[:, picked(problem)] * _own(weights, group, problem.joints)
-        total += 0.5 * np.square(r).sum((1, 2))
-    return total * weights.stretch
+        out.append(0.5 * np.square(r).sum((1, 2)) * weights.stretch)
+    return out
 
 
 def picked(problem: Problem) -> np.ndarray:
