@@ -171,7 +171,13 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     def fitted(start) -> Model:
         score, vector, starts, _ = start
         say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
-        whole = refit(problem, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance)
+        again = lambda vector, starts: refit(
+            problem, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance
+        )
+        whole = again(vector, starts)
+        if whole.code == "stuck":  # as a rival in `backward.look_alikes`: first by weights of its own
+            near = fit(problem, vector, starts, rounds=criteria.rounds)
+            whole = min(whole, again(near.vector, near.starts), key=lambda f: f.total)
         return modelled(problem, (*base.added, score.candidate), whole, weights, base)
 
     best = None
