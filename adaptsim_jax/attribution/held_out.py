@@ -95,14 +95,14 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
     same = [like is not None and unchanged(problem, k, now, like.fit) for k in range(len(problem.groups))]
-    some = [k for k, known in enumerate(same) if not known]
-    kept = list(like.held.paths) if like is not None else [None] * len(same)
+    some = [k for k, whole in enumerate(same) if not whole]
+    known = {} if like is None else dict(enumerate(like.held.paths))
     if some:
         part, own, at = part_of(problem, now.vector, some)
         options = [[z[k] for k in some] for z in (starts, now.starts)]
         paths = settled(part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2)[2]
-        for k, path in zip(some, paths, strict=True):
-            kept[k] = path
+        known |= dict(zip(some, paths, strict=True))
+    kept = [known[k] for k in range(len(same))]
     loss = losses(problem, kept, weights)
     width, joints = len(loss), problem.joints
     squared = np.zeros((width, 2 * joints))
@@ -242,7 +242,7 @@ def _attempted_apart(problem: Problem, base: Model, reach: Reach, score: Score, 
     known, values = new.index(), base.fit.vector.values.copy()
     values[at] = [new.values[known[e.key]] for e in own.entries]
     fresh = [i for i, e in enumerate(new.entries) if e.key not in own.index()]
-    vector = base.fit.vector.at(values).with_entries([new.entries[i] for i in fresh], new.values[fresh])
+    vector = base.fit.vector.at(values).with_entries([new.entries[i] for i in fresh], list(new.values[fresh]))
     starts = list(base.fit.starts)
     for k, x in zip(some, local, strict=True):
         starts[k] = x

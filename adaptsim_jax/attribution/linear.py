@@ -123,7 +123,7 @@ def candidate_columns(
         columns = _output(made, slope, list(entries), mine)
         for k, (e, shape) in enumerate(entries):
             effect = problem.effect(e.owner)
-            if effect.place == "drive" and e.name in (shape or {}) and e.joints[0] in group.joints:
+            if effect.place == "drive" and shape and e.name in shape and e.joints[0] in group.joints:
                 at = [group.joints.index(e.joints[0]) + n for n in (0, made.n)]
                 swings = np.zeros((len(start), made.path.x.shape[0], 2 * made.n, 2))
                 swings[:, :, at] = made.alone(effect, e.name, shape)[1:, :, at].transpose(3, 1, 2, 0)
