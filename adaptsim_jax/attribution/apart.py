@@ -33,6 +33,16 @@ def part_of(problem: Problem, vector: Vector, some: Sequence[int]) -> tuple[Prob
     return part, Vector(tuple(vector.entries[i] for i in at), vector.values[at]), at
 
 
+def put_back(
+    vector: Vector, starts: Sequence[np.ndarray], at, some, values, own
+) -> tuple[Vector, tuple[np.ndarray, ...]]:
+    """Vector and starts of the whole with the values of the entries `at` and the starts `own` of the groups `some`."""
+    every = vector.values.copy()
+    every[at] = values
+    new = dict(zip(some, own, strict=True))
+    return vector.at(every), tuple(new.get(k, x) for k, x in enumerate(starts))
+
+
 def linear_part(part: Problem, lin: Linear, own: Vector, at: Sequence[int], some: Sequence[int]) -> Linear:
     """Of a linearised fit what `part_of` has taken."""
     pick = lambda z: tuple(z[k] for k in some)

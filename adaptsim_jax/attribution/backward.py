@@ -1,5 +1,6 @@
 """Backward: each effect tested beside all others, and against its look-alikes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from adaptsim_jax.attribution.criteria import Criteria
@@ -69,6 +70,16 @@ def compared(
         return other
     fitted = refit(problem, fitted.vector, fitted.starts, joints, left, weights)
     return modelled(problem, added, fitted, weights, like)
+
+
+def from_afar(problem: Problem, settle: Callable[..., Model], vector: Vector, starts, rounds: int) -> Model:
+    """settle(vector, starts), which fits under given weights; where that is stuck at once, also after a fit by weights of its own:
+    what weighs after a good fit is a narrow valley from afar. Of both the one that leaves less."""
+    found = settle(vector, starts)
+    if found.fit.code != "stuck":
+        return found
+    near = fit(problem, vector, starts, rounds=rounds)
+    return min(found, settle(near.vector, near.starts), key=lambda m: m.fit.total)
 
 
 def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
@@ -147,11 +158,7 @@ def look_alikes(
         added = (*less.added, score.candidate)
         settle = lambda vector, starts: compared(problem, model, added, less, vector, starts, touched, criteria)
         vector, starts, _ = attempted(problem, less, reach, score)
-        other = settle(vector, starts)
-        if other.fit.code == "stuck":
-            # what weighs after a good fit is a narrow valley from afar: first by weights of its own
-            near = fit(problem, vector, starts, rounds=criteria.rounds)
-            other = min(other, settle(near.vector, near.starts), key=lambda m: m.fit.total)
+        other = from_afar(problem, settle, vector, starts, criteria.rounds)
         return other, paired(problem, other.held.loss, model.held.loss)
 
     return [

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.apart import apart, linear_part, part_of, touched
+from adaptsim_jax.attribution.apart import apart, linear_part, part_of, put_back, touched
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_steps
 from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold, unchanged
@@ -94,15 +94,16 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
     starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
-    same = [like is not None and unchanged(problem, k, now, like.fit) for k in range(len(problem.groups))]
-    some = [k for k, whole in enumerate(same) if not whole]
+    groups = range(len(problem.groups))
+    free = len(apart(problem, vector.entries)) == len(groups)  # else a shared value ties the folds' parameters together
+    some = [k for k in groups if not (free and like and unchanged(problem, k, now, like.fit))]
     known = {} if like is None else dict(enumerate(like.held.paths))
     if some:
         part, own, at = part_of(problem, now.vector, some)
         options = [[z[k] for k in some] for z in (starts, now.starts)]
         paths = settled(part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2)[2]
         known |= dict(zip(some, paths, strict=True))
-    kept = [known[k] for k in range(len(same))]
+    kept = [known[k] for k in groups]
     loss = losses(problem, kept, weights)
     width, joints = len(loss), problem.joints
     squared = np.zeros((width, 2 * joints))
@@ -191,13 +192,9 @@ def refit(
         return fit(problem, vector, starts, rounds=rounds, weights=weights, glance=glance)
     part, own, at = part_of(problem, vector, some)
     local = fit(part, own, [starts[k] for k in some], rounds=rounds, weights=weights, glance=glance)
-    values, starts = vector.values.copy(), list(starts)
-    values[at] = local.vector.values
-    for k, x in zip(some, local.starts, strict=True):
-        starts[k] = x
-    whole = vector.at(values)
+    whole, starts = put_back(vector, starts, at, some, local.vector.values, local.starts)
     loss = losses(problem, run(problem, whole, starts), weights)
-    return replace(local, vector=whole, starts=tuple(starts), loss=loss)
+    return replace(local, vector=whole, starts=starts, loss=loss)
 
 
 Begun = tuple[Vector, tuple[np.ndarray, ...], np.ndarray]
@@ -239,14 +236,10 @@ def _attempted_apart(problem: Problem, base: Model, reach: Reach, score: Score, 
     part, own, at = part_of(problem, base.fit.vector, some)
     lin = linear_part(part, base.lin, own, at, some)
     new, local, loss = attempted(part, replace(base, fit=lin.fit, lin=lin), reach, score)
-    known, values = new.index(), base.fit.vector.values.copy()
-    values[at] = [new.values[known[e.key]] for e in own.entries]
-    fresh = [i for i, e in enumerate(new.entries) if e.key not in own.index()]
-    vector = base.fit.vector.at(values).with_entries([new.entries[i] for i in fresh], list(new.values[fresh]))
-    starts = list(base.fit.starts)
-    for k, x in zip(some, local, strict=True):
-        starts[k] = x
-    return vector, tuple(starts), base.fit.loss - lin.fit.loss + loss
+    known = len(own)  # what is added stands behind
+    vector, starts = put_back(base.fit.vector, base.fit.starts, at, some, new.values[:known], local)
+    vector = vector.with_entries(new.entries[known:], list(new.values[known:]))
+    return vector, starts, base.fit.loss - lin.fit.loss + loss
 
 
 def placed(problem: Problem, base: Model, reach: Reach, c: Candidate) -> list[tuple[Candidate, Begun]]:

@@ -4,7 +4,7 @@ Starts are eliminated stretch by stretch (variable projection; Golub and Pereyra
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -48,10 +48,13 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, l
     same is taken."""
     entries = fit.vector.entries if entries is None else entries
     residual, start, shared, columns, slopes, sums = [], [], [], [], [], []
+    same = [like is not None and unchanged(problem, k, fit, like.fit) for k in range(len(problem.groups))]
+    anew = [k for k, known in enumerate(same) if not known]
     with jax.enable_x64(True):
-        made = ready(problem, fit.vector)
-        for k, ((group, values, _, how), x0) in enumerate(zip(made, widened(made, fit.starts), strict=True)):
-            if like is not None and unchanged(problem, k, fit, like.fit):
+        made = ready(replace(problem, groups=tuple(problem.groups[k] for k in anew)), fit.vector)
+        fresh = iter(zip(made, widened(made, [fit.starts[k] for k in anew]), strict=True))
+        for k, known in enumerate(same):
+            if like is not None and known:
                 residual.append(like.residual[k])
                 start.append(like.start[k])
                 columns.append(like.paths[k])
@@ -59,6 +62,7 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, l
                 sums.append(like.counted[k])
                 shared.append(_reordered(like.shared[k], like.fit.vector.entries, entries))
                 continue
+            (group, values, _, how), x0 = next(fresh)
             s = group.stretches
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
             path = Path(*(np.asarray(z) for z in path))
@@ -98,7 +102,7 @@ def _without_lost(*by_lane: np.ndarray) -> None:
 
 def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: Counted) -> np.ndarray:
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
-    own = [k for k, (e, _) in enumerate(entries) if set(e.joints) & set(made.group.joints)]
+    own = inside([e for e, _ in entries], [made.group])
     out = np.zeros((len(mine.weight), mine.weight[0].size, len(entries)))
     for first in range(0, len(own), 48):
         some = own[first : first + 48]

@@ -38,7 +38,7 @@ def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Cri
     alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
         if not _holds(machine, model, c):
-            model = without(problem, model, c, replace(criteria, apart=1.0))
+            model = without(problem, model, c, replace(criteria, apart=1.0))  # fitted to the end in any case
             level = lambda k, c=c: (
                 c.effect in DRY and k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"
             )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import Named, Step, judged, more, scored, where
+from adaptsim_jax.attribution.backward import Named, Step, from_afar, judged, more, scored, where
 from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
@@ -171,14 +171,12 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     def fitted(start) -> Model:
         score, vector, starts, _ = start
         say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
-        again = lambda vector, starts: refit(
-            problem, vector, starts, score.candidate.joints, criteria.rounds, weights, 2 * criteria.glance
-        )
-        whole = again(vector, starts)
-        if whole.code == "stuck":  # as a rival in `backward.look_alikes`: first by weights of its own
-            near = fit(problem, vector, starts, rounds=criteria.rounds)
-            whole = min(whole, again(near.vector, near.starts), key=lambda f: f.total)
-        return modelled(problem, (*base.added, score.candidate), whole, weights, base)
+        joints, glance = score.candidate.joints, 2 * criteria.glance
+        settle = lambda vector, starts: modelled(
+            problem, (*base.added, score.candidate),
+            refit(problem, vector, starts, joints, criteria.rounds, weights, glance), weights, base,
+        )  # fmt: skip
+        return from_afar(problem, settle, vector, starts, criteria.rounds)
 
     best = None
     for (score, *_), model in zip(begun, parallel_map(fitted, begun), strict=True):

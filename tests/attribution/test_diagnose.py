@@ -102,6 +102,17 @@ def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp
 
 
 @pytest.mark.slow
+def test_a_stop_that_a_third_of_the_stretches_hit_is_named(tmp_path):
+    """Under weights that count these stretches as any other, a fit from afar is stuck."""
+    write_world(tmp_path / "world", "single", 10171)
+    (hidden,) = json.loads((tmp_path / "world/truth.json").read_text())["effects"]
+    report = diagnose(tmp_path / "world/recording")
+    (named,) = report["effects"]
+    assert (named["name"], named["joints"], report["verdict"]) == ("hard_stop", hidden["joints"], "explained")
+    assert named["parameters"]["angle"]["value"] == pytest.approx(hidden["size"]["upper"]["angle"], rel=0.01)
+
+
+@pytest.mark.slow
 def test_friction_whose_bristles_bend_before_it_slides_is_named(tmp_path):
     report = diagnose(record_bristles(tmp_path / "lugre", level=0.3, deflection=0.03))
     size = {e["name"]: {k: row["value"] for k, row in e["parameters"].items()} for e in report["effects"]}
