@@ -24,10 +24,10 @@ from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
+from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
-from adaptsim_jax.sysid.quality.trial_words import add_trials
-from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
-from adaptsim_jax.sysid.report.schema import check
 
 Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s

@@ -16,8 +16,8 @@ from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
+from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.report.schema import new_report
 
 
 def _numbers(error: np.ndarray) -> float:
