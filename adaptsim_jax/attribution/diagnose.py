@@ -11,7 +11,6 @@ import numpy as np
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import over_floor
 from adaptsim_jax.attribution.inertias_told import otherwise
@@ -24,6 +23,7 @@ from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
 from adaptsim_jax.effects.base import Effect

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.diagnose import HORIZON, MODEL, OTHERS, Page, Progress, examined, write_mjcf
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
@@ -25,6 +24,7 @@ from adaptsim_jax.attribution.pendulum import (
 )
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.effects.base import Effect

@@ -21,7 +21,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class TrialEffect:
+class Candidate:
     """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at where nothing acts until another
     moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done, `apart` what
     does. seen: what excites it. absorbed: declared quantities that may take it up."""
@@ -38,7 +38,7 @@ class TrialEffect:
 
 
 @dataclass(frozen=True)
-class TrialProblem:
+class Problem:
     """A recording of T trials against a model of P quantities.
 
     residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
@@ -51,7 +51,7 @@ class TrialProblem:
 
     quantities: tuple[Quantity, ...]
     declared: tuple[str, ...]
-    effects: tuple[TrialEffect, ...]
+    effects: tuple[Candidate, ...]
     residuals: Callable[[np.ndarray], np.ndarray]
     columns: Callable[[np.ndarray, np.ndarray], np.ndarray]
     counts: np.ndarray
@@ -76,5 +76,5 @@ class TrialProblem:
         """Places of quantities by name."""
         return np.array([self.index[n] for n in names], int)
 
-    def effect(self, name: str) -> TrialEffect:
+    def effect(self, name: str) -> Candidate:
         return next(e for e in self.effects if e.name == name)
