@@ -34,7 +34,10 @@ WITHIN = {
         "log_meta", "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names",
         "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
     ),
-    "diagnosis": ("run", "schema", "criteria", "paired", "problem", "fit", "select", "rows"),
+    "diagnosis": (
+        "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",
+        "rows", "simulated",
+    ),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",
         "one_action", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing", "scooping", "toss", "parity", "registry",
