@@ -19,6 +19,7 @@ from adaptsim_jax.logs.joint_columns import Columns, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
 
 V = TypeVar("V")
@@ -30,9 +31,10 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
+    scales = check_scales(trials, names)
     inputs = choose_inputs(path, trials, names, meta)
     log_trials = tuple(_trial(columns, names, meta, inputs) for columns in trials)
-    suspected = check_log_units(log_trials, names)
+    suspected = scales + check_log_units(log_trials, names)
     turns = [columns.raw.name for columns in trials if columns.turns]
     turned = (f"jumps of whole turns taken out of the angles of {', '.join(turns)}",) if turns else ()
     return Log(

@@ -33,13 +33,19 @@ class ModelNames:
 
     `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m, not rad);
     `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a serial chain);
-    `actuators`: in the model's order, None where nothing is known of them.
+    `actuators`: in the model's order, None where nothing is known of them; `ranges`: of each joint in rad or m, None where it has none
+    (empty: not known).
     """
 
     joints: tuple[str, ...]
     slides: tuple[str, ...] = ()
     parents: tuple[int, ...] = ()
     actuators: tuple[ActuatorName, ...] | None = None
+    ranges: tuple[tuple[float, float] | None, ...] = ()
+
+    def limits_of(self, joint: int) -> tuple[float, float] | None:
+        """The range of a joint, where the model declares one."""
+        return self.ranges[joint] if joint < len(self.ranges) else None
 
     @property
     def parent_of(self) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
-from adaptsim_jax.logs.log_units import check_unit
+from adaptsim_jax.logs.log_units import Unit, check_unit
 
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
@@ -19,7 +19,8 @@ TABLES = ("columns", "units", "angles", "known", "fit", "noise", "trials", "ros"
 KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
 ANGLE_KEYS = ("convention", "zero", "reversed")
 TRIAL_KEYS = ("exclude", "group", "payload")
-ROS_KEYS = ("state_topic", "command_topic")
+ROS_KEYS = ("state_topic", "command_topic", "trajectory")
+TRAJECTORY = ("ramp", "hold")
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class LogMeta:
     input: str | None = None
     ignore: tuple[str, ...] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, Unit] = field(default_factory=dict)
     convention: Mapping[str, str] = field(default_factory=dict)
     zero: Mapping[str, float] = field(default_factory=dict)
     reversed: tuple[str, ...] = ()
@@ -94,11 +95,15 @@ def read_log_meta(path: str | Path) -> LogMeta:
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
-        ros={
-            key: _text(path, f"ros.{key}", value)
-            for key, value in _known_keys(path, "ros", tables["ros"], ROS_KEYS).items()
-        },
+        ros=_ros(path, tables["ros"]),
     )
+
+
+def _ros(path: Path, table: dict) -> dict[str, str]:
+    out = {key: _text(path, f"ros.{key}", value) for key, value in _known_keys(path, "ros", table, ROS_KEYS).items()}
+    if (how := out.get("trajectory")) is not None and how not in TRAJECTORY:
+        raise BadInput(f"{path}: ros.trajectory = {brief(how)} is unknown; {suggest(how, TRAJECTORY)}")
+    return out
 
 
 def _known_keys(path: Path, name: str, table: dict, keys: tuple[str, ...]) -> dict:

@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,8 @@ __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "r
 class RawTrial:
     """One trial as its file has it: `columns`: name -> `[T]` float64, no unit applied, NaN where a value is missing.
 
-    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of columns that are not ours.
+    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of columns that are not ours;
+    `doubt`: vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are joints only by `[columns]`.
     """
 
     name: str
@@ -34,6 +35,7 @@ class RawTrial:
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     group: str = ""
+    doubt: dict[str, str] = field(default_factory=dict)
 
 
 def table_files(folder: Path) -> list[Path]:
