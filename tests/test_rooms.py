@@ -31,8 +31,9 @@ WITHIN = {
     ),
     "logs": (
         "extras", "types", "segments", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality", "log_meta",
-        "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names",
-        "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
+        "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "messages",
+        "stamps", "trajectories", "lerobot", "log_checks", "model_names", "pendulum_log", "joint_columns", "scales", "guess", "bag",
+        "mcap_file", "bag_files", "topics", "ros", "inputs", "assemble", "read", "begin",
     ),
     "sysid": (
         "criteria", "forward", "dictionary", "estimate", "score", "nuisance",

@@ -6,37 +6,14 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.bag import Bag, Topic
 from adaptsim_jax.logs.extras import need
+from adaptsim_jax.logs.mcap_file import McapBag
 
 ENDINGS = (".bag", ".mcap", ".db3")
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag: its name, message type (empty: of several) and number of messages. `encoding` of messages that are not ROS';
-    `unread`: whether it is none that can be read."""
-
-    name: str
-    kind: str
-    count: int
-    encoding: str = ""
-    unread: bool = False
-
-
-class Bag(Protocol):
-    """An open bag."""
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """All of its topics."""
-        ...
-
-    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Time of arrival in ns and message, whose fields are attributes."""
-        ...
 
 
 def bags(folder: Path) -> list[Path]:
@@ -57,8 +34,6 @@ def opened(path: Path) -> Iterator[Bag]:
     try:
         files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
         if files and all(file.suffix.lower() == ".mcap" for file in files):
-            from adaptsim_jax.logs.mcap_file import McapBag
-
             with contextlib.ExitStack() as stack:
                 yield McapBag(path, [stack.enter_context(file.open("rb")) for file in files])
         else:

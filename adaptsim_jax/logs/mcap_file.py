@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.bag_files import Topic
+from adaptsim_jax.logs.bag import Topic
 from adaptsim_jax.logs.extras import need
 
 ROS = ("cdr", "ros1")

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.bag_files import ENDINGS, Bag, Topic, bags, is_bag, opened
+from adaptsim_jax.logs.bag import Bag, Topic
+from adaptsim_jax.logs.bag_files import ENDINGS, bags, is_bag, opened
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import role
 from adaptsim_jax.logs.messages import ARRAYS, TRAJECTORIES, command_of, nanoseconds, stamp_of, state_of

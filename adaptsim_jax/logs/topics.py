@@ -7,7 +7,7 @@ from pathlib import Path
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.bag_files import Topic
+from adaptsim_jax.logs.bag import Topic
 from adaptsim_jax.logs.messages import CONTROLLERS, STATE, TRAJECTORIES, command_of, state_of
 
 COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "setpoint")
