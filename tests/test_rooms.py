@@ -30,7 +30,7 @@ WITHIN = {
         "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop", "model_file",
     ),
     "logs": (
-        "extras", "types", "segments", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality", "log_meta",
+        "extras", "types", "segments", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "sent", "quality", "log_meta",
         "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "messages",
         "stamps", "trajectories", "lerobot", "log_checks", "model_names", "pendulum_log", "joint_columns", "scales", "guess", "bag",
         "mcap_file", "bag_files", "topics", "ros", "inputs", "assemble", "read", "begin",

@@ -15,9 +15,10 @@ from adaptsim_jax.logs.log_units import Unit, check_unit
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
 TEXT_KEYS = ("name", "description", "note", "source", "license")
-TABLES = ("columns", "units", "angles", "known", "fit", "noise", "trials", "ros")
+TABLES = ("columns", "units", "angles", "commands", "known", "fit", "noise", "trials", "ros")
 KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
 ANGLE_KEYS = ("convention", "zero", "reversed")
+COMMAND_KEYS = ("rate", "within")
 TRIAL_KEYS = ("exclude", "group", "payload")
 ROS_KEYS = ("state_topic", "command_topic", "trajectory")
 TRAJECTORY = ("ramp", "hold")
@@ -33,7 +34,8 @@ class LogMeta:
     `zero`: joint or column -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that
     the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
     standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
-    `kp100_*` may stand for several trials).
+    `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
+    or to within a distance of the angle (rad, m).
     """
 
     path: str = ""
@@ -53,6 +55,8 @@ class LogMeta:
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
     ros: Mapping[str, str] = field(default_factory=dict)
+    rate: Mapping[str, float] = field(default_factory=dict)
+    within: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
@@ -76,6 +80,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
     if "input" in raw and raw["input"] not in INPUTS:
         raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
     angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
+    commands = _known_keys(path, "commands", tables["commands"], COMMAND_KEYS)
     trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
     convention = angles.get("convention", {})
     return LogMeta(
@@ -96,7 +101,17 @@ def read_log_meta(path: str | Path) -> LogMeta:
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
         ros=_ros(path, tables["ros"]),
+        rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
+        within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
     )
+
+
+def _sizes(path: Path, key: str, table: dict, example: str) -> dict[str, float]:
+    out = _numbers(path, f"commands.{key}", table.get(key, {}), example)
+    for name, size in out.items():
+        if not size > 0:
+            raise BadInput(f"{path}: commands.{key}.{name} = {size:g} is not above 0; write {example}")
+    return out
 
 
 def _ros(path: Path, table: dict) -> dict[str, str]:

@@ -8,7 +8,7 @@ Float64 (in the order of the model's actuators).
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from adaptsim_jax.logs.columns import role
 from adaptsim_jax.logs.messages import ARRAYS, TRAJECTORIES, command_of, nanoseconds, stamp_of, state_of
 from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.quality.servo_fit import unexplained
+from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
 from adaptsim_jax.logs.stamps import Stamped, stamped
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.topics import choose
@@ -72,6 +73,7 @@ def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
         notes += left
         commands, told = _commands(path, bag, command, clock, series, wanted) if command else ([], ())
         commands, _ = _of_the_model(commands, wanted)
+        commands = [_turned(s, series) for s in commands]
         notes += told
     columns, told = merge(str(path), series, commands)
     notes += told
@@ -218,6 +220,24 @@ def _left(path: str, states: list[Series], commands: list[Series]) -> float:
             left.append(unexplained([Track(columns["time"], q[:, None], None, columns[name][:, None])]))
     left = [x for x in left if np.isfinite(x)]
     return float(np.median(left)) if left else float("inf")
+
+
+def _turned(command: Series, states: list[Series]) -> Series:
+    """Targets with the whole turns of their angles, before they are brought onto the clock of these: a mean over a row of a target that
+    counts anew within it would be no target."""
+    out = dict(command.columns)
+    for name, values in command.columns.items():
+        joint = name.removeprefix("target_")
+        own = next((s for s in states if f"q_{joint}" in s.columns), None)
+        said = values[np.isfinite(values)]
+        if not name.startswith("target_") or own is None or len(said) < 4 or np.ptp(said) < np.pi:
+            continue
+        here = np.isfinite(own.columns[f"q_{joint}"])
+        time, first = np.unique(own.time[here], return_index=True)
+        if len(time) > 3:
+            q = without_turns(time, own.columns[f"q_{joint}"][here][first]).q
+            out[name] = followed_turns(np.interp(command.time, time, q), values)
+    return replace(command, columns=out)
 
 
 def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], tuple[str, ...]]:

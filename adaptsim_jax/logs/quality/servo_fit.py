@@ -13,6 +13,8 @@ from adaptsim_jax.logs.quality.hypotheses import Track, blocks
 
 SMOOTH = 3
 """Blocks over which both sides of the equation are averaged, so that noise of the angles counts less."""
+ALIKE = 6.0
+"""Rows that what is left stays alike over."""
 LEAST = 30
 """Blocks below which nothing is said."""
 
@@ -29,6 +31,23 @@ def unexplained(tracks: Sequence[Track]) -> float:
     x, *_ = np.linalg.lstsq(columns / size, a, rcond=1e-9)
     left = a - columns / size @ x
     return float(np.sum(left**2) / np.sum((a - a.mean()) ** 2))
+
+
+def gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
+    """Acceleration by unit of a joint's command, its standard error, and the share of the acceleration that is left; None where the
+    motion is too short. Rows beside one another are not independent, which the error allows for."""
+    rows = [_rows(track) for track in tracks]
+    a, columns = (np.concatenate([r[k] for r in rows]) for k in (0, 1))
+    if len(a) < LEAST or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
+        return None
+    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
+    whole = columns / size
+    gram = whole.T @ whole + 1e-9 * len(a) * np.eye(whole.shape[1])
+    x = np.linalg.solve(gram, whole.T @ a)
+    left = a - whole @ x
+    spread = float(np.sum(left**2)) / max(len(a) / ALIKE - whole.shape[1], 1.0) / ALIKE
+    error = np.sqrt(spread * ALIKE * np.linalg.inv(gram)[0, 0])
+    return float(x[0] / size[0]), float(error / size[0]), float(np.sum(left**2) / np.sum((a - a.mean()) ** 2))
 
 
 def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
