@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.tables import MIN_ROWS
+from adaptsim_jax.logs.table_checks import MIN_ROWS
 
 HELD = ("tau", "target", "ctrl", "u", "i")
 """Stems of columns that hold from their row to the next; others are interpolated."""
@@ -41,8 +41,8 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
     """Columns on one clock with `time` from 0 s, and what was done to get there.
 
     The clock is that of the state series with most rows, over the time that all state series share. Other states are
-    interpolated between their rows (efforts held). A command acts from its own time to the next one's: a row has the mean of
-    what acts until the next row, so that no command is taken to wait for a row; before the first command rows are cut off. A
+    interpolated between their rows. A command, or an effort, acts from its own time to the next one's: a row has the mean of
+    what acts until the next row, so that nothing is taken to wait for a row; before the first command rows are cut off. A
     joint's gap of more than 10 of its intervals is NaN; one that speaks fewer than `RARE` times stays where it was last.
     """
     notes: list[str] = []
@@ -74,8 +74,13 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
             elif name in out:
                 continue
             else:
-                hold = name.split("_")[0] in HELD or any(series is other for other in rare)
-                out[name] = _onto(clock, series.time, values, hold=hold)
+                seldom = any(series is other for other in rare)
+                acts = name.split("_")[0] in HELD and not seldom
+                out[name] = (
+                    _acting(clock, series.time, values, False)
+                    if acts
+                    else _onto(clock, series.time, values, hold=seldom)
+                )
     for series in commands:
         out |= {
             name: _acting(clock, series.time, values, series.straight)
