@@ -30,9 +30,10 @@ WITHIN = {
         "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop", "model_file",
     ),
     "logs": (
-        "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality",
-        "log_meta", "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names",
-        "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
+        "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "sent", "quality",
+        "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "recording", "tables", "angles", "messages",
+        "stamps", "trajectories", "lerobot", "log_checks", "model_names", "pendulum_log", "joint_columns", "scales", "guess", "bag",
+        "mcap_file", "bag_files", "topics", "ros", "inputs", "assemble", "read", "begin",
     ),
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",

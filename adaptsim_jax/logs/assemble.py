@@ -19,6 +19,7 @@ from adaptsim_jax.logs.joint_columns import Columns, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
 
 V = TypeVar("V")
@@ -30,11 +31,12 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
+    scales = check_scales(trials, names)
     inputs = choose_inputs(path, trials, names, meta)
     log_trials = tuple(_trial(columns, names, meta, inputs) for columns in trials)
-    suspected = check_log_units(log_trials, names)
+    suspected = scales + check_log_units(log_trials, names)
     turns = [columns.raw.name for columns in trials if columns.turns]
-    turned = (f"jumps of whole turns taken out of the angles of {', '.join(turns)}",) if turns else ()
+    turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
     return Log(
         path=path,
         meta=meta,
@@ -43,6 +45,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_kind=inputs.kind,
         input_names=inputs.names,
         driven=inputs.driven,
+        input_columns=_input_columns(raw[0], names, inputs),
         notes=inputs.notes
         + _notes(raw, log_trials)
         + turned
@@ -50,6 +53,19 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         + copies([(t.name, t.q) for t in log_trials])
         + unread(path),
     )
+
+
+def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[str, ...]:
+    """The column that each actuator's command was read from, empty where there is none."""
+    roles = {name: r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem in ("ctrl", "target")}
+    base = 0 if any(r.joint == 0 for r in roles.values()) else 1
+    out = []
+    for index, actuator in enumerate(inputs.actuators):
+        place = names.joints.index(actuator.joint) if actuator.joint in names.joints else -1
+        known = {"ctrl": (actuator.name, actuator.joint, index + base), "target": (actuator.joint, place + base, None)}
+        mine = sorted((r.stem, name) for name, r in roles.items() if r.joint in known[r.stem])
+        out.append(mine[0][1] if mine else "")
+    return tuple(out)
 
 
 def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
@@ -95,6 +111,10 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
             if name not in known:
                 joints = suggest(name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q"))))
                 raise BadInput(f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}")
+    for key, given in (("rate", meta.rate), ("within", meta.within)):
+        for name in given:
+            if name not in names.joints:
+                raise BadInput(f"{meta.path}: commands.{key} names {name!r}, no joint; {suggest(name, names.joints)}")
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}

@@ -42,7 +42,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     folder = _folder(data, out)
     names = _model_names(model)
     columns, ros_topics, chosen = _columns(data, topics)
-    found = guess(columns, names)
+    found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
     arrays = _arrays(data)
     found = replace(
         found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
@@ -110,7 +110,9 @@ def _from(path: Path, folder: Path) -> str:
 def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
     if data.is_dir() and lerobot.is_lerobot(data):
-        return lerobot.read_lerobot(data)[0].columns, [], {}
+        trial = lerobot.read_lerobot(data)[0]
+        # numbers whose names do not fit are no joints until a person says which
+        return {n: x for n, x in trial.columns.items() if not any(n.startswith(f"{v}[") for v in trial.doubt)}, [], {}
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
     if files:
         return _table_columns(files[0]), [], {}

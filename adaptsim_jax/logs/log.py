@@ -33,13 +33,24 @@ class ModelNames:
 
     `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m, not rad);
     `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a serial chain);
-    `actuators`: in the model's order, None where nothing is known of them.
+    `actuators`: in the model's order, None where nothing is known of them; `ranges`: of each joint in rad or m, None where it has none
+    (empty: not known).
     """
 
     joints: tuple[str, ...]
     slides: tuple[str, ...] = ()
     parents: tuple[int, ...] = ()
     actuators: tuple[ActuatorName, ...] | None = None
+    ranges: tuple[tuple[float, float] | None, ...] = ()
+
+    def turns_to(self, joint: int) -> bool:
+        """Whether a target of a joint is an angle: not where it slides, nor where all that drives it takes speeds or torques."""
+        kinds = [a.kind for a in self.actuators or () if a.joint == self.joints[joint]]
+        return self.joints[joint] not in self.slides and (not kinds or any(k in ("position", "general") for k in kinds))
+
+    def limits_of(self, joint: int) -> tuple[float, float] | None:
+        """The range of a joint, where the model declares one."""
+        return self.ranges[joint] if joint < len(self.ranges) else None
 
     @property
     def parent_of(self) -> tuple[int, ...]:
@@ -87,7 +98,7 @@ class Log:
 
     `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the model's actuators
     are not known); `driven`: joints that have an input column, torque is 0 at the others. `notes`: what a person
-    should know of how the files were read, a line each.
+    should know of how the files were read, a line each. `input_columns [m]`: the column that each actuator's command was read from.
     """
 
     path: str
@@ -98,6 +109,7 @@ class Log:
     input_names: tuple[str, ...]
     driven: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    input_columns: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:

@@ -10,16 +10,18 @@ from typing import Any
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
-from adaptsim_jax.logs.log_units import check_unit
+from adaptsim_jax.logs.log_units import Unit, check_unit
 
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
 TEXT_KEYS = ("name", "description", "note", "source", "license")
-TABLES = ("columns", "units", "angles", "known", "fit", "noise", "trials", "ros")
+TABLES = ("columns", "units", "angles", "commands", "known", "fit", "noise", "trials", "ros")
 KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
 ANGLE_KEYS = ("convention", "zero", "reversed")
+COMMAND_KEYS = ("rate", "within")
 TRIAL_KEYS = ("exclude", "group", "payload")
-ROS_KEYS = ("state_topic", "command_topic")
+ROS_KEYS = ("state_topic", "command_topic", "trajectory")
+TRAJECTORY = ("ramp", "hold")
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ class LogMeta:
     `zero`: joint or column -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that
     the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
     standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
-    `kp100_*` may stand for several trials).
+    `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
+    or to within a distance of the angle (rad, m).
     """
 
     path: str = ""
@@ -41,7 +44,7 @@ class LogMeta:
     input: str | None = None
     ignore: tuple[str, ...] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, Unit] = field(default_factory=dict)
     convention: Mapping[str, str] = field(default_factory=dict)
     zero: Mapping[str, float] = field(default_factory=dict)
     reversed: tuple[str, ...] = ()
@@ -52,6 +55,8 @@ class LogMeta:
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
     ros: Mapping[str, str] = field(default_factory=dict)
+    rate: Mapping[str, float] = field(default_factory=dict)
+    within: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
@@ -75,6 +80,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
     if "input" in raw and raw["input"] not in INPUTS:
         raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
     angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
+    commands = _known_keys(path, "commands", tables["commands"], COMMAND_KEYS)
     trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
     convention = angles.get("convention", {})
     return LogMeta(
@@ -94,11 +100,25 @@ def read_log_meta(path: str | Path) -> LogMeta:
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
-        ros={
-            key: _text(path, f"ros.{key}", value)
-            for key, value in _known_keys(path, "ros", tables["ros"], ROS_KEYS).items()
-        },
+        ros=_ros(path, tables["ros"]),
+        rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
+        within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
     )
+
+
+def _sizes(path: Path, key: str, table: dict, example: str) -> dict[str, float]:
+    out = _numbers(path, f"commands.{key}", table.get(key, {}), example)
+    for name, size in out.items():
+        if not size > 0:
+            raise BadInput(f"{path}: commands.{key}.{name} = {size:g} is not above 0; write {example}")
+    return out
+
+
+def _ros(path: Path, table: dict) -> dict[str, str]:
+    out = {key: _text(path, f"ros.{key}", value) for key, value in _known_keys(path, "ros", table, ROS_KEYS).items()}
+    if (how := out.get("trajectory")) is not None and how not in TRAJECTORY:
+        raise BadInput(f"{path}: ros.trajectory = {brief(how)} is unknown; {suggest(how, TRAJECTORY)}")
+    return out
 
 
 def _known_keys(path: Path, name: str, table: dict, keys: tuple[str, ...]) -> dict:

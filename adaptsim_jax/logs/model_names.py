@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from adaptsim_jax.logs.log import ActuatorName, ModelNames
 
 if TYPE_CHECKING:
@@ -17,5 +19,9 @@ def model_names(mechanism: Mechanism) -> ModelNames:
         joints=tuple(tree.joint_names),
         slides=tuple(name for name, kind in zip(tree.joint_names, tree.kinds, strict=True) if kind == "slide"),
         parents=tuple(int(parent) for parent in tree.parent),
+        ranges=tuple(
+            (float(low), float(high)) if limited else None
+            for limited, (low, high) in zip(tree.limited, np.asarray(tree.range), strict=True)
+        ),
         actuators=tuple(ActuatorName(a.name, tree.joint_names[a.joint], a.kind) for a in mechanism.actuators),
     )

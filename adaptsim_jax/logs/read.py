@@ -73,7 +73,7 @@ def _names_of(path: str) -> tuple[Mechanism, ModelNames]:
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
-    trials = read_raw(Path(meta.data) if meta.data else source, meta)
+    trials = read_raw(Path(meta.data) if meta.data else source, meta, names.joints if names else ())
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 
@@ -89,10 +89,12 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
     )
 
 
-def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files."""
+def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawTrial]:
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. joints: the model's."""
     if data.is_dir() and lerobot.is_lerobot(data):
-        return _renamed(lerobot.read_lerobot(data), meta)
+        trials = _renamed(lerobot.read_lerobot(data), meta)
+        lerobot.check_named(data, trials[0], joints)
+        return trials
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
     bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
     if not files and not bags:
@@ -102,7 +104,8 @@ def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
             f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
         )
     # in a folder of both, [columns] speaks of the tables
-    recorded = [ros.read_bag(path, meta.ros) for path in bags]
+    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()))
+    recorded = [ros.read_bag(path, wanted) for path in bags]
     trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
     return [
