@@ -57,7 +57,11 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
 
 def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[str, ...]:
     """The column that each actuator's command was read from, empty where there is none."""
-    roles = {name: r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem in ("ctrl", "target")}
+    roles = {
+        name: r
+        for name in trial.columns
+        if (r := role(name, names.joints)) is not None and r.stem in ("ctrl", "target")
+    }
     base = 0 if any(r.joint == 0 for r in roles.values()) else 1
     out = []
     for index, actuator in enumerate(inputs.actuators):
