@@ -22,8 +22,9 @@ from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
 from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
@@ -33,7 +34,6 @@ Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
-OTHERS = ("leading.toml", "next_experiment.csv")  # of an earlier run of another kind into the same folder
 
 
 def diagnose(
@@ -62,7 +62,7 @@ def diagnose(
     say(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
-    folder = None if out is None else output_folder(out)
+    folder = None if out is None else cleared(output_folder(out))
     report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
     report["warnings"] = [f.message for f in warned]
@@ -72,22 +72,24 @@ def diagnose(
     ]
     command = command_of(data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared)
     report["run"] = evidence["run"] = Run(command, began).told()
-    report = check(report)
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        write_mjcf(folder, machine, problem, found, criteria or Criteria())
-        write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told, gains(machine)).encode())
-        (page or plain)(folder, report, evidence)
-    return report
+        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine))
+        write_all(folder, report, evidence, page or plain, {
+            model_toml.FILE: model, **mjcf_files(machine, problem, found, criteria or Criteria())
+        })  # fmt: skip
+    return check(report)
 
 
-def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:
-    """`declared.xml` and `model.xml` into the folder; what an earlier run of another kind left there goes."""
-    for name in (*OTHERS, MODEL):
-        (folder / name).unlink(missing_ok=True)
-    made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
-    write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
-    write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
+def mjcf_files(
+    machine: Machine, problem: Problem, found: Selection, criteria: Criteria
+) -> dict[str, Callable[[], str]]:
+    """What makes the text of `declared.xml` and of `model.xml`."""
+    made = lambda: changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
+    return {
+        model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
+        MODEL: lambda: mended_mjcf(machine.mechanism, made()),
+    }
 
 
 def examined(

@@ -14,9 +14,10 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, plain, write_mjcf
+from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, mjcf_files, plain
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane, model_file
+from adaptsim_jax.attribution.written import cleared, write_all
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES
 from adaptsim_jax.sysid.io.model_file import write_model
@@ -65,8 +66,7 @@ def partly_explained(
         report["notes"] += lost
         report = check(report)
         if out is not None:
-            folder = output_folder(out)
-            write_mjcf(folder, machine, problem, found, criteria or Criteria())
+            folder = cleared(output_folder(out))
             write_model(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
-            (page or plain)(folder, report, evidence)
+            write_all(folder, report, evidence, page or plain, mjcf_files(machine, problem, found, criteria or Criteria()))
         return report
