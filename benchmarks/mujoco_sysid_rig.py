@@ -30,11 +30,11 @@ from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.problem import nuisances, prepare
 from adaptsim_jax.attribution.replay import replay
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.sysid import catalogue, read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
-from adaptsim_jax.sysid.quality.audit import audit, usable
 
 DATA = Path(os.environ.get("ADAPTSIM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 LEFT_OUT, HORIZON, STEP = 3, 0.5, 0.002

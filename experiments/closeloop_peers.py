@@ -52,12 +52,12 @@ class Declared:
 
 def declared(folder: Path, exclude: tuple[str, ...]) -> Declared:
     """The package's own steps up to the declared model and its held-out error."""
+    from adaptsim_jax.logs.noise.floor import noise_floor
+    from adaptsim_jax.logs.quality.audit import audit, usable
     from adaptsim_jax.sysid import catalogue, read_recording
     from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
     from adaptsim_jax.sysid.evaluate.crossval import cross_validate
-    from adaptsim_jax.sysid.noise.floor import noise_floor
     from adaptsim_jax.sysid.nuisance.null_model import declared, timed
-    from adaptsim_jax.sysid.quality.audit import audit, usable
 
     recording = read_recording(folder)
     checked = audit(recording)

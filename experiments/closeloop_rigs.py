@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.core import compile_flags, memory
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.sysid import Criteria, Recording, catalogue, read_recording
 from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, by_least_squares, initial_states, prepare
 from adaptsim_jax.sysid.examine import Diagnosis, examine
-from adaptsim_jax.sysid.noise.floor import noise_floor
-from adaptsim_jax.sysid.quality.audit import audit, usable
 
 CHOSEN_ON = ("trial_00", "trial_01", "trial_02", "trial_03")
 

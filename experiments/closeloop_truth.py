@@ -11,11 +11,11 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.sysid import Recording, catalogue, read_recording
 from adaptsim_jax.sysid.evaluate.crossval import cross_validate
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
-from adaptsim_jax.sysid.quality.audit import audit, usable
 
 BRISTLE_DAMPING = 0.01  # s, of the generator's LuGre joint
 STOP_DAMPING = 0.002  # s, of its stop

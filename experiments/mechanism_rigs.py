@@ -25,10 +25,10 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.replay import Replay, replay
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.sysid import catalogue, read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
-from adaptsim_jax.sysid.quality.audit import audit, usable
 
 RIGS = Path(__file__).parent / "rigs"
 

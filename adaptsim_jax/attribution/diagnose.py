@@ -20,15 +20,15 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
-from adaptsim_jax.attribution.report import reported
+from adaptsim_jax.attribution.report import evidence_of, reported
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
+from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
-from adaptsim_jax.sysid.quality.trial_words import add_trials
-from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
-from adaptsim_jax.sysid.report.schema import check
 
 Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
@@ -63,7 +63,8 @@ def diagnose(
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
     folder = None if out is None else cleared(output_folder(out))
-    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
+    keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
+    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say, keep=keep)
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
@@ -99,8 +100,10 @@ def examined(
     exclude: Sequence[str] = (),
     say: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
+    keep: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
-    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept."""
+    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept;
+    keep: told of the report so far, as the search goes."""
     names = {e.name for e in MACHINE}
     if strange := sorted(set(exclude) - names):
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
@@ -114,10 +117,12 @@ def examined(
     say(0.05, 1.0, "declared model")
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
-        found = select(problem, null, criteria, step)
+        so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
+        found = select(problem, null, criteria, step, so_far)
         if not found.named and over_floor(problem, found.final) > criteria.odd:
             found = select_shorter(problem, null, criteria, found, step)
-    return *reported(machine, problem, found, criteria, horizon), problem, found
+    report = reported(machine, problem, found, criteria, horizon)
+    return report, evidence_of(problem, found, report), problem, found
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:

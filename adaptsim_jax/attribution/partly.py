@@ -19,12 +19,12 @@ from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane, model_file
 from adaptsim_jax.attribution.written import cleared, write_all
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.logs.model_file import write_model
+from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, pendulum_trials
+from adaptsim_jax.logs.quality.trial_words import add_trials
+from adaptsim_jax.logs.types import Recording
 from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES
-from adaptsim_jax.sysid.io.model_file import write_model
-from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, pendulum_trials
-from adaptsim_jax.sysid.quality.trial_words import add_trials
-from adaptsim_jax.sysid.report.schema import check
-from adaptsim_jax.sysid.types import Recording
 
 
 def partly_explained(

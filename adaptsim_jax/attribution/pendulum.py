@@ -16,11 +16,11 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.effects.registry import catalogue, effect_named
+from adaptsim_jax.logs.pendulum_log import log_of
+from adaptsim_jax.logs.types import Recording
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import JOINTS, double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
-from adaptsim_jax.sysid.io.pendulum_log import log_of
-from adaptsim_jax.sysid.types import Recording
 
 SAME = {
     "quadratic_drag": ("drag",), "spring": ("stiffness", "preload"), "bias": ("torque",),

@@ -6,8 +6,8 @@ from typing import Any
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes, write_json
-from adaptsim_jax.sysid.report.run import Page
-from adaptsim_jax.sysid.report.schema import check
+from adaptsim_jax.diagnosis.run import Page
+from adaptsim_jax.diagnosis.schema import check
 
 OF_OTHERS = ("leading.toml", "next_experiment.csv", "model.xml", "model.toml", "declared.xml", "report.json")
 """What an earlier run, perhaps of another kind, may have left in the folder."""

@@ -12,8 +12,8 @@ from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
     from adaptsim_jax.core.progress import Report
-    from adaptsim_jax.sysid.report.run import Page
-    from adaptsim_jax.sysid.types import Recording
+    from adaptsim_jax.diagnosis.run import Page
+    from adaptsim_jax.logs.types import Recording
 
 BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)
 """Share of the time that has passed when each stage of `diagnose` begins; the search is most of it."""
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.sysid.io.recording import read_recording
+    from adaptsim_jax.logs.recording import read_recording
 
     check_apart(Path(args.data), Path(args.out))
     if args.model is None and (task := of_trials(Path(args.data))):
@@ -102,7 +102,7 @@ def split_names(names: list[str]) -> list[str]:
 
 def of_a_mechanism(data: Path) -> bool:
     """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
-    from adaptsim_jax.sysid.io.meta import declared_task
+    from adaptsim_jax.logs.meta import declared_task
 
     return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
 
@@ -113,7 +113,7 @@ TRIALS = {"pushing": "pushing.diagnosis", "scooping": "scooping.diagnosis", "tos
 
 def of_trials(data: Path) -> str | None:
     """Which of `TRIALS` DATA holds, a folder of them or a session of `adaptsim robot`; None where it is something else."""
-    from adaptsim_jax.sysid.io.meta import declared_task
+    from adaptsim_jax.logs.meta import declared_task
 
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import session_task
@@ -163,7 +163,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.sysid.io.read import read_with_model
+    from adaptsim_jax.logs.read import read_with_model
 
     if "jax" not in sys.modules:
         compile_flags.small_steps()
@@ -206,9 +206,9 @@ def diagnose(
     effects_progress: told of that second part, whose length is not known beforehand."""
     from adaptsim_jax.attribution.partly import partly_explained
     from adaptsim_jax.commands.task_reward import task_reward
+    from adaptsim_jax.logs.quality.audit import audit, usable
+    from adaptsim_jax.logs.recording import read_recording, without_trials
     from adaptsim_jax.sysid import pipeline
-    from adaptsim_jax.sysid.io.recording import read_recording, without_trials
-    from adaptsim_jax.sysid.quality.audit import audit, usable
 
     recording = read_recording(data) if isinstance(data, (str, Path)) else data
     page = page_of(options.get("out"))

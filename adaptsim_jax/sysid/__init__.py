@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from adaptsim_jax.effects.base import Relaxation as Relaxation
     from adaptsim_jax.effects.registry import catalogue as catalogue
     from adaptsim_jax.effects.registry import effect_named as effect_named
+    from adaptsim_jax.logs.model_file import write_model as write_model
+    from adaptsim_jax.logs.recording import read_recording as read_recording
+    from adaptsim_jax.logs.types import Recording as Recording
     from adaptsim_jax.mechanisms.model_file import ModelFile as ModelFile
     from adaptsim_jax.mechanisms.model_file import read_model as read_model
     from adaptsim_jax.mechanisms.plant import Plant as Plant
     from adaptsim_jax.mechanisms.registry import make_plant as make_plant
     from adaptsim_jax.sysid.criteria import Criteria as Criteria
-    from adaptsim_jax.sysid.io.model_file import write_model as write_model
-    from adaptsim_jax.sysid.io.recording import read_recording as read_recording
-    from adaptsim_jax.sysid.types import Recording as Recording
 
 __all__ = [
     "Criteria", "Dry", "Effect", "ModelFile", "Parameter", "Plant", "Recording", "Relaxation", "catalogue", "effect_named",
@@ -37,14 +37,14 @@ __getattr__ = lazily(
         "ModelFile": "mechanisms.model_file",
         "Parameter": "effects.base",
         "Plant": "mechanisms.plant",
-        "Recording": "sysid.types",
+        "Recording": "logs.types",
         "Relaxation": "effects.base",
         "catalogue": "effects.registry",
         "effect_named": "effects.registry",
         "make_plant": "mechanisms.registry",
         "read_model": "mechanisms.model_file",
-        "read_recording": "sysid.io.recording",
-        "write_model": "sysid.io.model_file",
+        "read_recording": "logs.recording",
+        "write_model": "logs.model_file",
     },
 )
 

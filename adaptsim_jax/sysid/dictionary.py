@@ -13,10 +13,10 @@ import numpy as np
 
 from adaptsim_jax.effects.base import Dry, Effect, Motion, Reach
 from adaptsim_jax.effects.layout import Layout
+from adaptsim_jax.logs.segments import Windows
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.mechanisms.plant import Plant
 from adaptsim_jax.sysid.forward import Model, first_angles, gather_command, mean_speed, measure, trial_command
-from adaptsim_jax.sysid.segments import Windows
-from adaptsim_jax.sysid.types import Atom
 
 MANY = 100  # columns of one effect (a grid of frequencies) that are worth a program of their own
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.logs.noise.floor import NoiseFloor
+from adaptsim_jax.logs.quality.findings import Audit
+from adaptsim_jax.logs.types import Recording
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Evidence, Verdict, decide, open_to_rivals
 from adaptsim_jax.sysid.estimate.fit import seen_anew
@@ -17,10 +20,8 @@ from adaptsim_jax.sysid.evaluate.crossval import CrossValidation, cross_validate
 from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
 from adaptsim_jax.sysid.evaluate.power import Power, power, powered
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_diagnosis, residual_torque
-from adaptsim_jax.sysid.noise.floor import NoiseFloor
 from adaptsim_jax.sysid.nuisance.null_model import timed
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, told
-from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.report.results import add_ceiling, add_leading, floor_of, report_of
 from adaptsim_jax.sysid.rivals.kinematics import remeasured
 from adaptsim_jax.sysid.rivals.known_parameters import freed
@@ -31,7 +32,6 @@ from adaptsim_jax.sysid.select.backward import backward_eliminated
 from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
 from adaptsim_jax.sysid.select.refine import refined
 from adaptsim_jax.sysid.select.trace import Trace
-from adaptsim_jax.sysid.types import Recording
 
 STAGES = 9
 Progress = Callable[[int, int, str], None]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.logs.segments import Windows
 from adaptsim_jax.mechanisms.stepping import Model, Push, make_model, motion_of, relax, row_step
-from adaptsim_jax.sysid.segments import Windows
 
 __all__ = ["Drive", "Model", "Push", "make_model", "measure", "row_step", "simulate", "trajectory"]
 

@@ -7,25 +7,25 @@ from pathlib import Path
 from typing import Any
 
 from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
+from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.effects.base import Effect, Parameter
 from adaptsim_jax.effects.registry import catalogue, effect_named
+from adaptsim_jax.logs.model_file import write_model
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.quality.findings import Audit, Finding
+from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
+from adaptsim_jax.logs.quality.trial_words import add_trials
+from adaptsim_jax.logs.recording import read_recording, without_trials
+from adaptsim_jax.logs.types import Recording
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.design.experiment import CSV, csv_of, next_experiment
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.evaluate.evidence import evidence_of
 from adaptsim_jax.sysid.examine import STAGES, Diagnosis, Progress, examine, findings
-from adaptsim_jax.sysid.io.model_file import write_model
-from adaptsim_jax.sysid.io.recording import read_recording, without_trials
-from adaptsim_jax.sysid.noise.floor import noise_floor
-from adaptsim_jax.sysid.quality.audit import audit, usable
-from adaptsim_jax.sysid.quality.findings import Audit, Finding
-from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
-from adaptsim_jax.sysid.quality.trial_words import add_trials
 from adaptsim_jax.sysid.report.augmented_model import fitted_model
-from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
-from adaptsim_jax.sysid.report.schema import check, new_report
 from adaptsim_jax.sysid.select.trace import Trace
-from adaptsim_jax.sysid.types import Recording
 
 Reward = Callable[[Problem, Trace], dict[str, Any] | None]
 

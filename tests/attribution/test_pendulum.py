@@ -14,12 +14,12 @@ from adaptsim_jax.attribution.partly import partly_explained
 from adaptsim_jax.attribution.pendulum import base_parameters, left_out
 from adaptsim_jax.attribution.problem import tilted
 from adaptsim_jax.attribution.replay import replay
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
 from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES, Geometry, base_gravity
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
-from adaptsim_jax.sysid.io.recording import read_recording
-from tests.sysid.measured_files import real_rig
+from tests.logs.measured_files import real_rig
 
 THETA = np.array([0.12, 0.03, 0.4, 0.12, 0.01, 0.02])
 L1 = 0.3

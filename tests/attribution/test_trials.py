@@ -13,8 +13,8 @@ from adaptsim_jax.attribution.trials.fit import fitted, settled
 from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
 from adaptsim_jax.attribution.trials.report import Seen, _standing_out, error_table, finished, message, over_floor
 from adaptsim_jax.attribution.trials.select import select
-from adaptsim_jax.sysid.report.run import Run
-from adaptsim_jax.sysid.report.schema import new_report
+from adaptsim_jax.diagnosis.run import Run
+from adaptsim_jax.diagnosis.schema import new_report
 
 TRIALS, ROWS = 14, 60
 

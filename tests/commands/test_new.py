@@ -14,7 +14,7 @@ import pytest
 from adaptsim_jax.cli import main
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.completion import options_of
-from adaptsim_jax.sysid.io.read import read_with_model
+from adaptsim_jax.logs.read import read_with_model
 
 ROOT = Path(__file__).parents[2]
 STARTS = [

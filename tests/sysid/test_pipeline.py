@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import adaptsim_jax.sysid
+import adaptsim_jax
 from adaptsim_jax.commands.diagnose import diagnose
 from tests.generators import Spec, make_datasets, write_dataset
 
-SAMPLE = Path(adaptsim_jax.sysid.__file__).parent / "sample" / "recording"
+SAMPLE = Path(adaptsim_jax.__file__).parent / "logs" / "sample" / "recording"
 LEVEL = 0.294  # N m of Coulomb friction at joint 1, put in by the generator (sample/README.md)
 
 

@@ -13,9 +13,9 @@ from adaptsim_jax.attribution.trials.select import TrialModel, TrialNamed, Trial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.diagnosis.run import Page, Run, plain
+from adaptsim_jax.diagnosis.schema import check
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.report.run import Page, Run, plain
-from adaptsim_jax.sysid.report.schema import check
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}

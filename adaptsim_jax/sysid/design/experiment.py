@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.control.lqr import lqr_gain
+from adaptsim_jax.logs.segments import Windows, cut_windows
 from adaptsim_jax.mechanisms.closed_loop import broadcasts, history_rows, run_loop
 from adaptsim_jax.mechanisms.stepping import make_model
 from adaptsim_jax.sysid.design.excitation import library
@@ -22,7 +23,6 @@ from adaptsim_jax.sysid.estimate.fitted import Fit, rough_gain
 from adaptsim_jax.sysid.estimate.output_error import FitSettings, least_squares
 from adaptsim_jax.sysid.estimate.problem import Active, Problem, any_torque
 from adaptsim_jax.sysid.evaluate.power import COMMON, Power
-from adaptsim_jax.sysid.segments import Windows, cut_windows
 from adaptsim_jax.sysid.select.trace import Trace
 
 CSV = "next_experiment.csv"

@@ -5,13 +5,13 @@ from functools import partial
 
 import numpy as np
 
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.generic_forces import generic_forces
 from adaptsim_jax.sysid.estimate.gls import LEAST, Point, Refit, refit
 from adaptsim_jax.sysid.estimate.linearize import Path, signatures
 from adaptsim_jax.sysid.estimate.problem import DIVERGED, Active, Diverged, Problem, at_point
 from adaptsim_jax.sysid.estimate.variance import Linearised
-from adaptsim_jax.sysid.types import Atom
 
 
 @dataclass(frozen=True)

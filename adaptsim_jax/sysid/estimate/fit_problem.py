@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from adaptsim_jax.sysid.segments import Windows
+from adaptsim_jax.logs.segments import Windows
 
 Array = Any  # of JAX in a trace, of NumPy outside
 

@@ -16,12 +16,12 @@ import numpy as np
 from adaptsim_jax.core.kept_programs import kept
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Reach
+from adaptsim_jax.logs.segments import Windows
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.dictionary import Columns, columns_of, force_rows, measured_change
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.variance import Linearised
 from adaptsim_jax.sysid.forward import Drive, Model, Push, driven, first_angles, measure, row_step, switched_on
-from adaptsim_jax.sysid.segments import Windows
-from adaptsim_jax.sysid.types import Atom
 
 
 @dataclass(frozen=True)

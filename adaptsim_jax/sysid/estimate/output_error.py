@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.kept_programs import kept
+from adaptsim_jax.logs.segments import Windows
 from adaptsim_jax.sysid.estimate.fit_problem import FitPoint, FitProblem
 from adaptsim_jax.sysid.estimate.fit_result import FitResult, fit_result
 from adaptsim_jax.sysid.forward import Model, driven, first_angles, measure, trajectory
-from adaptsim_jax.sysid.segments import Windows
 
 ROOM = (6, 9, 12, 20)  # effect parameters that a compiled fit has room for: friction and a spring fit the first
 Array = Any  # of JAX in a trace, of NumPy outside

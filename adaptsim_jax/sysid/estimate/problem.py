@@ -7,6 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect, Reach
+from adaptsim_jax.logs.meta import check_known
+from adaptsim_jax.logs.model_file import declared_model
+from adaptsim_jax.logs.noise.floor import NoiseFloor, smooth
+from adaptsim_jax.logs.quality.findings import Audit
+from adaptsim_jax.logs.segments import Windows, cut_windows
+from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.mechanisms.plant import Plant
 from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.criteria import Criteria
@@ -14,12 +20,6 @@ from adaptsim_jax.sysid.dictionary import gravity_torque, make_reach
 from adaptsim_jax.sysid.estimate.fit_result import FitResult
 from adaptsim_jax.sysid.estimate.output_error import FitSettings, least_squares
 from adaptsim_jax.sysid.forward import Model, make_model
-from adaptsim_jax.sysid.io.meta import check_known
-from adaptsim_jax.sysid.io.model_file import declared_model
-from adaptsim_jax.sysid.noise.floor import NoiseFloor, smooth
-from adaptsim_jax.sysid.quality.findings import Audit
-from adaptsim_jax.sysid.segments import Windows, cut_windows
-from adaptsim_jax.sysid.types import Recording, Trial
 
 Active = tuple[tuple[str, str], ...]  # (effect, where) pairs that act
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.logs.segments import folds
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import refit_more
 from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem, initial_states
 from adaptsim_jax.sysid.score.table import ScoreTable
-from adaptsim_jax.sysid.segments import folds
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ model, the old trouble of identification in closed loop (Gustavsson, Ljung & Sod
 
 import numpy as np
 
+from adaptsim_jax.logs.segments import Windows
 from adaptsim_jax.sysid.criteria import Criteria
-from adaptsim_jax.sysid.segments import Windows
 
 
 def regulated(windows: Windows, criteria: Criteria) -> bool:

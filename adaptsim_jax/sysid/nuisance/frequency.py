@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from adaptsim_jax.effects.grids import FINEST
+from adaptsim_jax.logs.segments import Windows
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.segments import Windows
-from adaptsim_jax.sysid.types import Atom
 
 
 def frequency_of(windows: Windows, scorer: Scorer, atoms: list[Atom], alpha: float) -> float | None:

@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.logs.noise.floor import NoiseFloor
+from adaptsim_jax.logs.quality.findings import Audit
+from adaptsim_jax.logs.types import Atom, Recording
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import surveyed
@@ -23,13 +26,10 @@ from adaptsim_jax.sysid.estimate.problem import (
     prepare_within_reach,
 )
 from adaptsim_jax.sysid.estimate.variance import VarianceComponents
-from adaptsim_jax.sysid.noise.floor import NoiseFloor
 from adaptsim_jax.sysid.nuisance.frequency import frequency_of
 from adaptsim_jax.sysid.nuisance.phase import clocks
 from adaptsim_jax.sysid.nuisance.stepsize import stepped
-from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.score.table import ScoreTable, view
-from adaptsim_jax.sysid.types import Atom, Recording
 
 
 def fit_declared(

@@ -8,10 +8,10 @@ frequency trial by trial, and then held as a shift of that trial's clock.
 import numpy as np
 from scipy.stats import chi2
 
+from adaptsim_jax.logs.segments import Windows
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.segments import Windows
-from adaptsim_jax.sysid.types import Atom
 
 
 def by_trial(scorer: Scorer, atom: Atom) -> tuple[float, dict[int, np.ndarray]]:

@@ -13,18 +13,18 @@ import numpy as np
 from scipy.stats import chi2
 
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.logs.noise.floor import NoiseFloor, noise_floor
+from adaptsim_jax.logs.quality.findings import Audit
+from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import compressed
 from adaptsim_jax.sysid.estimate.fitted import Fit
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.estimate.variance import Whitened
-from adaptsim_jax.sysid.noise.floor import NoiseFloor, noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
-from adaptsim_jax.sysid.quality.findings import Audit
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import ScoreTable
-from adaptsim_jax.sysid.types import Recording, Trial
 
 ROUNDS = 4  # of putting back what a filter took; more would only raise noise
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
@@ -13,7 +14,6 @@ from adaptsim_jax.sysid.evaluate.crossval import CrossValidation
 from adaptsim_jax.sysid.evaluate.flexible import FlexibleBound
 from adaptsim_jax.sysid.evaluate.power import Power
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis
-from adaptsim_jax.sysid.report.schema import new_report
 from adaptsim_jax.sysid.report.union_intervals import reach_over_classes
 from adaptsim_jax.sysid.score.table import Ranked
 from adaptsim_jax.sysid.select.trace import Trace

@@ -14,6 +14,7 @@ import numpy as np
 
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.logs.segments import folds
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import Candidate, compressed, linearised
 from adaptsim_jax.sysid.estimate.fitted import Fit, force_ratio
@@ -21,7 +22,6 @@ from adaptsim_jax.sysid.estimate.problem import Diverged, Problem, at_point, pre
 from adaptsim_jax.sysid.nuisance.null_model import declared_base
 from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import ScoreTable
-from adaptsim_jax.sysid.segments import folds
 
 STEP = 0.01  # of the length: how far apart the fits are that show where the likelihood is largest
 FINE = 0.001  # the same close to it

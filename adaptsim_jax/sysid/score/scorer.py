@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.estimate.variance import Whitened
-from adaptsim_jax.sysid.types import Atom
 
 
 @dataclass(frozen=True)

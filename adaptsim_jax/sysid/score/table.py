@@ -6,6 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
+from adaptsim_jax.logs.segments import folds
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.estimate.candidate import survey
 from adaptsim_jax.sysid.estimate.fitted import Fit, Instance, Response, respond
@@ -14,8 +16,6 @@ from adaptsim_jax.sysid.estimate.linearize import Path
 from adaptsim_jax.sysid.estimate.problem import Problem
 from adaptsim_jax.sysid.estimate.variance import Linearised
 from adaptsim_jax.sysid.score.scorer import Score, Scorer
-from adaptsim_jax.sysid.segments import folds
-from adaptsim_jax.sysid.types import Atom
 
 
 @dataclass(frozen=True)

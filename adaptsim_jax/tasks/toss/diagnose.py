@@ -13,8 +13,8 @@ from adaptsim_jax.attribution.trials.problem import TrialProblem
 from adaptsim_jax.attribution.trials.select import TrialModel, TrialSelection, select
 from adaptsim_jax.core import config
 from adaptsim_jax.core.files import output_folder, write_bytes
-from adaptsim_jax.sysid.report.run import Page, Run, command_of, plain
-from adaptsim_jax.sysid.report.schema import check, new_report
+from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
+from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
 from adaptsim_jax.tasks.toss.flight import Flight, free_flight

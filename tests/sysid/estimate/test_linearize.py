@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.segments import cut_windows
 from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.dictionary import make_reach
 from adaptsim_jax.sysid.estimate.generic_forces import generic_forces, generic_names
 from adaptsim_jax.sysid.estimate.linearize import signatures
 from adaptsim_jax.sysid.estimate.output_error import least_squares
 from adaptsim_jax.sysid.forward import make_model, simulate
-from adaptsim_jax.sysid.segments import cut_windows
 from tests.sysid.small_rig import GEOMETRY, SIGMA, TRUE, make_trials
 
 pytestmark = pytest.mark.slow  # one compile of the whole catalogue

@@ -8,10 +8,10 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.segments import cut_windows, local_motion
 from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.sysid.estimate.output_error import least_squares
 from adaptsim_jax.sysid.forward import driven, make_model, simulate
-from adaptsim_jax.sysid.segments import cut_windows, local_motion
 from tests.sysid.small_rig import GEOMETRY, SIGMA, TRUE, make_trials
 
 FEW = tuple(e for e in catalogue() if e.name in ("coulomb", "bias", "delay", "presliding"))

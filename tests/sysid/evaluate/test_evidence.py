@@ -6,22 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import adaptsim_jax.sysid
+import adaptsim_jax
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.model_file import read_model
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.decide import Verdict
 from adaptsim_jax.sysid.evaluate.evidence import _variable, evidence_of
 from adaptsim_jax.sysid.evaluate.flexible import flexible_bound
 from adaptsim_jax.sysid.examine import examine
-from adaptsim_jax.sysid.io.model_file import read_model
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.pipeline import write_models
-from adaptsim_jax.sysid.quality.audit import audit
 from adaptsim_jax.sysid.report.results import add_leading
 from tests.generators import make_dataset, write_dataset
 
-SAMPLE = Path(adaptsim_jax.sysid.__file__).parent / "sample" / "recording"
+SAMPLE = Path(adaptsim_jax.__file__).parent / "logs" / "sample" / "recording"
 LEVEL = 0.294  # N m, sample/README.md
 FEW = tuple(e for e in catalogue("pendulum") if e.name in ("coulomb", "bias"))
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.sysid.evaluate.residual import ResidualDiagnosis, residual_diagnosis
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
-from adaptsim_jax.sysid.quality.audit import audit, usable
 from tests.sysid.small_rig import make_trials, written
 
 EFFECTS = tuple(e for e in catalogue() if e.name == "quadratic_drag")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from adaptsim_jax.logs.segments import folds
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.variance import (
     CORRELATION_TIMES,
@@ -17,7 +18,6 @@ from adaptsim_jax.sysid.estimate.variance import (
 )
 from adaptsim_jax.sysid.evaluate.spectrum import line
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.segments import folds
 
 RATE, WINDOW = 100.0, 50  # Hz, rows
 PARTS = VarianceComponents(

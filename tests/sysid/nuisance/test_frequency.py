@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.grids import FINEST, frequencies
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.nuisance.frequency import frequency_of
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.types import Atom
 
 RATE, WINDOW = 50.0, 50  # Hz, rows
 

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import clock_of
 from adaptsim_jax.sysid.estimate.variance import Whitened
 from adaptsim_jax.sysid.nuisance.phase import clocks
 from adaptsim_jax.sysid.score.scorer import Scorer
-from adaptsim_jax.sysid.types import Atom
 
 TRIALS, WINDOWS, ROWS, SPEED = 4, 6, 40, 2.0 * np.pi * 1.5
 

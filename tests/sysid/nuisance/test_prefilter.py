@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
 from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered, revised, smoothing_of, unsmoothed
 from adaptsim_jax.sysid.pipeline import diagnose
-from adaptsim_jax.sysid.quality.audit import audit, usable
 from adaptsim_jax.sysid.score.table import generic_p_value, view
 from adaptsim_jax.sysid.select.extend import extend
 from tests.generators import Spec, make_datasets, write_dataset

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.problem import at_point, prepare
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance import stepsize
 from adaptsim_jax.sysid.nuisance.null_model import fit_declared
-from adaptsim_jax.sysid.quality.audit import audit
 from tests.sysid.small_rig import TRUE, make_trials, written
 
 

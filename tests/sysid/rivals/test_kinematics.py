@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import declared
-from adaptsim_jax.sysid.quality.audit import audit, usable
 from adaptsim_jax.sysid.rivals.kinematics import (
     FARTHEST,
     _faint,

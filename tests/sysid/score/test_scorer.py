@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.stats import kstest
 
+from adaptsim_jax.logs.segments import folds
 from adaptsim_jax.sysid.estimate import variance
 from adaptsim_jax.sysid.score import scorer as score
-from adaptsim_jax.sysid.segments import folds
 from tests.sysid.linear_world import make
 
 COULOMB = score.Atom("coulomb", "joint1", {}, (0,), sign=1)

@@ -9,6 +9,7 @@ import pytest
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.types import Atom
 from adaptsim_jax.sysid.criteria import Criteria
 from adaptsim_jax.sysid.estimate.fitted import Code, Fit
 from adaptsim_jax.sysid.estimate.variance import Whitened
@@ -16,7 +17,6 @@ from adaptsim_jax.sysid.score.scorer import Scorer
 from adaptsim_jax.sysid.score.table import Ranked
 from adaptsim_jax.sysid.select import pairs
 from adaptsim_jax.sysid.select.start import own_starts
-from adaptsim_jax.sysid.types import Atom
 
 ALIKE = {"drag": ("friction",), "friction": (), "ripple": (), "lag": ()}
 PAIR = (1.0, 0)  # the sum of squares of any pair, and its size

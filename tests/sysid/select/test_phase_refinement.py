@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.logs.quality.audit import audit
+from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.sysid.estimate.fit import fit
 from adaptsim_jax.sysid.estimate.problem import prepare_within_reach
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.noise.floor import noise_floor
 from adaptsim_jax.sysid.nuisance.null_model import declared, timed
-from adaptsim_jax.sysid.quality.audit import audit
 from adaptsim_jax.sysid.select.phase_refinement import phases_refined, phases_refined_early
 from adaptsim_jax.sysid.select.trace import Trace
 from tests.generators import make_dataset, write_dataset

@@ -13,8 +13,8 @@ from adaptsim_jax.attribution.trials.problem import TrialProblem
 from adaptsim_jax.attribution.trials.report import Seen
 from adaptsim_jax.attribution.trials.select import TrialNamed, TrialSelection, select
 from adaptsim_jax.core.files import output_folder
-from adaptsim_jax.sysid.report.run import Page, Run, command_of
-from adaptsim_jax.sysid.report.schema import new_report
+from adaptsim_jax.diagnosis.run import Page, Run, command_of
+from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
 from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
