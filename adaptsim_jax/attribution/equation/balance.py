@@ -19,7 +19,7 @@ from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics
 
 GAIN = "torque_gain"
-ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain")
+ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
 """Effects that change what an actuator does by what it was told."""
 LEAST_GAIN = 0.02
 SOMEWHAT = 2048  # rows that one compiled program takes
@@ -27,7 +27,8 @@ SOMEWHAT = 2048  # rows that one compiled program takes
 
 @dataclass(frozen=True)
 class Balance:
-    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K].
+    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K],
+    clear [K, n]: whether a joint moved.
 
     q, v, a, u, sign [n, T]: the motion of all runs one after the other; clock [T] s; mean [K, T] averages over windows; runs: the rows
     of each."""
@@ -43,6 +44,7 @@ class Balance:
     mean: scipy.sparse.csr_matrix
     regressor: np.ndarray
     acceleration: np.ndarray
+    clear: np.ndarray
     trial: np.ndarray
     time: np.ndarray
     names: tuple[str, ...]
@@ -74,6 +76,7 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
             Balance(
                 group, q, v, a, u, sign, np.concatenate([r.time for r in runs]),
                 tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T,
+                mean @ np.concatenate([r.clear for r in runs], 1).T,
                 np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
                 tuple(t.name for t in tracks),
             )

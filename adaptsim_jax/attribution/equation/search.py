@@ -24,6 +24,8 @@ TRIED = 6  # candidates of a round that are judged
 GAIN = 0.02  # share of a joint's squared missing torque that each number of an effect must take off where it was left out
 LEVEL = 0.01  # of the paired test over blocks
 STEADY = 1.0  # an amplitude over its standard error
+SLOWEST = 0.15  # of a joint's usual speed: what sets in below is not told from what holds a joint still
+WORTH = 0.03  # of a joint's torque, root mean square: an effect of less is not worth a name
 DISCOVERY = 0.05  # share of false ones among what like drives have (Benjamini and Hochberg, 1995)
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED_GAIN = 0.3  # prior's standard deviation of a gain of torques that are told in N m
@@ -81,8 +83,10 @@ class _State:
         self.told = balance.averaged(actuator_force(balance, self.table.values)[0])
         torque = np.sqrt(np.mean(np.square(self.told), 0))
         size = np.sqrt(np.mean(np.square(missing), 0))
+        taken = self.told + missing  # by the motion, where nothing is told of what acts
+        self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
         self.least = np.maximum(LEAST_OF_TORQUE * torque, LEAST_OF_MISSING * size)
-        self.rows = rows_of(missing, missing, balance.trial, balance.time, self.least)
+        self.rows = rows_of(missing, missing, balance.trial, balance.time, self.least, balance.clear)
         self._summed()
         self.weigh(self.set_of(()))
         self.local = {j: k for k, j in enumerate(balance.group.joints)}
@@ -91,7 +95,7 @@ class _State:
         """Weights from what a set leaves."""
         self.table.explained = fitted.columns @ fitted.step
         left = self.rows.missing - self.table.explained
-        self.rows = rows_of(self.rows.missing, left, self.balance.trial, self.balance.time, self.least)
+        self.rows = rows_of(self.rows.missing, left, self.balance.trial, self.balance.time, self.least, self.balance.clear)
         self._summed()
 
     def _summed(self) -> None:
@@ -128,6 +132,7 @@ def witness(
     every = [
         _trusted(c) for c in candidates(problem, null, reach)
         if set(c.joints) <= joints and c.effect not in exclude and balanced(problem.effect(c.effect))
+        and c.shaped().get("speed", np.inf) > SLOWEST * max(reach.speed[j] for j in c.joints)
         and (commanded or not (c.sharing == "joint" and problem.effect(c.effect).place == "command"))
     ]  # fmt: skip
     steps: list[Step] = []
@@ -141,7 +146,7 @@ def witness(
     added, quiet = _backward(state, added, steps)
     kept = []
     whole = state.set_of(added)
-    for c in (c for c in added if c not in quiet):
+    for c in (c for c in added if c not in quiet and not _only_read(state, whole, c)):
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), _steady(whole, c)))
@@ -235,7 +240,25 @@ def _why_not(
         return f"its size is only {_steady(whole, c):.1f} times its error"
     if _at_bound(whole, c):
         return "its value is at the end of what such a machine may have"
+    if _worth(state, whole, c) < WORTH:
+        return f"it is less than {100 * WORTH:.0f} % of the joint's torque"
     return ""
+
+
+def _worth(state: _State, whole: Solved, c: Candidate) -> float:
+    """Root mean square of an effect's torque over that of the joint, at the joint where it is most."""
+    at = _numbers(whole, c)
+    force = np.sqrt(np.mean(np.square(whole.columns[..., at] @ whole.step[at]), 0))
+    return float(np.max(force / np.maximum(state.torque, 1e-300)))
+
+
+def _only_read(state: _State, whole: Solved, c: Candidate) -> bool:
+    """A shift of all commands by less than a row: how rows are read, and no effect."""
+    if c.effect != "delay":
+        return False
+    value = float(whole.step[_numbers(whole, c)][0])
+    dt, criteria = state.reach.dt, state.criteria
+    return -criteria.within_row * dt < value < criteria.least_shift * dt
 
 
 def _numbers(whole: Solved, c: Candidate) -> list[int]:
@@ -262,7 +285,7 @@ def _ranked(state: _State, now: Solved, some: Sequence[Candidate]) -> list[Candi
     if not some:
         return []
     rows = state.rows
-    weigh = lambda z: (z * rows.weight[:, None]).reshape(-1, z.shape[2])
+    weigh = lambda z: (z * rows.weight[..., None]).reshape(-1, z.shape[2])
     a, y = weigh(now.columns), ((rows.missing - now.columns @ now.step) * rows.weight)
     inverse = np.linalg.pinv(now.hess, rcond=1e-12, hermitian=True)
     fold = np.repeat(rows.fold, y.shape[1])

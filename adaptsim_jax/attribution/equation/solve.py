@@ -14,17 +14,19 @@ TRIALS = 5
 BLOCK = 0.5  # s, of which a paired test takes one difference
 MOST_BLOCKS, LEAST_BLOCKS = 60, 16
 MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
+LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
 FLOOR = 0.1  # of the usual loss of a block: one that hardly moved says little, however much it gained
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Missing forces [K, n] with their weights [n] (one over their size, and over the root of how many neighbours say the same), fold and
-    block [K]."""
+    """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of how many neighbours say the same; less
+    where a joint hardly moves: what holds it is anything up to the level of its friction), size [n], fold and block [K]."""
 
     missing: np.ndarray
     weight: np.ndarray
     size: np.ndarray
+    clear: np.ndarray
     fold: np.ndarray
     block: np.ndarray
 
@@ -63,11 +65,14 @@ class Compared:
     blocks: int
 
 
-def rows_of(missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray) -> Rows:
+def rows_of(missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray, clear: np.ndarray) -> Rows:
     """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by sizes `least` [n]."""
-    size = np.sqrt(np.maximum(np.median(_block_means(np.square(left), trial, time), 0), np.square(least) + 1e-18))
-    alike = _alike(left, trial, time)
-    return Rows(missing, 1.0 / (size * np.sqrt(alike)), size, folds_of(trial, time), blocks_of(trial, time))
+    clear = np.maximum(clear, LEAST_CLEAR)
+    usual = _block_means(np.square(left) * clear, trial, time) / _block_means(clear, trial, time)
+    size = np.sqrt(np.maximum(np.median(usual, 0), np.square(least) + 1e-18))
+    alike = _alike(left * np.sqrt(clear), trial, time)
+    weight = np.sqrt(clear) / (size * np.sqrt(alike))
+    return Rows(missing, weight, size, clear, folds_of(trial, time), blocks_of(trial, time))
 
 
 def _block_means(z: np.ndarray, trial, time) -> np.ndarray:
@@ -139,7 +144,7 @@ class Sums:
     def add(self, name, columns: np.ndarray) -> None:
         """A block [K, n, E]; joints of which it says nothing are left out of its products."""
         if name not in self.blocks:
-            weighed = (columns * self.rows.weight[:, None])[self.order]
+            weighed = (columns * self.rows.weight[..., None])[self.order]
             live = np.flatnonzero(np.any(columns, axis=(0, 2)))
             self.blocks[name] = np.ascontiguousarray(weighed[:, live]), live, columns
 
@@ -174,7 +179,7 @@ def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarra
     for f, x in enumerate(by_fold):
         mine = rows.fold == f
         left[mine] -= columns[mine] @ x
-    loss = means(np.square(left / rows.size), rows.block)
+    loss = means(rows.clear * np.square(left / rows.size), rows.block)
     return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(vector.precision))
 
 

@@ -19,13 +19,14 @@ LEAST_ROWS = 12  # of a window
 GRID = 4e-3  # s: faster logs are read at about this
 HOP = 0.25  # of a window, from one to the next
 CREEP = 0.02  # of a joint's usual speed, below which the direction of dry friction is not told from zero
+CLEAR = 0.1  # of the usual speed, below which a joint may be held by friction, which is then anything up to its level
 DOUBT = 3.0  # times the noise of a speed, likewise
 
 
 @dataclass(frozen=True)
 class Run:
     """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told over the window of a row, sign [n, T]
-    of the speed (between -1 and 1 where it is not told from zero); mean [K, T] averages over windows; at [K] s, their middles."""
+    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
 
     trial: int
     time: np.ndarray
@@ -34,6 +35,7 @@ class Run:
     a: np.ndarray
     u: np.ndarray
     sign: np.ndarray
+    clear: np.ndarray
     mean: scipy.sparse.csr_matrix
     at: np.ndarray
 
@@ -59,7 +61,8 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
             continue
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
         width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
-        out.append(Run(k, time, q, v, np.gradient(v, dt, axis=1), u, np.tanh(v / width[:, None]), mean, at))
+        moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
+        out.append(Run(k, time, q, v, np.gradient(v, dt, axis=1), u, np.tanh(v / width[:, None]), moves, mean, at))
     return tuple(out)
 
 
@@ -84,11 +87,12 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
             continue
         columns.append(np.interp(time, track.time[there], z[there]))
         seen *= np.interp(time, track.time, there.astype(float)) > 0.5
-    u = np.where(np.isfinite(track.u), track.u, 0.0)
-    held = np.clip(np.searchsorted(track.time, time + 1e-9, side="right") - 1, 0, len(track.time) - 1)
     q, v = _local(np.stack(columns), dt, _rows(dt))
-    before = u[held][np.maximum(np.arange(len(time)) - 1, 0)]
-    middle = 0.5 * (before + u[held])  # held from its row to the next: about a row, half of it is the one before
+    u = np.where(np.isfinite(track.u), track.u, 0.0)
+    area = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)])  # each is held to the next row
+    edges = np.append(time - 0.5 * dt, time[-1] + 0.5 * dt)
+    middle = np.stack([np.diff(np.interp(edges, track.time, z)) / dt for z in area.T], 1)
+    middle[0] = u[0]
     some = slice(None, None, max(1, round(GRID / dt)))
     return time[some], q[:, some], v[:, some], middle.T[:, some], seen[some]
 
