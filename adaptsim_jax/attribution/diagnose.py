@@ -11,7 +11,6 @@ import numpy as np
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import over_floor
 from adaptsim_jax.attribution.inertias_told import otherwise
@@ -25,8 +24,10 @@ from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
 
@@ -48,10 +49,11 @@ def diagnose(
     progress: Progress | None = None,
     page: Page | None = None,
     as_declared: bool = False,
+    effects: Sequence[Effect] | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
     writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
-    as_declared: conventions that the motion contradicts are taken all the same.
+    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None.
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
@@ -64,7 +66,9 @@ def diagnose(
     machine = scaled(machine, horizon)
     folder = None if out is None else cleared(output_folder(out))
     keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
-    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say, keep=keep)
+    report, evidence, problem, found = examined(
+        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep
+    )
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
@@ -100,17 +104,19 @@ def examined(
     exclude: Sequence[str] = (),
     say: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
+    effects: Sequence[Effect] | None = None,
     keep: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
-    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept;
-    keep: told of the report so far, as the search goes."""
-    names = {e.name for e in MACHINE}
+    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept; effects: the
+    catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes."""
+    fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
+    names = {e.name for e in known}
     if strange := sorted(set(exclude) - names):
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
-    fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
-    effects = tuple(e for e in MACHINE if e.name not in exclude or e.name in fitted)
+    chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
     problem = prepare(
-        machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared,
+        machine.tree, machine.tracks, chosen, machine.actuator, machine.gear, horizon, declared=machine.declared,
         look_back=LOOK_BACK,
     )  # fmt: skip
     step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows

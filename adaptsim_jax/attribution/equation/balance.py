@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms import equations
 
 GAIN = "torque_gain"
 ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
@@ -98,12 +98,12 @@ def _by_pieces(make, *along: np.ndarray) -> np.ndarray:
 
 @jax.jit
 def _regressed(tree, q, v, a):
-    return dynamics.regressor(tree, q, v, a, jnp.asarray(tree.gravity))
+    return equations.regressor(tree, q, v, a, jnp.asarray(tree.gravity))
 
 
 @jax.jit
 def _turned(tree, inertial, way, q):
-    force = lambda q: dynamics.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
+    force = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
     return jax.jvp(force, (q,), (way[:, None] + 0.0 * q,))[1]
 
 
@@ -114,7 +114,7 @@ def turned(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarra
 
 @jax.jit
 def _pulled(tree, inertial, gravity, q):
-    return dynamics.gravity_force(tree, inertial, q, gravity)
+    return equations.gravity_force(tree, inertial, q, gravity)
 
 
 def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def _actuated(values: Values, q, v, u):
 
 @partial(jax.jit, static_argnames="effect")
 def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, sign):
-    gravity = lambda q: dynamics.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
+    gravity = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
     answer = effect.apply(p, Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
     if isinstance(answer, Dry):
         return answer.force - answer.level * sign + 0.0 * q

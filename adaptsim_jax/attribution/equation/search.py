@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import Table, balanced
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums, compared, rows_of, solved

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.attribution.estimate import bounded_step
-from adaptsim_jax.attribution.held_out import sign_flip
+from adaptsim_jax.diagnosis.paired import sign_flip
 from adaptsim_jax.attribution.parameters import Entry, Vector
 
 FOLDS = 8  # of recordings of fewer trials than `TRIALS`
