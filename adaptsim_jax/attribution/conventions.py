@@ -8,6 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.commands_told import check_commands
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.pace import amperes, check_pace
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
@@ -60,6 +61,8 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     zeros = [j for j, turns in enumerate(words.hinges) if turns]
     if other := contradiction(tracks, declared, words, more, _chain(tree), zeros):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
+    if log.input_kind in ("none", "torque"):
+        told += check_pace(machine, tracks, declared)
     warned = told + (() if machine.gain_unknown else _weighed(machine, tracks, declared))
     late = lateness(tracks, declared)
     step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))
@@ -73,6 +76,8 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     motion = motion_of(tracks)
     if len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any():  # a free swing says nothing of the torques' unit
         return ()
+    if asked := amperes(machine, tracks, declared):
+        return asked
     found = linear_fit(motion, declared, first=machine.tree.n)
     if found.left > POOR or 1.0 / NEAR < found.scale < NEAR:
         return ()

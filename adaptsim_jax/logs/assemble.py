@@ -19,6 +19,7 @@ from adaptsim_jax.logs.joint_columns import Columns, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.quality.jitter import jitter
 from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
 
@@ -34,6 +35,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     scales = check_scales(trials, names)
     inputs = choose_inputs(path, trials, names, meta)
     log_trials = tuple(_trial(columns, names, meta, inputs) for columns in trials)
+    log_trials, evened = _evened(log_trials)
     suspected = scales + check_log_units(log_trials, names)
     turns = [columns.raw.name for columns in trials if columns.turns]
     turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
@@ -49,6 +51,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         notes=inputs.notes
         + _notes(raw, log_trials)
         + turned
+        + evened
         + suspected
         + copies([(t.name, t.q) for t in log_trials])
         + unread(path),
@@ -56,18 +59,16 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
 
 
 def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[str, ...]:
-    """The column that each actuator's command was read from, empty where there is none."""
-    roles = {
-        name: r
-        for name in trial.columns
-        if (r := role(name, names.joints)) is not None and r.stem in ("ctrl", "target")
-    }
-    base = 0 if any(r.joint == 0 for r in roles.values()) else 1
+    """The column that each input was read from, empty where there is none."""
+    stems = ("ctrl", "target") if inputs.kind == "command" else (inputs.stem,)
+    roles = {name: r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem in stems}
+    base = 0 if any(r.joint == 0 for name in trial.columns if (r := role(name, names.joints)) is not None) else 1
+    place = {joint: k + base for k, joint in enumerate(names.joints)}
     out = []
-    for index, actuator in enumerate(inputs.actuators):
-        place = names.joints.index(actuator.joint) if actuator.joint in names.joints else -1
-        known = {"ctrl": (actuator.name, actuator.joint, index + base), "target": (actuator.joint, place + base, None)}
-        mine = sorted((r.stem, name) for name, r in roles.items() if r.joint in known[r.stem])
+    for index, name in enumerate(inputs.names):
+        joint = inputs.actuators[index].joint if inputs.actuators else name
+        own = {"ctrl": (name, joint, index + base)}
+        mine = sorted((r.stem, c) for c, r in roles.items() if r.joint in own.get(r.stem, (joint, place.get(joint))))
         out.append(mine[0][1] if mine else "")
     return tuple(out)
 
@@ -178,6 +179,19 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs) -
         payload=_of(meta.payload, raw.name, 0.0),
         extra=extra,
     )
+
+
+def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
+    """The trials at even times where their rows were read evenly and only stamped unevenly, and a note on it."""
+    told = jitter([(t.time, t.q) for t in trials])
+    if told is None:
+        return trials, ()
+    step = float(np.median([np.median(np.diff(time)) for time in told.times]))
+    note = (
+        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not ({100 * told.share:.0f} % of it is not in them): rows "
+        f"are taken as read evenly, every {1e3 * step:.4g} ms"
+    )
+    return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
 
 
 def _of(table: Mapping[str, V], trial: str, default: V) -> V:

@@ -6,7 +6,7 @@ Nothing here decides anything for good: a person reads the text, mends it, and t
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,9 +25,9 @@ WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
     "efforts": "tau", "torques": "tau", "moment": "tau", "force": "tau",
     "command": "target", "cmd": "target", "desired": "target", "des": "target", "goal": "target", "reference": "target",
-    "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
+    "commands": "target", "targets": "target", "actions": "target", "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
 }  # fmt: skip
-TARGETS = ("target", "command", "cmd", "desired", "des", "goal", "reference", "ref", "setpoint", "action")
+TARGETS = ("commands", "targets", "actions", "target", "command", "cmd", "desired", "des", "goal", "reference", "ref", "setpoint", "action")
 CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
 
 
@@ -96,6 +96,8 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     stem = "target" if set(found) & set(TARGETS) else WORDS[found[-1]]
     if stem == "target" and {"tau", "torque", "effort"} & set(found):
         return None
+    if stem == "target" and "data" in tokens:  # an array of commands names no joints: it is in the order of the actuators
+        stem = "ctrl"
     inside = [joint for joint in joints if _contains(tokens, _tokens(joint))]
     if inside:
         return f"{stem}_{max(inside, key=len)}"
@@ -197,8 +199,10 @@ def meta_text(
     topics: Sequence[str] = (),
     ros: dict[str, str] | None = None,
     kinds: Sequence[str] = (),
+    commands: Mapping[str, str] | None = None,
 ) -> str:
-    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds that the columns allow."""
+    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds that the columns allow; commands:
+    trial -> the file that seems to hold its commands."""
     line = lambda key, value: dumps({key: value}).strip()
     lines = [
         "# Written by 'adaptsim init' from the data. What is marked 'guess' was not declared by anyone: check it.",
@@ -244,6 +248,8 @@ def meta_text(
             *(line(key, value) + "   # guess" for key, value in (ros or {}).items()),
             *(f"# {t}" for t in topics),
         ]
+    given = ", ".join(f'"{trial}" = "{file}"' for trial, file in (commands or {}).items())
+    lines += ["", "[trials]", f"commands = {{{given}}}   # guess: files of commands, by their names"] if given else []
     lines += [
         "",
         "# [noise]   # standard deviations in SI units, where known",

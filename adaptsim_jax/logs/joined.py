@@ -38,7 +38,7 @@ def apart(
     angles = [name for name in names if roles[name].stem == "q"]
     if np.mean(~whole) < JOINED or not angles or any(there[n].mean() < SELDOM for n in states):
         return None
-    if len({there[n].tobytes() for n in names}) < 2 or np.any(np.diff(columns[clock]) < 0):
+    if np.any(np.diff(columns[clock]) < 0):
         return None
     topics: dict[tuple[bytes, bool], list[str]] = {}
     for name in names:
@@ -56,6 +56,6 @@ def apart(
     out, notes = merge(str(path), made[True], made[False])
     kept = {name: out[called[name]] for name in names}
     held = [name for name in names if name not in states]
-    say = f"rows of {Path(path).name} hold parts of a sample, as topics in one file do: taken at the times of {', '.join(angles)}"
-    notes = (f"{say}{f', {chr(44).join(held)} held from when they came' if held else ''}", *notes)
+    acts = f", {', '.join(held)} held from when they came" if held else ""
+    notes = (f"rows hold parts of a sample, as topics in one file do: taken at the times of {', '.join(angles)}{acts}", *notes)
     return {clock: out["time"]} | kept, np.round(out[LINE]).astype(np.int64), notes

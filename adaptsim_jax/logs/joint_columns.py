@@ -67,7 +67,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         if found.stem in ("time", "trial"):
             continue
         if found.stem == "ctrl":
-            ctrl[found.joint if isinstance(found.joint, str) else (found.joint or 1) - (not zero_based)] = (
+            ctrl[_place(found, zero_based)] = (
                 trial.columns[name]
             )
             continue
@@ -99,6 +99,13 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     return Columns(
         trial, time, by_joint | {"q": whole} | ({"target": targets} if targets else {}), ctrl, turns, written, scaled
     )
+
+
+def _place(found: Role, zero_based: bool) -> int | str:
+    """The index or the name of the actuator that a column of commands speaks of."""
+    if isinstance(found.joint, str):
+        return found.joint
+    return (found.joint - (not zero_based)) if found.joint is not None else 0
 
 
 def _zero_based(roles: Iterable[Role]) -> bool:

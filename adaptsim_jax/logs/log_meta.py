@@ -19,7 +19,7 @@ TABLES = ("columns", "units", "angles", "commands", "known", "fit", "noise", "tr
 KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
 ANGLE_KEYS = ("convention", "zero", "reversed")
 COMMAND_KEYS = ("rate", "within")
-TRIAL_KEYS = ("exclude", "group", "payload")
+TRIAL_KEYS = ("exclude", "group", "payload", "commands")
 ROS_KEYS = ("state_topic", "command_topic", "trajectory")
 TRAJECTORY = ("ramp", "hold")
 
@@ -35,7 +35,7 @@ class LogMeta:
     the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
     standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
     `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
-    or to within a distance of the angle (rad, m).
+    or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data that holds its commands.
     """
 
     path: str = ""
@@ -57,6 +57,7 @@ class LogMeta:
     ros: Mapping[str, str] = field(default_factory=dict)
     rate: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
+    commands: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
@@ -100,6 +101,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
+        commands=_groups(path, trials.get("commands", {}), "commands", 'commands = {run = "control.csv"}'),
         ros=_ros(path, tables["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
@@ -197,18 +199,18 @@ def _noise(path: Path, table: dict) -> dict[str, float]:
     return out
 
 
-def _groups(path: Path, value: Any) -> dict[str, str]:
+def _groups(path: Path, value: Any, key: str = "group", example: str = 'group = {trial_00 = "loaded"}') -> dict[str, str]:
     """Trial (or pattern) -> group, from `{trial = "group"}` or `{group = ["trial", ...]}`."""
     if not isinstance(value, dict):
         raise BadInput(
-            f'{path}: trials.group must be a table, not {brief(value)}; write group = {{trial_00 = "loaded"}}'
+            f"{path}: trials.{key} must be a table, not {brief(value)}; write {example}"
         )
     out: dict[str, str] = {}
     for name, item in value.items():
         if isinstance(item, list):
-            out |= {trial: str(name) for trial in _texts(path, f"trials.group.{name}", item)}
+            out |= {trial: str(name) for trial in _texts(path, f"trials.{key}.{name}", item)}
         else:
-            out[name] = _text(path, f"trials.group.{name}", item)
+            out[name] = _text(path, f"trials.{key}.{name}", item)
     return out
 
 

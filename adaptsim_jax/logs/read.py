@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs import lerobot, ros
+from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
@@ -96,6 +96,11 @@ def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawT
         lerobot.check_named(data, trials[0], joints)
         return trials
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    folder = data if data.is_dir() else data.parent
+    commands = command_files.declared(meta.commands, folder, meta.path)
+    files = [path for path in files if path not in commands.values()]
+    if not commands and data.is_dir():
+        command_files.check_suspected(files)
     bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
     if not files and not bags:
         if data.is_dir():
@@ -106,7 +111,14 @@ def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawT
     # in a folder of both, [columns] speaks of the tables
     wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()))
     recorded = [ros.read_bag(path, wanted) for path in bags]
-    trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
+    tables = [
+        command_files.with_commands(trial, commands, meta.columns, meta.ignore)
+        for trial in read_files(files, meta.columns, meta.ignore, tuple(commands.values()))
+    ]
+    if files and not data.is_dir() and not commands:
+        told = command_files.beside(data, table_files(folder))
+        tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
+    trials = tables + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
     return [
         replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t

@@ -49,15 +49,21 @@ def table_files(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def read_files(files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
-    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out.
+def read_files(
+    files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = (), others: tuple[Path, ...] = ()
+) -> list[RawTrial]:
+    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out; others: files of commands,
+    whose columns `rename` may name too.
 
     Raises `BadInput` naming file and line.
     """
     stems = [path.stem for path in files]
+    elsewhere = {name for path in others for name in column_names(path)}
     trials = []
     for path in files:
-        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, rename, ignore)
+        here = column_names(path) if elsewhere else []
+        own = {ours: theirs for ours, theirs in rename.items() if theirs in here or theirs not in elsewhere}
+        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
     return trials
 
 
@@ -71,7 +77,8 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
             raise BadInput(
                 f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; {suggest(theirs, header)}"
             )
-    ours = _lists(path, header, rename) | {theirs: new for new, theirs in rename.items()}
+    lists = _lists(path, header, rename)
+    ours = lists | {theirs: new for new, theirs in rename.items()}
     named = {column: ours.get(column, column) for column in header if column in ours or column not in rename}
     told = {column for column in named if role(named[column]) is not None and not is_ignored(named[column], ignore)}
     wanted = tuple(dict.fromkeys(column for column in header if column in told))
@@ -87,20 +94,29 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     trials = []
     for label, part in by_label:
         check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
-        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, part.notes))
+        notes = part.notes
+        if lists:
+            notes = (*notes, f"cells hold lists, a number for each joint in order: {', '.join(f'{theirs} taken as {stem}' for theirs, stem in lists.items())}")
+        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes))
     return trials
+
+
+def list_columns(path: Path) -> list[str]:
+    """Columns of a CSV whose cells hold lists."""
+    if path.suffix.lower() == ".npz":
+        return []
+    first: dict[str, str] = {}
+    rows = _csv_rows(path, 40)  # topics of their own may begin some rows later
+    for row in rows[1:]:
+        for name, cell in zip(rows[0], row, strict=False):
+            if cell.strip():
+                first.setdefault(name, cell)
+    return [name for name, cell in first.items() if is_list(cell)]
 
 
 def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str, str]:
     """Columns of a CSV that hold lists of all joints by their usual names: theirs -> our stem."""
-    if path.suffix.lower() == ".npz":
-        return {}
-    first: dict[str, str] = {}
-    for row in _csv_rows(path, 40)[1:]:  # topics of their own may begin some rows later
-        for name, cell in zip(header, row, strict=False):
-            if cell.strip():
-                first.setdefault(name, cell)
-    lists = [name for name, cell in first.items() if is_list(cell) and role(name) is None]
+    lists = [name for name in list_columns(path) if role(name) is None]
     out = {name: STEMS[name.lower()] for name in lists if name.lower() in STEMS}
     taken = set(rename) | {name for name in header if name not in lists}
     return {name: stem for name, stem in out.items() if stem not in taken}
