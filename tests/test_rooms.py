@@ -12,7 +12,7 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "core", "space", "control", "effects", "mechanisms", "sysid", "attribution", "learners", "tasks", "adaptation",
+    "core", "space", "control", "effects", "mechanisms", "sysid", "attribution", "learners", "tasks", "environments", "adaptation",
     "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
@@ -32,6 +32,10 @@ WITHIN = {
     "sysid": (
         "types", "criteria", "quality", "io", "noise", "segments", "forward", "dictionary", "estimate", "score", "nuisance",
         "evaluate", "select", "rivals", "decide", "design", "report", "examine", "pipeline",
+    ),
+    "environments": (
+        "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
+        "targets", "task", "film", "kind",
     ),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",
