@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.adaptation.sweep_spec import read_sweep
-from adaptsim_jax.sysid.io.log_meta import read_log_meta
-from adaptsim_jax.sysid.io.meta import read_meta
+from adaptsim_jax.logs.log_meta import read_log_meta
+from adaptsim_jax.logs.meta import read_meta
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

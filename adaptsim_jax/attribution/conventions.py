@@ -1,4 +1,4 @@
-"""Conventions of a mechanism's log told from data, by `sysid.quality.contradictions`: the torque by unit of each body's inertia."""
+"""Conventions of a mechanism's log told from data, by `logs.quality.contradictions`: the torque by unit of each body's inertia."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,9 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.load import Machine
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.dynamics import regressor
-from adaptsim_jax.mechanisms.tree import Tree
-from adaptsim_jax.sysid.quality.contradictions import (
+from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
     NEAR,
     POOR,
@@ -19,10 +17,12 @@ from adaptsim_jax.sysid.quality.contradictions import (
     late_finding,
     lateness,
 )
-from adaptsim_jax.sysid.quality.findings import Finding
-from adaptsim_jax.sysid.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
-from adaptsim_jax.sysid.quality.trial_words import Channels
-from adaptsim_jax.sysid.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
+from adaptsim_jax.logs.quality.trial_words import Channels
+from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.mechanisms.equations import regressor
+from adaptsim_jax.mechanisms.tree import Tree
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}

@@ -7,10 +7,10 @@ from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.pendulum import pendulum_machine
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.io.meta import declared_task
-from adaptsim_jax.sysid.io.read import read_with_model
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.quality.audit import audit, usable
+from adaptsim_jax.logs.meta import declared_task
+from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.read import read_with_model
+from adaptsim_jax.logs.recording import read_recording
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:

@@ -7,9 +7,9 @@ import numpy as np
 
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.mjcf import Mechanism
 from adaptsim_jax.mechanisms.tree import Tree
-from adaptsim_jax.sysid.io.log import Log
 
 
 @dataclass(frozen=True)

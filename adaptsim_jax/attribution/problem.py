@@ -20,9 +20,9 @@ from adaptsim_jax.attribution.parameters import (
 )
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
-from adaptsim_jax.sysid.segments import local_motion
 
 LEAST_TRIALS = 5  # of which each is a fold
 LANES = 16  # stretches are padded to a multiple, so that compiled programs repeat
@@ -298,4 +298,4 @@ def group_inertia(values: Values, group: Group) -> tuple[np.ndarray, np.ndarray]
 
 @jax.jit
 def _at_rest(tree: Tree, inertial, gravity, q):
-    return dynamics.mass_matrix(tree, inertial, q), dynamics.gravity_force(tree, inertial, q, gravity)
+    return equations.mass_matrix(tree, inertial, q), equations.gravity_force(tree, inertial, q, gravity)

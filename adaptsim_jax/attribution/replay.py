@@ -22,7 +22,7 @@ from adaptsim_jax.attribution.paths import ready, run, simulated, starts_of, wid
 from adaptsim_jax.attribution.problem import Problem, prepare
 from adaptsim_jax.attribution.weights import Fit, Weights, losses
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 
 FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
 ROUNDS = 6

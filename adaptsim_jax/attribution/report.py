@@ -8,7 +8,6 @@ import numpy as np
 
 from adaptsim_jax.attribution import inertias_told
 from adaptsim_jax.attribution.backward import Named
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
@@ -16,8 +15,9 @@ from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.sysid.report.schema import new_report
 
 
 def _numbers(error: np.ndarray) -> float:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.backward import Named, Step, from_afar, judged, more, scored, where
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
     Model,
@@ -28,6 +27,7 @@ from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, s
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import eased
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit

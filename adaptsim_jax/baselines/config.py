@@ -22,8 +22,8 @@ class CompareConfig:
     starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
     visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
     For tasks whose policies are learned: target: the engine that targets run in (empty: the task's own simulator), with
-    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt; steps: where a trial is an episode of many steps. options: what baselines of
-    other packages are given.
+    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt; steps:
+    where a trial is an episode of many steps. options: what baselines of other packages are given.
     """
 
     methods: tuple[str, ...] = ()

@@ -17,7 +17,7 @@ from adaptsim_jax.core import config as configs
 
 TASK, TARGET = "pendulum", "ood-1"
 HINGE = Path(__file__).parents[1] / "attribution" / "sample" / "recording"
-PENDULUM = Path(__file__).parents[1] / "sysid" / "sample" / "recording"
+PENDULUM = Path(__file__).parents[1] / "logs" / "sample" / "recording"
 
 
 @dataclass(frozen=True)

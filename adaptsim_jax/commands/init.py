@@ -34,7 +34,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Writes the file and says how the data read with it."""
     from adaptsim_jax.commands.common import next_step
-    from adaptsim_jax.sysid.io.begin import begin
+    from adaptsim_jax.logs.begin import begin
 
     topics = {"state_topic": args.state_topic, "command_topic": args.command_topic}
     begun = begin(args.data, args.out, args.model, {key: name for key, name in topics.items() if name})

@@ -55,7 +55,7 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
 
 def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of a measured trial."""
-    from adaptsim_jax.sysid.io.table import read_table
+    from adaptsim_jax.logs.table import read_table
     from adaptsim_jax.tasks.pendulum import measured
 
     table = read_table(path, measured.COLUMNS)

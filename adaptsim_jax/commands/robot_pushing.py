@@ -67,7 +67,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the pushes that were asked for."""
     import numpy as np
 
-    from adaptsim_jax.sysid.io.table import read_table
+    from adaptsim_jax.logs.table import read_table
     from adaptsim_jax.tasks.pushing import measured
     from adaptsim_jax.tasks.pushing.frame import check_frame, check_order
     from adaptsim_jax.tasks.pushing.model import START

@@ -77,7 +77,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     """The trajectory of the scoops that were asked for."""
     import numpy as np
 
-    from adaptsim_jax.sysid.io.table import read_table
+    from adaptsim_jax.logs.table import read_table
     from adaptsim_jax.tasks.scooping import measured
 
     table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))

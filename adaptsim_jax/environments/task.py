@@ -293,8 +293,8 @@ def _acts(setting: Setting, prepared: Prepared, policy: Any, obs: jax.Array) -> 
 
 
 def measured(setting: Setting, obs: Any, action: Any, reward: Any) -> Rollout:
-    """An episode that was measured, `obs [t, O]`, `action [t, A]`, `reward [t]`, as one that was simulated: where it ended early, it is
-    over from there. BadInput names a shape that does not fit."""
+    """An episode that was measured, `obs [t, O]`, `action [t, A]`, `reward [t]`, as one that was simulated: where it ended
+    early, it is over from there. BadInput names a shape that does not fit."""
     T, A = setting.sim.length, setting.sim.action_dim
     O = _obs_dim(setting.play, setting.play.fields, "env")
     rows = [np.asarray(x, np.float32) for x in (obs, action, reward)]

@@ -44,7 +44,7 @@ class Tree:
     place [n, 3] m, rotation [n, 3, 3], gravity [3] m/s^2 in the world; inertial [n, 10]; damping N m s/rad (N s/m for a slide),
     armature kg m^2 (kg), frictionloss N m (N), stiffness N m/rad (N/m) about springref rad (m), each [n]. `damping_poly` and
     `stiffness_poly` [n, 2] are MuJoCo's higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref.
-    range [n, 2] rad or m, of use where `limited`.
+    range [n, 2] rad or m, of use where `limited`. linear: its equations of motion are those about rest at zero (`equations.py`).
     """
 
     joint_names: tuple[str, ...]
@@ -65,6 +65,7 @@ class Tree:
     damping_poly: Array
     stiffness_poly: Array
     range: Array
+    linear: bool = False
 
     @property
     def n(self) -> int:
@@ -88,7 +89,8 @@ class Tree:
         return "N m" if self.kinds[joint] == "hinge" else "N"
 
 
-_META = ("joint_names", "kinds", "parent", "body_names", "limited", "shapes")
+_OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "shapes")
+_META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)
 _OF_JOINTS = tuple(name for name in _DATA if name != "gravity")
 jax.tree_util.register_dataclass(Tree, data_fields=_DATA, meta_fields=_META)
@@ -185,6 +187,6 @@ def take(tree: Tree, indices: Sequence[int]) -> Tree:
     if any(new.get(tree.parent[i], -1) > new[i] for i in indices):
         raise ValueError(f"indices {tuple(indices)} must name a joint after its parent")
     at = np.asarray(indices, int)
-    meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _META}
+    meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _OF_EACH}
     meta["parent"] = tuple(new.get(p, -1) for p in meta["parent"])
     return replace(tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS})

@@ -3,7 +3,7 @@
     write_diagnosis(out, report, evidence)
     print_summary(report, console, out)
 
-`report` keeps `sysid.report.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
+`report` keeps `diagnosis.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
 
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None, units {channel: unit}}],
                      NaN where windows join; the first trial is shown, the others fold out
@@ -32,13 +32,13 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
+from adaptsim_jax.diagnosis import schema
 from adaptsim_jax.report import diagnosis_explore, explore
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_rows as rows_of
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
-from adaptsim_jax.sysid.report import schema
 
 MOST_LINES = 6
 """Warnings, and notes, that the terminal shows."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.io.table_checks import lost_digits
+from adaptsim_jax.logs.table_checks import lost_digits
 
 
 def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.io.table import Table, read_table
+from adaptsim_jax.logs.table import Table, read_table
 from adaptsim_jax.tasks.camera_record import (
     check_clock_set,
     check_different,

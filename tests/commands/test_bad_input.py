@@ -18,7 +18,7 @@ from adaptsim_jax.cli import main
 from adaptsim_jax.core import files
 from adaptsim_jax.core.store import RunFolder
 
-SAMPLE = Path(adaptsim_jax.__file__).parent / "sysid" / "sample" / "recording"
+SAMPLE = Path(adaptsim_jax.__file__).parent / "logs" / "sample" / "recording"
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from tests.generators.dataset import make_datasets
 from tests.generators.mechanism_worlds import MACHINES, write_world
 from tests.generators.recording import write_dataset
 from tests.generators.suites import null_cases, single_cases
-from tests.sysid.arm_files import arm, write
+from tests.logs.arm_files import arm, write
 
 COUNTS = {"pendulums": 60, "arms": 20, "mechanisms": 40, "pushes": 40, "scoops": 20, "tosses": 20}
 Sets = Iterator[tuple[str, Path]]
@@ -76,17 +76,16 @@ MADE = {
 
 
 def of_pendulum(source: Path) -> list[str]:
-    from adaptsim_jax.sysid.io.recording import read_recording
-    from adaptsim_jax.sysid.pipeline import told_in_short
-    from adaptsim_jax.sysid.quality.audit import audit, usable
-    from adaptsim_jax.sysid.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
-    from adaptsim_jax.sysid.quality.trial_words import sentences
+    from adaptsim_jax.logs.quality.audit import audit, usable
+    from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
+    from adaptsim_jax.logs.quality.trial_words import sentences
+    from adaptsim_jax.logs.recording import read_recording
 
     recording = read_recording(source)
     checked = audit(recording)
     if checked.fault:
         return [checked.message]
-    said = told_in_short(recording, checked)["warnings"]
+    said = list(checked.warnings)
     kept = usable(recording, checked)
     said += [f.message for f in check_conventions(kept)]
     found = pendulum_trials(kept)
@@ -96,7 +95,7 @@ def of_pendulum(source: Path) -> list[str]:
 def of_mechanism(source: Path) -> list[str]:
     from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
     from adaptsim_jax.attribution.diagnose import HORIZON, load, scaled
-    from adaptsim_jax.sysid.quality.trial_words import sentences
+    from adaptsim_jax.logs.quality.trial_words import sentences
 
     machine = load(source)
     said = [f.message for f in check_conventions(machine)]

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.sysid.io.read import read_log
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.io.table import read_table
-from adaptsim_jax.sysid.quality.audit import unwrapped
+from adaptsim_jax.logs.quality.audit import unwrapped
+from adaptsim_jax.logs.read import read_log
+from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks.pendulum import measured as swings
 from tests.faults import damage
 from tests.faults.damage import Columns, Kind, Recording
-from tests.sysid.arm_files import META, arm, write
+from tests.logs.arm_files import META, arm, write
 
 ARM = ("joint1", "joint2")
 EPOCH = 1.7e9
@@ -163,7 +163,7 @@ def write_bag(storage: str) -> Callable[[Path, Recording], Path]:
     """Joint states, each stamped by the row's time; they arrive every 10 ms whatever their stamps say."""
 
     def written(folder: Path, recording: Recording) -> Path:
-        from tests.sysid.io.test_bags import LATE, START, Bag
+        from tests.logs.test_bags import LATE, START, Bag
 
         c, bag = recording.trials[0], Bag(storage)
         table = {k: numbers(x) for k, x in c.items()}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.sysid.io.table import read_table
+from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks.pushing import measured as pushes
 from adaptsim_jax.tasks.pushing import model as push
 from adaptsim_jax.tasks.pushing.config import PushingConfig

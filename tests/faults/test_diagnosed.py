@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from tests.sysid.arm_files import arm, wrapped, write
+from tests.logs.arm_files import arm, wrapped, write
 
 pytestmark = pytest.mark.slow
 

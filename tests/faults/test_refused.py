@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from adaptsim_jax.sysid.io.recording import read_recording
-from adaptsim_jax.sysid.quality.audit import unwrapped
-from tests.sysid.arm_files import META, arm, wrapped, write
+from adaptsim_jax.logs.quality.audit import unwrapped
+from adaptsim_jax.logs.recording import read_recording
+from tests.logs.arm_files import META, arm, wrapped, write
 
 
 def refused(capsys, *words):

@@ -12,7 +12,7 @@ from adaptsim_jax.cli import main
 from adaptsim_jax.core import files, store
 from adaptsim_jax.core.errors import BadInput
 from tests.commands.test_train import SET
-from tests.sysid.arm_files import arm, write
+from tests.logs.arm_files import arm, write
 
 
 @pytest.mark.parametrize("code", [

@@ -6,7 +6,7 @@ from pathlib import Path
 from tests.generators.dataset import make_dataset
 from tests.generators.recording import write_dataset
 
-FOLDER = Path(__file__).parents[2] / "adaptsim_jax" / "sysid" / "sample"
+FOLDER = Path(__file__).parents[2] / "adaptsim_jax" / "logs" / "sample"
 NOTE = """# Sample recording
 
 `recording/` is made, not measured: `python -m tests.generators.make_sample` integrates a hanging double pendulum with

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from adaptsim_jax.sysid.report.schema import new_report
+from adaptsim_jax.diagnosis.schema import new_report
 
 DATA = {"trials": 8, "samples": 14_400, "held_out_trials": 4}
 FLOOR = {"q1": 0.0018, "q2": 0.0024, "v1": 0.021, "v2": 0.034}

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from adaptsim_jax.diagnosis.schema import VERDICTS, ReportError, read_report
 from adaptsim_jax.report.diagnosis import print_summary, render, write_diagnosis
 from adaptsim_jax.report.diagnosis_words import headline
-from adaptsim_jax.sysid.report.schema import VERDICTS, ReportError, read_report
 from tests.report.diagnosis_cases import REPORTS, evidence, held_out
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}

@@ -9,13 +9,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.quality.consistency import velocity_agreement
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, POOR, contradiction
+from adaptsim_jax.logs.quality.hypotheses import LEAST, Track, linear_fit, motion_of
+from adaptsim_jax.logs.quality.pendulum_design import WORDS, design
+from adaptsim_jax.logs.quality.turns import TURN, without_turns
+from adaptsim_jax.logs.table_checks import check_clock, check_time_unit
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, LATE_SNAPSHOTS, SAMPLES, SNAPSHOTS
-from adaptsim_jax.sysid.io.table_checks import check_clock, check_time_unit
-from adaptsim_jax.sysid.quality.consistency import velocity_agreement
-from adaptsim_jax.sysid.quality.contradictions import AS_DECLARED, POOR, contradiction
-from adaptsim_jax.sysid.quality.hypotheses import LEAST, Track, linear_fit, motion_of
-from adaptsim_jax.sysid.quality.pendulum_design import WORDS, design
-from adaptsim_jax.sysid.quality.turns import TURN, without_turns
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
 NEEDED = ("time", "q1", "q2", "tau1", "tau2")

@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
-from adaptsim_jax.sysid.io.table import read_table
+from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks.camera_record import check_clock_set, check_increasing, check_unit, holes
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import Body, read_body

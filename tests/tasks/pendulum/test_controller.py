@@ -8,8 +8,8 @@ import pytest
 from adaptsim_jax.commands.adapt import policy_table
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.model_file import write_model
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
-from adaptsim_jax.sysid.io.model_file import write_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import _ahead, along, lqr, make_world, plain_policy
 from adaptsim_jax.tasks.pendulum.controller import read_controller
 

@@ -9,7 +9,7 @@ import pytest
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.io.table import read_table
+from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks.pushing import measured, model, planar
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.task import PushingConfig

@@ -1,0 +1,148 @@
+"""Least squares over trials (Levenberg and Marquardt within bounds), and each trial predicted by the others."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.diagnosis.problem import Problem
+
+DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+ENOUGH = 1e-4  # of the loss; a round that gains less ends the fit
+LEFT = 1.5  # times the noise, beyond which a fit is begun again from beside
+GROUPS = 4  # of starts that the declared fit may begin from, one after the other
+
+
+@dataclass(frozen=True)
+class Fit:
+    """values `[P]`; free: names of what was fitted; residual `[T, R]`; columns `[T, R, K]` in steps of each quantity's scale; loss:
+    sum of squares; held: mean square `[T]` of each trial, predicted by the others; vectors `[T, P]`: with what."""
+
+    values: np.ndarray
+    free: tuple[str, ...]
+    residual: np.ndarray
+    columns: np.ndarray
+    loss: float
+    held: np.ndarray
+    vectors: np.ndarray
+
+
+def mean_square(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """Mean square `[T]` of residuals `[T, R]`."""
+    return np.square(residual).sum(1) / np.maximum(problem.counts, 1)
+
+
+def jacobian(problem: Problem, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Columns `[T, R, K]` of `names`, each in steps of its scale."""
+    at = problem.at(names)
+    basis = np.zeros((len(at), len(problem.quantities)))
+    basis[np.arange(len(at)), at] = [problem.quantities[i].scale for i in at]
+    return problem.columns(values, basis)
+
+
+def fitted(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
+    """`names` fitted from `values [P]` for at most so many rounds: values and the loss."""
+    values, loss = values.copy(), np.inf
+    for _ in range(rounds):
+        residual = problem.residuals(np.tile(values, (len(problem.trials), 1)))
+        loss = float(np.square(residual).sum())
+        columns = jacobian(problem, values, names)
+        better = _stepped(problem, names, values, residual, columns, loss)
+        if better is None:
+            break
+        gained, (values, loss) = loss - better[1], better
+        if gained < ENOUGH * loss:
+            break
+    return values, loss
+
+
+def settled(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
+    """As `fitted`; where structure is left, also from beside in each of `problem.again`, the best two of them to the end.
+
+    A push that runs along a patch's edge makes minima a few millimetres from each other, and an effect would be judged by its own.
+    """
+    best = fitted(problem, names, values, rounds)
+    if best[1] <= LEFT**2 * problem.counts.sum():
+        return best
+    tries = []
+    for i in problem.at(problem.again):
+        q = problem.quantities[i]
+        for side in (-q.scale, q.scale):
+            moved = best[0].copy()
+            moved[i] = np.clip(moved[i] + side, q.low, q.high)
+            tries.append(fitted(problem, names, moved, 2))
+    for moved, _ in sorted(tries, key=lambda t: t[1])[:2]:
+        best = min(best, fitted(problem, names, moved, rounds), key=lambda t: t[1])
+    return best
+
+
+def _stepped(problem, names, values, residual, columns, loss):
+    """A step that lowers the loss; None where there is none."""
+    hess = np.einsum("trk,trl->kl", columns, columns)
+    slope = np.einsum("trk,tr->k", columns, residual)
+    for more in DAMPING:
+        moved = bounded(problem, names, values, hess, slope, more * max(1.0, loss / max(problem.counts.sum(), 1)))
+        fresh = problem.residuals(np.tile(moved, (len(problem.trials), 1)))
+        now = float(np.square(fresh).sum())
+        if now < loss:
+            return moved, now
+    return None
+
+
+def bounded(problem: Problem, names, values, hess, slope, more: float = 0.0) -> np.ndarray:
+    """Gauss and Newton's step with priors, what would leave its bounds held at them; `values [P]` after it."""
+    at = problem.at(names)
+    q = [problem.quantities[i] for i in at]
+    scale = np.array([z.scale for z in q])
+    low, high = (np.array([getattr(z, end) for z in q]) for end in ("low", "high"))
+    prior = scale / np.array([z.prior for z in q])
+    now, neutral = values[at], np.array([z.neutral for z in q])
+    a = hess + np.diag(prior**2) + more * np.diag(np.diag(hess) + 1e-9)
+    b = slope - prior**2 * (now - neutral) / scale
+    free, step = np.ones(len(at), bool), np.zeros(len(at))
+    for _ in range(len(at) + 1):
+        step[:] = np.where(free, 0.0, step)
+        if free.any():
+            rest = b[free] - a[np.ix_(free, ~free)] @ step[~free]
+            step[free] = np.linalg.solve(a[np.ix_(free, free)], rest)
+        out = free & ((now + scale * step < low) | (now + scale * step > high))
+        if not out.any():
+            break
+        step[out] = ((np.clip(now + scale * step, low, high) - now) / scale)[out]
+        free &= ~out
+    moved = values.copy()
+    moved[at] = np.clip(now + scale * step, low, high)
+    return moved
+
+
+def completed(problem: Problem, names: Sequence[str], values: np.ndarray) -> Fit:
+    """A fit with its linearisation, and each trial simulated with what the others say (one step from the whole fit)."""
+    count = len(problem.trials)
+    residual = problem.residuals(np.tile(values, (count, 1)))
+    columns = jacobian(problem, values, names)
+    hess = np.einsum("trk,trl->tkl", columns, columns)
+    slope = np.einsum("trk,tr->tk", columns, residual)
+    whole = bounded(problem, names, values, hess.sum(0), slope.sum(0))
+    out = [bounded(problem, names, values, hess.sum(0) - h, slope.sum(0) - s) for h, s in zip(hess, slope, strict=True)]
+    low, high = (np.array([getattr(q, end) for q in problem.quantities]) for end in ("low", "high"))
+    vectors = np.clip(values + np.array(out) - whole, low, high)
+    held = mean_square(problem, problem.residuals(vectors))
+    loss = float(np.square(residual).sum())
+    return Fit(values, tuple(names), residual, columns, loss, held, vectors)
+
+
+def declared_fit(problem: Problem, rounds: int, noise: float = np.inf) -> Fit:
+    """The declared quantities fitted from the best few of `problem.starts`, and from more of them while more than `noise` (mean
+    square) is left: a bad minimum looks like an effect."""
+    score = problem.scan or (
+        lambda rows: np.array([np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows])
+    )
+    order, fits = np.argsort(score(problem.starts)), []
+    for first in range(0, GROUPS * problem.begun, problem.begun):
+        fits += [
+            fitted(problem, problem.declared, problem.starts[i], rounds) for i in order[first : first + problem.begun]
+        ]
+        best, loss = min(fits, key=lambda f: f[1])
+        if loss < noise * problem.counts.sum():
+            break
+    return completed(problem, problem.declared, settled(problem, problem.declared, best, rounds)[0])

@@ -1,0 +1,80 @@
+"""What a task gives to be diagnosed: parameters, candidates, and the residuals of its trials as a function of the parameters."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of the model. neutral: where it does nothing (declared: where a fit begins); scale: a size that matters, in `unit`,
+    the unit of steps; prior: width of a weak normal prior about neutral, which keeps finite what no trial shows."""
+
+    name: str
+    unit: str
+    neutral: float
+    low: float
+    high: float
+    scale: float
+    prior: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at where nothing acts until another
+    moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done, `apart` what
+    does. seen: what excites it. absorbed: declared quantities that may take it up."""
+
+    name: str
+    where: str
+    quantities: tuple[str, ...]
+    physics: str
+    seen: str
+    shapes: tuple[Mapping[str, float], ...] = ({},)
+    same: tuple[str, ...] = ()
+    absorbed: tuple[str, ...] = ()
+    apart: str = ""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A recording of T trials against a model of P quantities.
+
+    residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
+    nothing was measured. columns: `values [P]`, `basis [K, P]` -> derivatives `[T, R, K]` of what is simulated over the noise.
+    counts: measured numbers of each trial `[T]`. channels: coordinates of a row, of which `R` is a multiple. starts: points `[S, P]`
+    from which the declared fit may begin; begun: from how many of them, the best, it does; again: declared quantities beside whose
+    values a fit is begun again where it leaves structure, for there are minima close by. What each trial has of its own (where it
+    started) is the task's: it fits it inside of `residuals`, and takes out of `columns` what it would take up.
+    """
+
+    quantities: tuple[Quantity, ...]
+    declared: tuple[str, ...]
+    effects: tuple[Candidate, ...]
+    residuals: Callable[[np.ndarray], np.ndarray]
+    columns: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    counts: np.ndarray
+    trials: tuple[str, ...]
+    starts: np.ndarray
+    scan: Callable[[np.ndarray], np.ndarray] | None = (
+        None  # values [S, P] -> loss [S], roughly; where a cheaper way exists
+    )
+    index: Mapping[str, int] = field(default_factory=dict)
+    channels: int = 2
+    begun: int = 4
+    again: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "index", {q.name: i for i, q in enumerate(self.quantities)})
+
+    @property
+    def neutral(self) -> np.ndarray:
+        return np.array([q.neutral for q in self.quantities])
+
+    def at(self, names) -> np.ndarray:
+        """Places of quantities by name."""
+        return np.array([self.index[n] for n in names], int)
+
+    def effect(self, name: str) -> Candidate:
+        return next(e for e in self.effects if e.name == name)

@@ -1,0 +1,330 @@
+"""What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.run import Page, Run, plain
+from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.diagnosis.select import Model, Named, Selection, spread
+from adaptsim_jax.effects.base import NINETY
+
+MODEL, NEXT = "model.toml", "next_experiment.csv"
+LOGS = {"log_e": ("e", "Pa")}
+DRAWS = 400  # of trials, for the interval of an error
+OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
+APART = 4.0  # times the median error of all trials: those beyond it, where they are few, are told
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was recorded of T trials of at most R rows, C coordinates each.
+
+    trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of the axes `channels`; noise m.
+    judged `[T, R]` or `[T, R, C]`: rows that errors are taken over, where not all are; others: unit and noise of channels that are no
+    lengths.
+    """
+
+    trial: str
+    trials: str
+    names: tuple[str, ...]
+    time: np.ndarray
+    places: np.ndarray
+    mask: np.ndarray
+    channels: tuple[str, ...]
+    noise: float
+    noise_source: str
+    judged: np.ndarray | None = None
+    others: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """The rows that errors are taken over `[T, R, C]`."""
+        rows = self.mask if self.judged is None else self.judged
+        return np.broadcast_to(rows if rows.ndim > 2 else rows[..., None], self.places.shape)
+
+
+def stepping(progress: Callable[[float, float, str], None] | None, done: float) -> Callable[[str], None]:
+    """`step(note)` of a search whose length is not known: each takes a twentieth of what is left, from `done` on."""
+
+    def step(note: str) -> None:
+        nonlocal done
+        done += 0.05 * (1.0 - done)
+        if progress is not None:
+            progress(done, 1.0, note)
+
+    return step
+
+
+def check_exclude(exclude: tuple[str, ...], effects: tuple[Candidate, ...], trial: str) -> tuple[Candidate, ...]:
+    """`effects` without those excluded. Raises BadInput where a name is none of them."""
+    known = {e.name for e in effects}
+    for name in exclude:
+        if name not in known:
+            raise BadInput(f"--exclude: {name!r} is no effect of a {trial}; it has {', '.join(sorted(known))}")
+    return tuple(e for e in effects if e.name not in exclude)
+
+
+def over_floor(model: Model) -> float:
+    """Left-out error over the noise floor, median over trials."""
+    return float(np.median(np.sqrt(model.fit.held)))
+
+
+def left_by_fit(problem: Problem, model: Model) -> float:
+    """What the whole fit leaves over the noise floor, all trials together.
+
+    A trial that alone shows something (where a patch ends) is predicted badly by the others though the model is right; a model that
+    lacks something leaves more than noise where it was fitted, too.
+    """
+    return float(np.sqrt(model.fit.loss / problem.counts.sum()))
+
+
+def verdict(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
+    """The kind of the verdict by the larger of both errors over the noise floor."""
+    if not named:
+        return "within_noise" if over <= criteria.explained else "structured_unattributed"
+    if over > criteria.explained:
+        return "partly_explained"
+    return "explained_class" if any(n.alternatives or n.effect.same for n in named) else "explained"
+
+
+def words(name: str) -> str:
+    """An effect's name, with its place or without, as people write it."""
+    return name.partition("@")[0].replace("_", " ")
+
+
+def told(named: Sequence[Named], what: str) -> str:
+    """What is named and how it was tested, one sentence; what: the trials in words."""
+    lines = [
+        f"{words(n.effect.name)} holds out in {n.test.better} of {n.test.folds} {what} "
+        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
+        for n in named
+    ]
+    text = "; ".join(lines)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def message(seen: Seen, found: Selection, over: float, worst: float) -> str:
+    """What was found, in a few sentences."""
+    size = lambda m: f"{1e3 * seen.noise * over_floor(m):.3g}"
+    if not found.named:
+        left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
+        said = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
+        if worst <= 1.5:
+            return f"{said} Nothing need be added."
+        return f"{said} No effect of the catalogue holds out.{_standing_out(seen, found.null)}"
+    left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
+    if worst > 1.5 >= over:
+        left += f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times the noise floor."
+    return f"{told(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
+
+
+def _standing_out(seen: Seen, model: Model) -> str:
+    """A sentence on a few trials that are predicted far worse than the others."""
+    error = np.sqrt(model.fit.held)
+    odd = np.flatnonzero(error > APART * np.median(error))
+    if not 0 < len(odd) <= len(error) / 4:
+        return ""
+    names, times = [seen.names[k] for k in odd], np.max(error[odd]) / np.median(error)
+    one = len(odd) == 1
+    which = f"{(seen.trial if one else seen.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
+    asked = "is its track right?" if one else "are their tracks right?"
+    return f" {which} with up to {times:.0f} times the error of the others: {asked} --without {','.join(names)}"
+
+
+def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, float]:
+    """Value of a quantity and its 90 % interval by the jackknife."""
+    i = problem.index[name]
+    value, width = float(model.fit.values[i]), NINETY * float(spread(model)[i])
+    return value, value - width, value + width
+
+
+def effect_row(problem: Problem, found: Selection, n: Named, **more: Any) -> dict[str, Any]:
+    """A row of `effects`; more: keys beside."""
+    e, numbers = n.effect, {}
+    for name in e.quantities:
+        value, low, high = interval(problem, found.final, name)
+        numbers[name] = {"value": value, "low": low, "high": high, "unit": problem.quantities[problem.index[name]].unit}
+    return {
+        "name": e.name,
+        "where": e.where,
+        "parameters": numbers,
+        "physics": e.physics,
+        "shown_by": e.seen,
+        "alternatives": [*[f"{a.name}@{a.where}" for a, _ in n.alternatives], *e.same],
+        "held_out_gain": n.test.gain,
+        "p_value": n.test.p,
+        "better": n.test.better,
+        "folds": n.test.folds,
+        "size_over_scatter": min(n.steady, 1e3),
+        **more,
+    }
+
+
+def same_rows(found: Selection, trial: str) -> list[str]:
+    """A sentence for each pair of names that no trial tells apart."""
+    return [
+        f"{words(n.effect.name)} or {words(s)}: no {trial} tells them apart, only {n.effect.apart}."
+        for n in found.named
+        for s in n.effect.same
+    ]
+
+
+def error_rows(
+    metric: str,
+    floor: float,
+    source: str,
+    names: Sequence[str],
+    size: Mapping[str, np.ndarray],
+    channels: Mapping[str, tuple[str, float, Mapping[str, np.ndarray]]],
+) -> dict[str, Any]:
+    """The table `error`, in m. size: `before`, `after` `[T]` of each left-out trial; channels: unit, floor and the same of each."""
+    count = len(names)
+    draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
+    whole = lambda e, at=slice(None): float(np.median(e[at]))
+    return {
+        "metric": metric,
+        "unit": "m",
+        **{k: whole(v) for k, v in size.items()},
+        "noise_floor": floor,
+        "ceiling": None,
+        "per_channel": {
+            c: {"unit": unit, **{k: whole(v) for k, v in each.items()}, "noise_floor": least}
+            for c, (unit, least, each) in channels.items()
+        },
+        "per_trial": [
+            {
+                "trial": name,
+                **{k: float(v[i]) for k, v in size.items()},
+                "per_channel": {c: {k: float(v[i]) for k, v in each.items()} for c, (_, _, each) in channels.items()},
+            }
+            for i, name in enumerate(names)
+        ],
+        "noise_floor_source": source,
+        "intervals": {
+            k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])] for k, v in size.items()
+        },
+    }
+
+
+def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T, R, C]` m, of left-out trials."""
+    held = {"before": found.null.fit.held, "after": found.final.fit.held}
+    size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
+    one = lambda k, c: np.sqrt(
+        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows[..., c]).sum(1)
+        / np.maximum(seen.rows[..., c].sum(1), 1)
+    )
+    units = {n: ("m", seen.noise) for n in seen.channels} | dict(seen.others)
+    channels = {n: (*units[n], {k: one(k, c) for k in held}) for c, n in enumerate(seen.channels)}
+    metric = f"median over left-out {seen.trials} of the RMS error of a coordinate of the track"
+    if seen.others:
+        metric += f", {', '.join(seen.others)} by its noise for a length's"
+    return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
+
+
+def candidate_rows(found: Selection) -> list[dict[str, Any]]:
+    """Every candidate, what the first score test said of it, and what became of it."""
+    names = {n.effect.name for n in found.named}
+    alike = {a.name for n in found.named for a, _ in n.alternatives}
+    rows = []
+    for s in found.scores:
+        name = s.effect.name
+        status = "accepted" if name in names else "look-alike" if name in alike else "rejected"
+        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
+            name, "predicts left-out trials less well than what was chosen"
+        )
+        rows.append(
+            {
+                "name": name,
+                "where": s.effect.where,
+                "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
+                "p_value": float(min(1.0, s.p * len(found.scores))),
+                "accepted": name in names,
+                "status": status,
+                "why": why,
+            }
+        )
+    return rows
+
+
+def declared_rows(problem: Problem, model: Model, logs: Mapping[str, tuple[str, str]] = LOGS) -> dict[str, Any]:
+    """Declared quantities as fitted. logs: name and unit of what is fitted as a logarithm to the base of ten."""
+    out = {}
+    for name in problem.declared:
+        q, (value, low, high) = problem.quantities[problem.index[name]], interval(problem, model, name)
+        known = high - low < 0.3 * (q.high - q.low)
+        unit, key = q.unit, name
+        if name in logs:
+            value, low, high = (10.0 ** float(np.clip(z, q.low, q.high)) for z in (value, low, high))
+            key, unit = logs[name]
+        out[key] = {"value": value, "low": low, "high": high, "unit": unit, "identifiable": bool(known)}
+    return out
+
+
+def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list[dict[str, Any]]:
+    """Each trial over time, measured and simulated while left out, for the page."""
+    out = []
+    for i, name in enumerate(seen.names):
+        k = seen.mask[i] > 0
+        channels = lambda z, i=i, k=k: {n: z[i][k, c] for c, n in enumerate(seen.channels)}
+        out.append(
+            {
+                "trial": name,
+                "unit": "m",
+                "units": {n: unit for n, (unit, _) in seen.others.items()},
+                "time": seen.time[i][k],
+                "measured": channels(seen.places),
+                "before": channels(tracks["before"]),
+                "after": channels(tracks["after"]) if mended else None,
+            }
+        )
+    return out
+
+
+def plane_tracks(
+    seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool, axes: tuple[int, int] = (0, 1)
+) -> dict[str, Any]:
+    """Tracks `[n, 2]` m of all trials in a plane of two coordinates, for the page."""
+    cut = lambda z: [z[i][seen.mask[i] > 0][:, list(axes)] for i in range(len(seen.names))]
+    return {
+        "measured": cut(seen.places),
+        "before": cut(tracks["before"]),
+        "after": cut(tracks["after"]) if mended else None,
+    }
+
+
+def finished(
+    report: dict[str, Any],
+    evidence: dict[str, Any],
+    run: Run,
+    plan: Mapping[str, Any] | None,
+    folder: Path | None,
+    model: dict[str, Any],
+    columns: tuple[str, ...],
+    page: Page | None,
+) -> dict[str, Any]:
+    """The checked report; where there is a folder, it, its page, `model.toml` and `next_experiment.csv` with `columns` are written."""
+    if plan is not None:
+        report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
+            {"csv": NEXT} if plan["rows"] else {}
+        )
+    report["run"] = evidence["run"] = run.told()
+    report = check(report)
+    if folder is not None:
+        for name in (*OTHERS, MODEL, NEXT):
+            (folder / name).unlink(missing_ok=True)
+        write_bytes(folder / MODEL, config.dumps(model).encode())
+        if plan is not None and plan["rows"]:
+            rows = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
+            write_bytes(folder / NEXT, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())
+        (page or plain)(folder, report, evidence)
+    return report

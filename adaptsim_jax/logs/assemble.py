@@ -1,0 +1,181 @@
+"""Raw trials of named columns made into a `Log`: joints of the model, in its order, angles and units."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.angles import model_angles
+from adaptsim_jax.logs.beside import copies, unread
+from adaptsim_jax.logs.columns import is_ignored, role
+from adaptsim_jax.logs.inputs import Inputs, choose_inputs
+from adaptsim_jax.logs.joint_columns import Columns, columns_of
+from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
+from adaptsim_jax.logs.log_checks import check_log_units
+from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.tables import RawTrial
+
+V = TypeVar("V")
+
+
+def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
+    """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit the model."""
+    raw = [_without_ignored(trial, meta, model) for trial in _kept(path, raw, meta)]
+    names = model or _names_in(raw[0])
+    _check_meta_names(names, raw, meta)
+    trials = [columns_of(trial, names, meta) for trial in raw]
+    inputs = choose_inputs(path, trials, names, meta)
+    log_trials = tuple(_trial(columns, names, meta, inputs) for columns in trials)
+    suspected = check_log_units(log_trials, names)
+    turns = [columns.raw.name for columns in trials if columns.turns]
+    turned = (f"jumps of whole turns taken out of the angles of {', '.join(turns)}",) if turns else ()
+    return Log(
+        path=path,
+        meta=meta,
+        joint_names=names.joints,
+        trials=log_trials,
+        input_kind=inputs.kind,
+        input_names=inputs.names,
+        driven=inputs.driven,
+        notes=inputs.notes
+        + _notes(raw, log_trials)
+        + turned
+        + suspected
+        + copies([(t.name, t.q) for t in log_trials])
+        + unread(path),
+    )
+
+
+def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
+    names = [trial.name for trial in raw]
+    for key, patterns in (("exclude", meta.exclude), ("group", meta.group), ("payload", meta.payload)):
+        for pattern in patterns:
+            if not fnmatch.filter(names, pattern):
+                raise BadInput(
+                    f"{meta.path}: trials.{key} names {pattern!r}, no trial of {path}; {suggest(pattern, names)}"
+                )
+    kept = [trial for trial in raw if not any(fnmatch.fnmatchcase(trial.name, p) for p in meta.exclude)]
+    if not kept:
+        raise BadInput(f"{meta.path}: trials.exclude leaves no trial; keep one")
+    return kept
+
+
+def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
+    """The trial without columns that are not ours, and those that `ignore` names: themselves, or by their joint."""
+    joints = model.joints if model else ()
+    ours = {n: v for n, v in trial.columns.items() if role(n, joints) and not is_ignored(n, meta.ignore, joints)}
+    gone = tuple(name for name in trial.columns if name not in ours)
+    return replace(trial, columns=ours, ignored=(*trial.ignored, *gone))
+
+
+def _names_in(trial: RawTrial) -> ModelNames:
+    """The joints that a trial's own angle columns name, in their order."""
+    roles = [role(name) for name in trial.columns]
+    angles = [r.joint for r in roles if r and r.stem == "q"]
+    if any(isinstance(joint, str) for joint in angles):
+        joints = tuple(joint if isinstance(joint, str) else f"joint{joint}" for joint in angles)
+    else:
+        joints = tuple(f"joint{i}" for i in range(1, len(angles) + 1))
+    if not joints:
+        raise BadInput(f"{trial.path}: has no angle column; add q1, q2, ... or q_NAME (rad), or name them by [columns]")
+    return ModelNames(joints)
+
+
+def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> None:
+    columns = [name for trial in raw for name in trial.columns]
+    known = (*names.joints, *dict.fromkeys(columns), "q", "")
+    for key, given in (("convention", meta.convention), ("zero", meta.zero), ("reversed", meta.reversed)):
+        for name in given:
+            if name not in known:
+                joints = suggest(name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q"))))
+                raise BadInput(f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}")
+    quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
+    stems = ("q", "v", "tau", "target", "u", "i", "tau_commanded")
+    words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
+    for table, given in (("units", meta.units), ("noise", meta.noise)):
+        for name in given:
+            if name not in (*quantities, *stems) and name not in words:
+                near = suggest(name, (*quantities, *stems, *sorted(words)))
+                raise BadInput(f"{meta.path}: [{table}] {name!r} is no column, joint or quantity of the data; {near}")
+
+
+def _words(name: str, names: ModelNames) -> tuple[str, ...]:
+    found = role(name, names.joints)
+    if found is None or found.stem in ("time", "trial"):
+        return (name,)
+    if isinstance(found.joint, str):
+        return found.words(name, found.joint)
+    index = (found.joint or 1) - 1
+    joint = names.joints[index] if 0 <= index < len(names.joints) else ""
+    return found.words(name, joint)
+
+
+def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs) -> LogTrial:
+    raw, n = columns.raw, len(names.joints)
+    here = columns.by_joint.get("q", {})
+    for j, joint in enumerate(names.joints):
+        if j not in here:
+            have = [names.joints[k] for k in here]
+            mend = f"record it, or take a model without it (the data have {', '.join(have) or 'no angle'})"
+            near = nearest(joint, [c for c in (*raw.columns, *raw.ignored) if c not in have])
+            hint = f"did you mean '{near}'? Then name it by [columns] in meta.toml;" if near and not have else ""
+            raise BadInput(
+                f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {hint}{mend}"
+            )
+        if not np.isfinite(here[j]).any():
+            raise BadInput(
+                f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, or take a model without it"
+            )
+    speeds = columns.by_joint.get("v", {})
+    if speeds and len(speeds) < n:
+        lacks = next(joint for j, joint in enumerate(names.joints) if j not in speeds)
+        raise BadInput(
+            f"{raw.path}: has velocities, but none of joint '{lacks}'; add column v_{lacks}, or leave all out"
+        )
+    q = model_angles(columns.stacked("q", n), names, meta)
+    v = model_angles(columns.stacked("v", n), names, meta, rates=True) if speeds else None
+    extra = {stem: columns.stacked(stem, n) for stem in columns.by_joint if stem not in ("q", "v", inputs.stem)}
+    if "target" in extra:
+        extra["target"] = model_angles(extra["target"], names, meta)
+    return LogTrial(
+        name=raw.name,
+        path=raw.path,
+        time=columns.time,
+        q=q,
+        v=v,
+        u=inputs.of(columns, names, meta),
+        group=_of(meta.group, raw.name, "") or raw.group,
+        payload=_of(meta.payload, raw.name, 0.0),
+        extra=extra,
+    )
+
+
+def _of(table: Mapping[str, V], trial: str, default: V) -> V:
+    """What `[trials]` gives a trial: its own name counts before patterns."""
+    if trial in table:
+        return table[trial]
+    return next((value for pattern, value in table.items() if fnmatch.fnmatchcase(trial, pattern)), default)
+
+
+def _notes(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> tuple[str, ...]:
+    notes = list(dict.fromkeys(note for trial in raw for note in trial.notes))
+    ignored = sorted({column for trial in raw for column in trial.ignored if column.strip()})
+    if ignored:
+        notes.append(f"columns ignored: {', '.join(ignored)}")
+    kept = sorted({stem for trial in trials for stem in trial.extra})
+    if kept:
+        notes.append(f"columns kept beside the input: {', '.join(kept)}")
+    if any(trial.v is None for trial in trials):
+        notes.append(
+            "some trials have no velocities" if any(t.v is not None for t in trials) else "no velocities logged"
+        )
+    missing = {trial.name: int(np.isnan(trial.q).sum()) for trial in trials if np.isnan(trial.q).any()}
+    if missing:
+        notes.append(f"angles missing: {', '.join(f'{count} in {name}' for name, count in missing.items())}")
+    return tuple(notes)

@@ -1,0 +1,172 @@
+"""A first `meta.toml` for data of any kind: what can be read, what is guessed, what is left to a person."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.logs import lerobot, ros
+from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.guess import Guess, array_name, guess, meta_text
+from adaptsim_jax.logs.inputs import PREFERRED, STEM
+from adaptsim_jax.logs.log import Log, ModelNames
+from adaptsim_jax.logs.meta import SHORT_TRIALS
+from adaptsim_jax.logs.read import META, read_log
+from adaptsim_jax.logs.table import read_table
+from adaptsim_jax.logs.tables import ENDINGS, column_names, read_archive, table_files
+
+MODELS = (".xml", ".mjcf", ".urdf")
+
+
+@dataclass(frozen=True)
+class Begun:
+    """What was written where: `path` of meta.toml, its `text`; the `log` as it reads now, or what is `to_mend` before it does.
+
+    `unused`: columns that nothing was made of."""
+
+    path: Path
+    text: str
+    log: Log | None
+    to_mend: str
+    unused: tuple[str, ...] = ()
+
+
+def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
+    """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is one, or no data."""
+    folder = _folder(data, out)
+    names = _model_names(model)
+    columns, ros_topics, chosen = _columns(data, topics)
+    found = guess(columns, names)
+    arrays = _arrays(data)
+    found = replace(
+        found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
+        ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
+    )  # fmt: skip
+    told = model or _only_model(data)
+    here = folder.resolve()
+    text = meta_text(
+        found,
+        model=_from(told, here) if told else None,
+        data=None if here == data.resolve() else _from(data, here),
+        model_names=names,
+        topics=ros_topics,
+        ros=chosen,
+        kinds=_kinds(found, columns, names),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / META
+    write_bytes(path, text.encode())
+    try:
+        return Begun(path, text, read_log(folder, names), "", found.ignored)
+    except BadInput as error:
+        return Begun(path, text, None, str(error), found.ignored)
+
+
+def _folder(data: Path, out: Path | None) -> Path:
+    """The folder that meta.toml goes to; never one that has it, nor the data's own unless nothing else is named."""
+    if not data.exists():
+        raise BadInput(f"{data}: does not exist; give a folder or a file of recordings")
+    if (data / "actions.csv").exists() and not (data / META).exists():
+        raise BadInput(f"{data / META}: {SHORT_TRIALS}")
+    if out is None and not data.is_dir():
+        raise BadInput(f"{data}: is a file; name a folder for meta.toml by --out")
+    if out is not None and data.is_dir() and data.resolve() in (out.resolve(), *out.resolve().parents):
+        raise BadInput(f"{out}: lies in the data's folder; leave --out away to write there, or name a folder elsewhere")
+    if out is not None and out.exists() and not out.is_dir():
+        raise BadInput(f"{out}: is a file; name a folder by --out")
+    folder = data if out is None else out
+    if (folder / META).exists():
+        raise BadInput(f"{folder / META}: is there already; mend it by hand, or name another folder by --out")
+    return folder
+
+
+def _model_names(model: Path | None) -> ModelNames | None:
+    if model is None:
+        return None
+    from adaptsim_jax.logs.model_names import model_names
+    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+
+    return model_names(read_mechanism(model))
+
+
+def _only_model(data: Path) -> Path | None:
+    """The one MJCF or URDF file beside the data, if there is one."""
+    if not data.is_dir():
+        return None
+    found = [p for p in data.iterdir() if p.suffix.lower() in MODELS and p.is_file()]
+    return found[0] if len(found) == 1 else None
+
+
+def _from(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), folder)).as_posix()
+
+
+def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
+    """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
+    if data.is_dir() and lerobot.is_lerobot(data):
+        return lerobot.read_lerobot(data)[0].columns, [], {}
+    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    if files:
+        return _table_columns(files[0]), [], {}
+    bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
+    if not bags:
+        raise BadInput(f"{data}: holds no recordings ({', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set)")
+    there, chosen = ros.bag_topics(bags[0], topics)
+    lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
+    return ros.read_bag(bags[0], topics).columns, lines, chosen
+
+
+def _arrays(data: Path) -> dict[str, str | None]:
+    """Arrays `[T, n]` of the first file, by name: what each seems to be to us (`q` gives q1 to qn), None where nothing."""
+    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    if not files or files[0].suffix.lower() != ".npz":
+        return {}
+    found: dict[str, str | None] = {}
+    for name, array in read_archive(files[0]).items():
+        if array.dtype.kind in "fiu" and array.ndim == 2:
+            ours = array_name(name)
+            found[name] = None if ours in found.values() else ours
+    return found
+
+
+def _table_columns(path: Path) -> dict[str, np.ndarray]:
+    """Every column of numbers; others are left out. An array `[T, n]` of joints is n columns by our name of it."""
+    if path.suffix.lower() == ".npz":
+        out: dict[str, np.ndarray] = {}
+        named = _arrays(path)
+        for name, array in read_archive(path).items():
+            if array.dtype.kind in "fiu" and array.ndim == 1:
+                out[name] = array.astype(np.float64)
+            elif ours := named.get(name):
+                out |= {f"{ours}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
+        return out
+    names = tuple(dict.fromkeys(column_names(path)))
+    try:
+        return read_table(path, names).columns
+    except BadInput as error:
+        out = {}
+        for name in names:  # one column of words must not hide the others
+            try:
+                out |= read_table(path, (name,)).columns
+            except BadInput:
+                continue
+        if not out:
+            raise error
+        return out
+
+
+def _kinds(found: Guess, columns: dict[str, np.ndarray], names: ModelNames | None) -> list[str]:
+    """The input kinds that the columns allow: those that columns name themselves first, then by preference."""
+    theirs = set(found.columns.values()) | set(found.ignored)
+
+    def of(ours: Iterable[str]) -> list[str]:
+        stems = {r.stem for name in ours if (r := role(name, names.joints if names else ())) is not None}
+        return [kind for kind in PREFERRED if STEM[kind] in stems or (kind == "command" and "ctrl" in stems)]
+
+    return list(dict.fromkeys([*of(name for name in columns if name not in theirs), *of(found.columns)]))

@@ -1,0 +1,212 @@
+"""What drives the model in a log: torques, commands through its actuators, volts, amperes, or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.angles import flipped_joints, model_angles
+from adaptsim_jax.logs.joint_columns import Columns
+from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
+from adaptsim_jax.logs.log_meta import LogMeta
+
+STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
+PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")
+"""Which columns count where a file has several, unless `input` in meta.toml says."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """`kind`, the `stem` of its columns, the `names` of the columns of `u`, the `driven` joints, `notes`."""
+
+    kind: InputKind
+    stem: str
+    names: tuple[str, ...]
+    driven: tuple[str, ...]
+    actuators: tuple[ActuatorName, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def of(self, columns: Columns, names: ModelNames, meta: LogMeta) -> np.ndarray:
+        """`u [T, m]` of one trial in SI units."""
+        if self.kind == "none":
+            return np.zeros((len(columns.time), 0))
+        if self.kind != "command":
+            u = columns.stacked(self.stem, len(names.joints))
+            u[:, [joint not in self.driven for joint in names.joints]] = 0.0
+            _complete(columns, self.kind, self.names, u)
+            return np.where(flipped_joints(names, meta), -u, u)
+        targets = columns.stacked("target", len(names.joints))
+        angles = model_angles(targets, names, meta)
+        out = []
+        for index, actuator in enumerate(self.actuators):
+            told = columns.ctrl.get(actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint)))
+            if told is None:
+                j = names.joints.index(actuator.joint)
+                told = (angles if actuator.kind in ("position", "general") else targets)[:, j]
+            out.append(told)
+        u = np.stack(out, axis=1)
+        _complete(columns, self.kind, self.names, u)
+        return u
+
+
+def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
+    bad = np.argwhere(np.isnan(u))
+    for k in np.flatnonzero(np.isnan(u).all(0))[:1]:
+        raise BadInput(
+            f"{columns.raw.path}: no {kind} of {names[k]} in any {columns.raw.row_word}; record it, or write "
+            f'ignore = ["{STEM[kind]}_{names[k]}"] in meta.toml where it has none'
+        )
+    if bad.size:
+        row, k = bad[0]
+        where = f"{columns.raw.row_word} {columns.raw.lines[row]}"
+        raise BadInput(
+            f"{columns.raw.path}: {where}: no {kind} of {names[k]} (and {len(bad) - 1} more); remove such rows"
+        )
+
+
+def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: LogMeta) -> Inputs:
+    """Which columns drive the model in all trials. Raises `BadInput` where trials differ or a motor has no column."""
+    kinds = [_kinds(columns) for columns in trials]
+    kind: InputKind = meta.input or next((k for k in PREFERRED if all(k in have for have in kinds)), "none")  # type: ignore[assignment]
+    for columns, have in zip(trials, kinds, strict=True):
+        if kind == "none" and have and not meta.input:
+            other = next(t.raw.name for t, h in zip(trials, kinds, strict=True) if not have & h)
+            raise BadInput(
+                f"{columns.raw.path}: has {_word(have)} columns, trial {other} has none of them; log the same in all trials, "
+                'leave trials out by [trials] exclude, or write input = "none" in meta.toml'
+            )
+        if kind != "none" and kind not in have:
+            raise BadInput(
+                f'{columns.raw.path}: has no column for input = "{kind}"; add {STEM[kind]}1, or name it by [columns]'
+            )
+    first = trials[0]
+    if kind == "none":
+        _motors_told(first, names, meta)
+        return Inputs(kind, "", (), ())
+    notes = _notes(kind, kinds, meta)
+    if kind == "command":
+        return _commands(trials, names, notes)
+    stem = STEM[kind]
+    if kind == "torque" and not all("tau" in t.by_joint for t in trials):
+        stem, notes = "tau_commanded", (*notes, "torques are commands, not measured")
+    driven = _driven(trials, stem, names)
+    lacking = [joint for joint in names.joints if joint not in driven]
+    for actuator in names.actuators or ():
+        if actuator.joint in lacking:
+            raise BadInput(
+                f"{first.raw.path}: no {kind} of joint '{actuator.joint}', which has a motor in the model; add column "
+                f"{stem}_{actuator.joint}, or take actuator '{actuator.name}' out of the model"
+            )
+    if lacking:
+        notes = (*notes, f"no {kind} column, taken as free to move: {', '.join(lacking)}")
+    return Inputs(kind, stem, names.joints, driven, notes=notes)
+
+
+def _kinds(columns: Columns) -> set[str]:
+    have = {kind for kind, stem in STEM.items() if stem in columns.by_joint}
+    have |= {"torque"} if "tau_commanded" in columns.by_joint else set()
+    return have | ({"command"} if columns.ctrl else set())
+
+
+def _word(kinds: set[str]) -> str:
+    return " and ".join(sorted(kinds))
+
+
+def _notes(kind: str, kinds: list[set[str]], meta: LogMeta) -> tuple[str, ...]:
+    others = sorted(set.intersection(*kinds) - {kind})
+    if meta.input or not others:
+        return ()
+    return (
+        f'input taken from the {kind} columns; write input = "{others[0]}" in meta.toml for the {others[0]} columns',
+    )
+
+
+def _driven(trials: list[Columns], stem: str, names: ModelNames) -> tuple[str, ...]:
+    """Joints with a column of `stem`, the same in all trials."""
+    here = set(trials[0].by_joint[stem])
+    for columns in trials[1:]:
+        if differ := here ^ set(columns.by_joint.get(stem, {})):
+            joint = names.joints[min(differ)]
+            raise BadInput(
+                f"{columns.raw.path}: joint '{joint}' has a {stem} column in some trials only; add {stem}_{joint} to all "
+                "(0 where nothing was applied)"
+            )
+    return tuple(joint for j, joint in enumerate(names.joints) if j in here)
+
+
+def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...]) -> Inputs:
+    """A command for each actuator of the model; where the model's are not known, for each joint with a column."""
+    if names.actuators is None:
+        joints = _driven(trials, "target", names) if "target" in trials[0].by_joint else ()
+        if any(columns.ctrl for columns in trials):
+            joints = joints or _ctrl_joints(trials[0], names)
+        actuators = tuple(ActuatorName(joint, joint, "position") for joint in joints)
+    else:
+        actuators = names.actuators
+    if not actuators:
+        raise BadInput(
+            f"{trials[0].raw.path}: has commands, but the model has no actuator; add <actuator> to it, "
+            '<position joint="..." kp="..." kv="..."/> for position targets, or log torques'
+        )
+    for columns in trials:
+        _check_ctrl(columns, actuators)
+        for index, actuator in enumerate(actuators):
+            j = names.joints.index(actuator.joint)
+            told = {actuator.name, actuator.joint, index} & set(columns.ctrl)
+            if not told and j not in columns.by_joint.get("target", {}):
+                raise BadInput(
+                    f"{columns.raw.path}: no command for actuator '{actuator.name}' of joint '{actuator.joint}'; add column "
+                    f"target_{actuator.joint} or ctrl_{actuator.name}, or take the actuator out of the model"
+                )
+            if not told and actuator.kind == "motor":
+                raise BadInput(
+                    f"{columns.raw.path}: joint '{actuator.joint}' has a target, but its actuator '{actuator.name}' in the model "
+                    f'is a motor; make it <position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it '
+                    "is what the motor was told"
+                )
+        for j in columns.by_joint.get("target", {}):
+            if names.joints[j] not in {a.joint for a in actuators}:
+                raise BadInput(
+                    f"{columns.raw.path}: joint '{names.joints[j]}' has a target, but no actuator in the model; add "
+                    f'<position joint="{names.joints[j]}" .../> to it, or write ignore = ["target{j + 1}"] in meta.toml'
+                )
+    driven = tuple(j for j in names.joints if any(a.joint == j for a in actuators))
+    return Inputs("command", "target", tuple(a.name for a in actuators), driven, actuators, notes)
+
+
+def _ctrl_joints(columns: Columns, names: ModelNames) -> tuple[str, ...]:
+    out = []
+    for key in columns.ctrl:
+        joint = names.joints[key] if isinstance(key, int) and 0 <= key < len(names.joints) else key
+        if joint not in names.joints:
+            raise BadInput(f"{columns.raw.path}: column ctrl_{key} names no joint; {suggest(str(key), names.joints)}")
+        out.append(joint)
+    return tuple(joint for joint in names.joints if joint in out)
+
+
+def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
+    known = [name for a in actuators for name in (a.name, a.joint)]
+    for key in columns.ctrl:
+        if isinstance(key, int) and not 0 <= key < len(actuators):
+            raise BadInput(
+                f"{columns.raw.path}: column ctrl{key + 1}: the model has {len(actuators)} actuator(s); "
+                f'write ignore = ["ctrl{key + 1}"] in meta.toml, or add the actuator'
+            )
+        if isinstance(key, str) and key not in known:
+            near = nearest(key, known)
+            hint = f"did you mean '{near}'?" if near else f"it has {', '.join(known)};"
+            mend = f'rename it by [columns] in meta.toml, or write ignore = ["ctrl_{key}"]'
+            raise BadInput(f"{columns.raw.path}: column ctrl_{key}: the model has no actuator '{key}'; {hint} {mend}")
+
+
+def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta) -> None:
+    if names.actuators and meta.input != "none":
+        a = names.actuators[0]
+        column = f"ctrl_{a.name}" if a.kind == "motor" else f"target_{a.joint}"
+        raise BadInput(
+            f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add column {column} (or "
+            f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off'
+        )

@@ -1,0 +1,118 @@
+"""Columns of a raw trial given to the joints of a model, in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.core.config import nearest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.angles import finite_without_turns
+from adaptsim_jax.logs.columns import Role, role
+from adaptsim_jax.logs.log import ModelNames
+from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.log_units import column_scale
+from adaptsim_jax.logs.table_checks import check_time_unit
+from adaptsim_jax.logs.tables import RawTrial
+
+EPOCH = 1e6
+"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
+LIMIT = 1e5
+"""Magnitude in SI units beyond which a value is damage, not data."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
+
+    `turns`: whether whole turns were taken out of angles.
+    """
+
+    raw: RawTrial
+    time: np.ndarray
+    by_joint: dict[str, dict[int, np.ndarray]]
+    ctrl: dict[int | str, np.ndarray]
+    turns: bool
+
+    def stacked(self, stem: str, n: int) -> np.ndarray:
+        """`[T, n]` of a quantity, NaN for joints without."""
+        out = np.full((len(self.time), n), np.nan)
+        for j, values in self.by_joint.get(stem, {}).items():
+            out[:, j] = values
+        return out
+
+
+def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
+    """The columns of a trial by joint. Raises `BadInput`: no such joint, two columns for one, a wrong unit, an absurd value."""
+    roles = {name: found for name in trial.columns if (found := role(name, names.joints)) is not None}
+    zero_based = _zero_based(roles.values())
+    time = next(name for name, r in roles.items() if r.stem == "time")
+    where = f"{trial.path}: column {time}"
+    scale = column_scale(where, meta.units, "time", (time,), slides=False)
+    seconds = trial.columns[time] * scale
+    check_time_unit(trial.path, seconds, scale)
+    by_joint: dict[str, dict[int, np.ndarray]] = {}
+    ctrl: dict[int | str, np.ndarray] = {}
+    taken: dict[tuple[str, int], str] = {}
+    for name, found in roles.items():
+        if found.stem in ("time", "trial"):
+            continue
+        if found.stem == "ctrl":
+            ctrl[found.joint if isinstance(found.joint, str) else (found.joint or 1) - (not zero_based)] = (
+                trial.columns[name]
+            )
+            continue
+        j = _joint(trial, name, found, names, zero_based)
+        if (found.stem, j) in taken:
+            raise BadInput(
+                f"{trial.path}: columns {taken[found.stem, j]!r} and {name!r} are both {found.stem} of joint "
+                f"{names.joints[j]!r}; keep one, or write ignore = [{name!r}] in meta.toml"
+            )
+        taken[found.stem, j] = name
+        slides = names.joints[j] in names.slides
+        words = found.words(name, names.joints[j])
+        scale = column_scale(f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides)
+        by_joint.setdefault(found.stem, {})[j] = _sized(trial, name, trial.columns[name] * scale)
+    angles = by_joint.get("q", {})
+    whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
+    turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
+    time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
+    return Columns(trial, time, by_joint | {"q": whole}, ctrl, turns)
+
+
+def _zero_based(roles: Iterable[Role]) -> bool:
+    return any(r.joint == 0 for r in roles)
+
+
+def _joint(trial: RawTrial, name: str, found: Role, names: ModelNames, zero_based: bool) -> int:
+    """The index of the model's joint that a column belongs to."""
+    n, joint = len(names.joints), found.joint
+    if isinstance(joint, str):
+        if joint in names.joints:
+            return names.joints.index(joint)
+        mend = f'rename it by [columns] in meta.toml, or write ignore = ["{joint}"]'
+        near = nearest(joint, names.joints)
+        hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names.joints)};"
+        raise BadInput(f"{trial.path}: column {name!r}: the model has no joint '{joint}'; {hint} {mend}")
+    if joint is None:
+        if n > 1:
+            raise BadInput(
+                f"{trial.path}: column {name!r} names no joint, but the model has {n}; name it {name}1 or {name}_{names.joints[0]}"
+            )
+        return 0
+    index = joint if zero_based else joint - 1
+    if not 0 <= index < n:
+        mend = f'name joints of the model only ({", ".join(names.joints)}), or write ignore = ["{name}"] in meta.toml'
+        raise BadInput(f"{trial.path}: column {name!r}: the model has {n} joint(s); {mend}")
+    return index
+
+
+def _sized(trial: RawTrial, name: str, values: np.ndarray) -> np.ndarray:
+    bad = np.flatnonzero(np.abs(values) > LIMIT)
+    if bad.size:
+        where = f"{trial.row_word} {trial.lines[bad[0]]}"
+        why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {LIMIT:g}"
+        raise BadInput(f"{trial.path}: {where}: {why}; mend that row, or declare [units] in meta.toml")
+    return values

@@ -1,0 +1,127 @@
+"""LeRobot data sets: `meta/info.json` and Parquet files, each episode a raw trial.
+
+`observation.state` gives angles, `action` position targets, `observation.velocity` and `observation.effort` speeds and
+torques; names come from info.json's features. Read by pyarrow (extra `lerobot`). Both layouts are read: one file an
+episode (up to v2.1) and many episodes a file (v3).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.extras import need
+from adaptsim_jax.logs.table_checks import check_clock
+from adaptsim_jax.logs.tables import MIN_ROWS, RawTrial
+
+STEMS = {"observation.state": "q", "observation.velocity": "v", "observation.effort": "tau", "action": "target"}
+ENDS = {".pos": "q", ".vel": "v", ".torque": "tau", ".effort": "tau"}
+"""What ends the names of one vector's entries, where it holds more than positions."""
+
+
+def is_lerobot(folder: Path) -> bool:
+    """Whether a folder is a LeRobot data set."""
+    return (folder / "meta" / "info.json").is_file()
+
+
+def read_lerobot(folder: Path) -> list[RawTrial]:
+    """Every episode. Raises `BadInput`: no such features, damaged files, pyarrow missing."""
+    info = _info(folder)
+    features = info["features"]
+    if "observation.state" not in features:
+        raise BadInput(
+            f"{folder}/meta/info.json: has no feature 'observation.state' (joint angles); convert the data to CSV"
+        )
+    parquet = need(folder, "pyarrow.parquet", "lerobot")
+    files = sorted((folder / "data").rglob("*.parquet"))
+    if not files:
+        raise BadInput(f"{folder}: holds no data/**/*.parquet; download the data set whole")
+    wanted = [name for name in (*STEMS, "timestamp", "frame_index", "episode_index") if name in features]
+    parts: dict[int, list[tuple[Path, dict[str, np.ndarray]]]] = {}
+    for path in files:
+        for episode, table in _episodes(path, parquet, wanted):
+            parts.setdefault(episode, []).append((path, table))
+    fps = info.get("fps")
+    return [_trial(folder, episode, parts[episode], features, fps) for episode in sorted(parts)]
+
+
+def _info(folder: Path) -> dict[str, Any]:
+    path = folder / "meta" / "info.json"
+    try:
+        info = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(info, dict) and isinstance(info.get("features"), dict):
+            return info
+        why = "it has no features"
+    except (OSError, ValueError, RecursionError) as error:
+        why = " ".join(str(error).split())[:120]
+    raise BadInput(f"{path}: is no description of a LeRobot data set ({why}); download the data set again") from None
+
+
+def _episodes(path: Path, parquet: Any, wanted: list[str]) -> list[tuple[int, dict[str, np.ndarray]]]:
+    try:
+        table = parquet.read_table(path, columns=wanted)
+        arrays = {name: np.array(table.column(name).to_pylist(), dtype=np.float64) for name in table.column_names}
+    except Exception as error:  # pyarrow's own errors, and ragged or textual columns
+        why = " ".join(str(error).split())[:120] or type(error).__name__
+        raise BadInput(f"{path}: is no readable Parquet file of joint vectors ({why}); download it again") from None
+    if "observation.state" not in arrays:
+        raise BadInput(f"{path}: column 'observation.state' is missing; download the data set again")
+    index = arrays.get("episode_index", np.zeros(len(table))).astype(int).ravel()
+    return [(int(e), {name: a[index == e] for name, a in arrays.items()}) for e in np.unique(index)]
+
+
+def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) -> RawTrial:
+    path = parts[0][0]
+    arrays = {name: np.concatenate([table[name] for _, table in parts]) for name in parts[0][1]}
+    count = len(arrays["observation.state"])
+    if count < MIN_ROWS:
+        raise BadInput(
+            f"{path}: episode {episode} has {count} rows; a trial needs at least {MIN_ROWS}, write "
+            f'[trials] and exclude = ["episode_{episode}"] in meta.toml'
+        )
+    notes: tuple[str, ...] = ()
+    if "timestamp" in arrays:
+        time = arrays["timestamp"].ravel()
+    else:
+        if not isinstance(fps, int | float) or not fps > 0:
+            raise BadInput(f"{folder}/meta/info.json: has no fps, and the data no timestamp; add one of them")
+        time = np.arange(count) / fps
+        notes = (f"no timestamps: rows taken {fps:g} times a second, as info.json says",)
+    rows, word = np.arange(1, count + 1), f"episode {episode}, row"
+    if (bad := np.flatnonzero(~np.isfinite(time))).size:
+        raise BadInput(f"{path}: {word} {rows[bad[0]]}: timestamp is {time[bad[0]]:g}; remove such rows")
+    check_clock(path, time, rows, word)
+    columns = {"time": time}
+    for name, stem in STEMS.items():
+        if name in arrays:
+            values = arrays[name].reshape(count, -1)
+            columns |= _named(stem, _names(features.get(name, {}), values.shape[1]), values)
+    return RawTrial(f"episode_{episode}", str(path), columns, np.arange(1, count + 1), "row", notes=notes)
+
+
+def _names(feature: Any, width: int) -> list[str]:
+    """The names of a vector's entries; their numbers where info.json has none of them."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = [name for group in names.values() if isinstance(group, list) for name in group]
+    if isinstance(names, list) and len(names) == width == len({n for n in names if isinstance(n, str)}):
+        return names
+    return [str(i) for i in range(1, width + 1)]
+
+
+def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:
+    out = {}
+    for j, name in enumerate(names):
+        end = next((e for e in ENDS if name.endswith(e)), "")
+        here = ENDS.get(end, "q")
+        if stem == "target":  # what an action says of speeds and torques is no position target
+            key = {"q": "target", "v": "ctrl", "tau": "tau"}[here]
+            after = "_commanded" if here == "tau" else ""
+        else:
+            key, after = (here if end and stem == "q" else stem), ""
+        out[f"{key}_{name.removesuffix(end)}{after}"] = values[:, j]
+    return out

@@ -1,0 +1,138 @@
+"""What was logged of a mechanism: trials and joints in SI units, as every later stage sees them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log_meta import LogMeta
+
+InputKind = Literal["torque", "command", "voltage", "current", "none"]
+
+GAP = 0.5
+"""s without a row beyond which one recording is two blocks."""
+
+
+@dataclass(frozen=True)
+class ActuatorName:
+    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity, general, dcmotor."""
+
+    name: str
+    joint: str
+    kind: str = "motor"
+
+
+@dataclass(frozen=True)
+class ModelNames:
+    """What a reader of logs must know of a model.
+
+    `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m, not rad);
+    `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a serial chain);
+    `actuators`: in the model's order, None where nothing is known of them.
+    """
+
+    joints: tuple[str, ...]
+    slides: tuple[str, ...] = ()
+    parents: tuple[int, ...] = ()
+    actuators: tuple[ActuatorName, ...] | None = None
+
+    @property
+    def parent_of(self) -> tuple[int, ...]:
+        """`parents`, those of a serial chain where none are given."""
+        return self.parents or tuple(range(-1, len(self.joints) - 1))
+
+
+@dataclass(frozen=True)
+class LogTrial:
+    """One trial of `T` rows and `n` joints, in the model's order of joints.
+
+    `time [T]`: s, increasing, unevenly spaced; `q [T, n]`: rad (hinge) or m (slide), NaN where a value is missing;
+    `v [T, n]`: rad/s or m/s, None where no speed was logged; `u [T, m]`: the input, which holds from its row to the
+    next: N m or N (torque), what the actuators were told (command), V, A. `extra`: other quantities of the file by
+    their stem (`tau_commanded`, `target`, ...), each `[T, n]` and NaN for joints without; `group`: trials that
+    belong together; `payload`: kg at the tip.
+    """
+
+    name: str
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray | None
+    u: np.ndarray
+    group: str = ""
+    payload: float = 0.0
+    path: str = ""
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def dt(self) -> float:
+        """Median sampling interval in s."""
+        return float(np.median(np.diff(self.time)))
+
+    def rows(self, start: int, stop: int) -> LogTrial:
+        """The trial's rows `start` to `stop` (exclusive)."""
+        part = slice(start, stop)
+        v = None if self.v is None else self.v[part]
+        extra = {name: values[part] for name, values in self.extra.items()}
+        return replace(self, time=self.time[part], q=self.q[part], v=v, u=self.u[part], extra=extra)
+
+
+@dataclass(frozen=True)
+class Log:
+    """Trials of one mechanism and what its `meta.toml` declares.
+
+    `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the model's actuators
+    are not known); `driven`: joints that have an input column, torque is 0 at the others. `notes`: what a person
+    should know of how the files were read, a line each.
+    """
+
+    path: str
+    meta: LogMeta
+    joint_names: tuple[str, ...]
+    trials: tuple[LogTrial, ...]
+    input_kind: InputKind
+    input_names: tuple[str, ...]
+    driven: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def samples(self) -> int:
+        """Rows over all trials."""
+        return sum(len(trial.time) for trial in self.trials)
+
+    def pick(self, names: Sequence[str]) -> Log:
+        """The log with these trials only, in this order; BadInput names one that is not there."""
+        from adaptsim_jax.core.config import pick
+
+        by_name = {trial.name: trial for trial in self.trials}
+        return replace(self, trials=tuple(by_name[pick(f"trial of {self.path}:", n, by_name)] for n in names))
+
+
+def blocks(log: Log, seconds: float) -> Log:
+    """`log` with every trial cut into equal blocks of about `seconds`, and wherever `GAP` seconds have no row.
+
+    Rates and lengths stay as they are, no row is lost but for pieces of fewer than 3 rows, each row is in one block. A
+    trial shorter than 1.5 blocks without a gap keeps its name; others get `name#1`, `name#2`, ...
+    """
+    if not seconds > 0:
+        raise BadInput(f"blocks of {seconds:g} s: give a length above 0")
+    return replace(log, trials=tuple(block for trial in log.trials for block in _cut(trial, seconds)))
+
+
+def _cut(trial: LogTrial, seconds: float) -> list[LogTrial]:
+    gaps = np.flatnonzero(np.diff(trial.time) > max(GAP, 20 * trial.dt)) + 1
+    edges = [0, *gaps.tolist(), len(trial.time)]
+    pieces: list[tuple[int, int]] = []
+    for start, stop in itertools.pairwise(edges):
+        time = trial.time[start:stop]
+        count = max(1, round((time[-1] - time[0]) / seconds))
+        inner = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1]) + start
+        bounds = [start, *inner.tolist(), stop]
+        pieces += [(a, b) for a, b in itertools.pairwise(bounds) if b - a >= 3]
+    if len(pieces) == 1:
+        return [trial.rows(*pieces[0])]
+    return [replace(trial.rows(a, b), name=f"{trial.name}#{i}") for i, (a, b) in enumerate(pieces, start=1)]

@@ -1,0 +1,51 @@
+"""Units that a whole log betrays: milliseconds for seconds, degrees for radians; refused where it is sure, told where not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import LogTrial, ModelNames
+from adaptsim_jax.logs.quality.consistency import velocity_agreement
+from adaptsim_jax.logs.units import GAINS
+
+LARGE = 4 * np.pi
+"""Angle in rad beyond which degrees are suspected where no speeds tell."""
+ALIKE = 0.1
+"""How far (in log) a speed may be from a known mistake and still be taken for it."""
+
+
+def check_log_units(trials: Sequence[LogTrial], names: ModelNames) -> tuple[str, ...]:
+    """Notes about suspicious units. Raises `BadInput` naming the trial and the line for meta.toml where the data are sure."""
+    hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
+    for trial in trials:
+        if what := _speed_suspect(trial, hinges):
+            why = f"velocities and angles differ by a unit: suspected are {what}"
+            raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
+    return tuple(note for j in hinges if (note := _large(trials, j, names)))
+
+
+def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
+    """The mistake that all hinges that move enough agree on, or nothing."""
+    if trial.v is None:
+        return ""
+    gains = []
+    for j in hinges:
+        here = np.isfinite(trial.q[:, j]) & np.isfinite(trial.v[:, j])
+        if here.sum() > 20:
+            told = velocity_agreement(trial.time[here], trial.q[here, j], trial.v[here, j])
+            gains += [told.gain] if told.enough and told.r2 > 0.9 else []
+    if not gains or min(gains) <= 0:
+        return ""
+    return next((what for size, what in GAINS.items() if all(abs(np.log(g / size)) < ALIKE for g in gains)), "")
+
+
+def _large(trials: Sequence[LogTrial], j: int, names: ModelNames) -> str:
+    if any(trial.v is not None for trial in trials):
+        return ""
+    reach = float(np.median([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials]))
+    if reach < LARGE:
+        return ""
+    return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]'

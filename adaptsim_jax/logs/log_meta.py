@@ -1,0 +1,200 @@
+"""The schema of a mechanism's `meta.toml`: what a person declares about a log, checked key by key."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from adaptsim_jax.core.config import read, suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.logs.log_units import check_unit
+
+INPUTS = ("torque", "command", "voltage", "current", "none")
+CONVENTIONS = ("relative", "absolute")
+TEXT_KEYS = ("name", "description", "note", "source", "license")
+TABLES = ("columns", "units", "angles", "known", "fit", "noise", "trials", "ros")
+KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
+ANGLE_KEYS = ("convention", "zero", "reversed")
+TRIAL_KEYS = ("exclude", "group", "payload")
+ROS_KEYS = ("state_topic", "command_topic")
+
+
+@dataclass(frozen=True)
+class LogMeta:
+    """What `meta.toml` declares of a log.
+
+    `model`, `data`: whole paths, None where not named; `input`: which columns drive the model, None: told by the columns;
+    `ignore`: columns, or joints with all their columns, that are left out; `columns`: our name -> the file's name;
+    `units`: column, stem or quantity -> unit; `convention`: joint or column -> "relative" or "absolute", "" for all;
+    `zero`: joint or column -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that
+    the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
+    standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
+    `kp100_*` may stand for several trials).
+    """
+
+    path: str = ""
+    model: str | None = None
+    data: str | None = None
+    input: str | None = None
+    ignore: tuple[str, ...] = ()
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    convention: Mapping[str, str] = field(default_factory=dict)
+    zero: Mapping[str, float] = field(default_factory=dict)
+    reversed: tuple[str, ...] = ()
+    known: Mapping[str, Any] = field(default_factory=dict)
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    exclude: tuple[str, ...] = ()
+    group: Mapping[str, str] = field(default_factory=dict)
+    payload: Mapping[str, float] = field(default_factory=dict)
+    ros: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_log_meta(path: str | Path) -> LogMeta:
+    """Read and check a `meta.toml` with `task = "mechanism"`. Raises `BadInput` naming the file and the key."""
+    path = Path(path)
+    raw = read(path, 'missing; write one with task = "mechanism" and model = "robot.xml", or run adaptsim init')
+    for key in raw:
+        if key not in KEYS:
+            raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")
+    if raw.get("task") != "mechanism":
+        what = f"is {brief(raw['task'])}" if "task" in raw else "is missing"
+        raise BadInput(f'{path}: task {what}; write task = "mechanism" for a log of any mechanism')
+    tables: dict[str, dict] = {}
+    for key in TABLES:
+        tables[key] = raw.get(key, {})
+        if not isinstance(tables[key], dict):
+            raise BadInput(f"{path}: {key} must be a table; write [{key}] with a key = value line each")
+    for key in TEXT_KEYS:
+        if key in raw:
+            _text(path, key, raw[key])
+    if "input" in raw and raw["input"] not in INPUTS:
+        raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
+    angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
+    trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
+    convention = angles.get("convention", {})
+    return LogMeta(
+        path=str(path),
+        model=_beside(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
+        data=_beside(path, raw, "data", "give the file or folder of the data, relative to meta.toml"),
+        input=raw.get("input"),
+        ignore=_texts(path, "ignore", raw.get("ignore", [])),
+        columns=_columns(path, tables["columns"]),
+        units={key: check_unit(path, key, value) for key, value in tables["units"].items()},
+        convention=_conventions(path, {"": convention} if isinstance(convention, str) else convention),
+        zero=_numbers(path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"),
+        reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
+        known=tables["known"],
+        fit=tables["fit"],
+        noise=_noise(path, tables["noise"]),
+        exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
+        group=_groups(path, trials.get("group", {})),
+        payload=_payloads(path, trials.get("payload", {})),
+        ros={
+            key: _text(path, f"ros.{key}", value)
+            for key, value in _known_keys(path, "ros", tables["ros"], ROS_KEYS).items()
+        },
+    )
+
+
+def _known_keys(path: Path, name: str, table: dict, keys: tuple[str, ...]) -> dict:
+    for key in table:
+        if key not in keys:
+            raise BadInput(f"{path}: unknown key {key!r} in [{name}]; {suggest(key, keys)}")
+    return table
+
+
+def _text(path: Path, key: str, value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
+    return value
+
+
+def _texts(path: Path, key: str, value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or any(not isinstance(item, str) for item in value):
+        raise BadInput(f'{path}: {key} must be a list of names such as ["elbow"], not {brief(value)}')
+    return tuple(value)
+
+
+def _number(path: Path, key: str, value: Any) -> float:
+    if (number := finite(value)) is None:
+        raise BadInput(f"{path}: {key} must be a finite number, not {brief(value)}; give it in SI units")
+    return number
+
+
+def _numbers(path: Path, key: str, value: Any, example: str) -> dict[str, float]:
+    if not isinstance(value, dict):
+        raise BadInput(f"{path}: {key} must be a table, not {brief(value)}; write {example}")
+    return {name: _number(path, f"{key}.{name}", number) for name, number in value.items()}
+
+
+def _beside(path: Path, raw: dict, key: str, mend: str) -> str | None:
+    if key not in raw:
+        return None
+    text = _text(path, key, raw[key])
+    where = (path.parent / text).resolve()
+    if not where.exists() or (key == "model" and not where.is_file()):
+        what = "does not exist" if not where.exists() else "is a folder"
+        raise BadInput(f"{path}: {key} {brief(text)} {what}; {mend}")
+    return str(where)
+
+
+def _columns(path: Path, table: dict) -> dict[str, str]:
+    """Our name -> the file's. A list under a stem (`q = ["a", "b"]`) names the joints' columns in order."""
+    out: dict[str, str] = {}
+    for key, value in table.items():
+        if isinstance(value, list):
+            names = _texts(path, f"columns.{key}", value)
+            out |= {f"{key}{i}": name for i, name in enumerate(names, start=1)}
+        else:
+            out[key] = _text(path, f"columns.{key}", value)
+    for name in out.values():
+        if list(out.values()).count(name) > 1:
+            keys = ", ".join(key for key, value in out.items() if value == name)
+            raise BadInput(f"{path}: [columns] gives column {brief(name)} to {keys}; give it to one of them")
+    return out
+
+
+def _conventions(path: Path, value: Any) -> dict[str, str]:
+    if not isinstance(value, dict):
+        raise BadInput(f'{path}: angles.convention must be "relative" or "absolute", not {brief(value)}')
+    for name, word in value.items():
+        if word not in CONVENTIONS:
+            key = f"angles.convention{'.' if name else ''}{name}"
+            raise BadInput(f"{path}: {key} = {brief(word)} is unknown; {suggest(str(word), CONVENTIONS)}")
+    return dict(value)
+
+
+def _noise(path: Path, table: dict) -> dict[str, float]:
+    out = _numbers(path, "noise", table, "[noise] and q = 1e-4")
+    for key, std in out.items():
+        if std < 0:
+            raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
+    return out
+
+
+def _groups(path: Path, value: Any) -> dict[str, str]:
+    """Trial (or pattern) -> group, from `{trial = "group"}` or `{group = ["trial", ...]}`."""
+    if not isinstance(value, dict):
+        raise BadInput(
+            f'{path}: trials.group must be a table, not {brief(value)}; write group = {{trial_00 = "loaded"}}'
+        )
+    out: dict[str, str] = {}
+    for name, item in value.items():
+        if isinstance(item, list):
+            out |= {trial: str(name) for trial in _texts(path, f"trials.group.{name}", item)}
+        else:
+            out[name] = _text(path, f"trials.group.{name}", item)
+    return out
+
+
+def _payloads(path: Path, value: Any) -> dict[str, float]:
+    out = _numbers(path, "trials.payload", value, "payload = {trial_03 = 0.2}, in kg")
+    for name, mass in out.items():
+        if mass < 0:
+            raise BadInput(f"{path}: trials.payload.{name} = {mass:g} is negative; give a mass in kg")
+    return out

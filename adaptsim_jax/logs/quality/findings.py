@@ -1,0 +1,83 @@
+"""What the checks of a recording say, for whoever reads it: records alone."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing the audit saw. `severity`: `info`, `warn`, or `fault` (no diagnosis should be made of it).
+
+    `where` names a channel, joint or time; `value` is the number that `message` explains.
+    """
+
+    kind: str
+    severity: str
+    trial: str
+    where: str
+    message: str
+    value: float
+
+
+Findings = list[Finding]
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Findings of all trials; `valid[name]: [T]` bool, the rows to use; `exclude`: trials not to use at all.
+
+    `quantisation`: channel -> step (rad, rad/s, N m; 0 where none is seen).
+    """
+
+    findings: tuple[Finding, ...]
+    quantisation: dict[str, float] = field(default_factory=dict)
+    valid: dict[str, np.ndarray] = field(default_factory=dict)
+    exclude: tuple[str, ...] = ()
+
+    @property
+    def fault(self) -> bool:
+        """Whether the data contradict themselves so far that no diagnosis should be made."""
+        return any(f.severity == "fault" for f in self.findings)
+
+    @property
+    def message(self) -> str:
+        """The faults, or the number of warnings, in one line."""
+        faults = [f.message for f in self.findings if f.severity == "fault"]
+        if faults:
+            return "; ".join(faults)
+        warnings = sum(f.severity == "warn" for f in self.findings)
+        return f"{warnings} warning(s), no fault" if warnings else "no fault found"
+
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence for each kind of warning and channel, and the trials left out."""
+        lines = [f"left out: {', '.join(self.exclude)}"] if self.exclude else []
+        groups: dict[tuple[str, str], list[Finding]] = {}
+        for f in self.findings:
+            if f.severity == "warn":
+                groups.setdefault((f.kind, f.where if f.kind != "gap" else ""), []).append(f)
+        for (_, where), found in groups.items():
+            first = found[0]
+            place = f"{first.trial}: " if first.trial else ""
+            more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})" if len(found) > 1 else ""
+            own = "" if not where or first.message.startswith(where) or where in first.message else f"{where} "
+            lines.append(f"{place}{own}{first.message}{more}")
+        return lines
+
+    @property
+    def limits(self) -> list[str]:
+        """A sentence for each channel that rests at its largest values."""
+        cut = sorted({f.where for f in self.findings if f.kind == "saturation" and f.severity == "info"})
+        only = "where only its log is cut, and not the torque, what is named is wrong"
+        return [f"{name} rests at its largest values: {only}" for name in cut]
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """The findings as a page shows them."""
+        where = lambda f: " ".join(x for x in (f.trial, f.where) if x)
+        return [{"severity": f.severity, "where": where(f), "message": f.message} for f in self.findings]
+
+    def of(self, kind: str) -> tuple[Finding, ...]:
+        """Findings of one kind."""
+        return tuple(f for f in self.findings if f.kind == kind)

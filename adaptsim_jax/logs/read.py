@@ -1,0 +1,122 @@
+"""A log read from what people have: a folder with `meta.toml`, CSV or NPZ files, bags, LeRobot data sets.
+
+Each source gives raw trials of named columns; here they become joints of a model, in SI units. JAX is imported only where a
+model is read, so that bad input is reported at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs import lerobot, ros
+from adaptsim_jax.logs.assemble import assemble
+from adaptsim_jax.logs.log import Log, ModelNames
+from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
+from adaptsim_jax.logs.model_names import model_names
+from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
+
+if TYPE_CHECKING:
+    from adaptsim_jax.mechanisms.mjcf import Mechanism
+
+META = "meta.toml"
+
+
+def read_log(
+    source: str | Path, model: Sequence[str] | ModelNames | None = None, meta: LogMeta | str | Path | None = None
+) -> Log:
+    """Read a log.
+
+    `source`: a folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV or NPZ a trial), or one
+    file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's folder. `model`: the joints of the model by name
+    and in order, with `ModelNames` also those that slide and the actuators; None: those of the model that meta.toml
+    names, else the data's own joints. `meta`: what stands in place of the folder's `meta.toml`, or its path.
+
+    Raises `BadInput`, one line that names the file, the row, column or key, and the mend.
+    """
+    source, meta, notes = _declared(source, meta)
+    names = ModelNames(tuple(model)) if model is not None and not isinstance(model, ModelNames) else model
+    if names is None and meta.model:
+        names = _names_of(meta.model)[1]
+    return _read(source, names, meta, notes)
+
+
+def read_with_model(
+    source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
+) -> tuple[Mechanism, Log]:
+    """A log and the mechanism that it is of: `model` (a path, MJCF or URDF), else the one that meta.toml names."""
+    source, meta, notes = _declared(source, meta)
+    path = str(model) if model is not None else meta.model
+    if path is None:
+        where = meta.path or source
+        raise BadInput(f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by --model')
+    mechanism, names = _names_of(path)
+    return mechanism, _read(source, names, meta, notes)
+
+
+def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Path, LogMeta, tuple[str, ...]]:
+    source = Path(source)
+    if not source.exists():
+        raise BadInput(f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, .mcap, .bag)")
+    return source, *_meta(source, meta)
+
+
+def _names_of(path: str) -> tuple[Mechanism, ModelNames]:
+    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+
+    mechanism = read_mechanism(path)
+    return mechanism, model_names(mechanism)
+
+
+def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
+    trials = read_raw(Path(meta.data) if meta.data else source, meta)
+    log = assemble(str(source), trials, names, meta)
+    return replace(log, notes=notes + log.notes)
+
+
+def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tuple[str, ...]]:
+    if isinstance(given, LogMeta):
+        return given, ()
+    path = Path(given) if given is not None else source / META
+    if given is not None or (source.is_dir() and path.exists()):
+        return read_log_meta(path), ()
+    return LogMeta(path=str(path) if source.is_dir() else ""), (
+        "no meta.toml: columns taken by their names, in SI units; 'adaptsim init' writes one",
+    )
+
+
+def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files."""
+    if data.is_dir() and lerobot.is_lerobot(data):
+        return _renamed(lerobot.read_lerobot(data), meta)
+    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
+    if not files and not bags:
+        if data.is_dir():
+            raise BadInput(f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there")
+        raise BadInput(
+            f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
+        )
+    # in a folder of both, [columns] speaks of the tables
+    recorded = [ros.read_bag(path, meta.ros) for path in bags]
+    trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
+    names = [trial.name for trial in trials]
+    return [
+        replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t
+        for t in trials
+    ]
+
+
+def _renamed(trials: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
+    """The trials with their columns under the names that `[columns]` gives them."""
+    ours = {theirs: new for new, theirs in meta.columns.items()}
+    for trial in trials:
+        for theirs, new in ours.items():
+            if theirs not in trial.columns:
+                near = suggest(theirs, trial.columns)
+                raise BadInput(f"{trial.path}: has no column {theirs!r}, which [columns] gives to {new}; {near}")
+    return [replace(t, columns={ours.get(name, name): values for name, values in t.columns.items()}) for t in trials]

@@ -1,0 +1,265 @@
+"""One trial's file (`.csv` or `.npz`) read into named columns, every fault named by file and line."""
+
+import csv
+import io
+import itertools
+import re
+from codecs import BOM_UTF8
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.table_checks import check_clock, check_missing, without_blank
+
+DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+MIN_ROWS = 20
+NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
+"""What loggers write where they have no number, beside nan."""
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}([,' \u00a0\u2009\u202f]\d{3})+(\.\d*)?([eE][-+]?\d+)?")
+"""A number with its thousands apart: `1,234.5`; without a point one comma alone may as well be a decimal one."""
+EMPTY = "is empty; remove it or record the trial again"
+
+
+@dataclass(frozen=True)
+class Table:
+    """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row) numbers.
+
+    `notes`: what was done to read it, a line each.
+    """
+
+    columns: dict[str, np.ndarray]
+    lines: np.ndarray
+    ignored: tuple[str, ...]
+    row_word: str = "line"
+    notes: tuple[str, ...] = ()
+
+
+def read_table(
+    path: str | Path,
+    wanted: tuple[str, ...],
+    least: int = MIN_ROWS,
+    ours: Mapping[str, str] | None = None,
+    lost: tuple[str, ...] = (),
+    gaps: tuple[str, ...] = (),
+) -> Table:
+    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
+
+    ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there. lost:
+    columns of which a row may hold none, as cameras write frames in which they saw nothing: such rows are left out. gaps:
+    columns of which any cell may be empty, which is NaN then. Raises `BadInput`.
+    """
+    path = Path(path)
+    table, empty = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    table, empty = _without_lost(table, empty, lost)
+    return checked(path, table, least, ours or {}, empty, gaps)
+
+
+def _without_lost(
+    table: Table, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
+) -> tuple[Table, dict[str, np.ndarray]]:
+    """The table, and which cells are empty, without the rows that hold a number in none of the columns `lost`."""
+    there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
+    kept = np.any(there, 0) if there else np.ones(len(table.lines), bool)
+    if kept.all() or not kept.any():
+        return table, dict(empty)
+    cut = lambda columns: {name: values[kept] for name, values in columns.items()}
+    return replace(table, columns=cut(table.columns), lines=table.lines[kept]), cut(empty)
+
+
+def checked(
+    path: Path,
+    table: Table,
+    least: int,
+    ours: Mapping[str, str],
+    empty: Mapping[str, np.ndarray],
+    gaps: tuple[str, ...] = (),
+) -> Table:
+    """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number but in `gaps`."""
+    n = len(table.lines)
+    if n < least:
+        raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
+    columns, notes = without_blank(path, table.columns, least, ours)
+    filled = {name: np.where(np.isnan(values), 0.0, values) for name, values in columns.items() if name in gaps}
+    check_missing(path, columns | filled, table.lines, table.row_word, empty)
+    return replace(table, columns=columns, notes=notes)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror}); check the path and its permissions") from None
+
+
+def _decode(path: Path) -> str:
+    raw = _read_bytes(path)
+    if not raw.removeprefix(BOM_UTF8).strip():
+        raise BadInput(f"{path}: {EMPTY}")
+    if b"\x00" in raw:
+        raise BadInput(f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        line = raw[: e.start].count(b"\n") + 1
+        raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
+
+
+def _rows(path: Path, text: str, delimiter: str) -> tuple[list[list[str]], list[int]]:
+    reader = csv.reader(io.StringIO(text.replace("\r\n", "\n").replace("\r", "\n")), delimiter=delimiter)
+    rows, lines = [], []
+    try:
+        for row in reader:
+            if row and any(cell.strip() for cell in row):
+                rows.append(row)
+                lines.append(reader.line_num)
+    except csv.Error as e:
+        raise BadInput(f"{path}: line {reader.line_num}: not CSV ({e}); mend or remove that line") from None
+    return rows, lines
+
+
+def _without_remarks(text: str) -> str:
+    """The text with remarks above the header blanked (lines that begin with # and hold one cell), so that lines keep their numbers."""
+    lines = text.splitlines()
+    for k, line in enumerate(lines):
+        if line.strip() and not (line.lstrip().startswith("#") and not any(d in line for d in DELIMITERS)):
+            return "\n".join([""] * k + lines[k:]) if k else text
+    return text
+
+
+def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
+    """The table, NaN where a cell is empty, and those cells by column."""
+    text = _without_remarks(_decode(path))
+    header_line = text.lstrip().splitlines()[0]
+    delimiter = max(DELIMITERS, key=header_line.count)
+    rows, lines = _rows(path, text, delimiter)
+    if not rows:
+        raise BadInput(f"{path}: {EMPTY}")
+    header = [cell.strip().strip('"') for cell in rows[0]]
+    header[0] = header[0].lstrip("# ").strip()
+    _check_header(path, header, wanted, rows[0], len(rows) > 1 and len(rows[1]) > 1)
+    rows, lines = rows[1:], lines[1:]
+    for row, line in zip(rows, lines, strict=True):
+        if len(row) != len(header):
+            _ragged(path, line, row, len(header))
+    cells = list(zip(*rows, strict=True)) or [()] * len(header)
+    columns: dict[str, np.ndarray] = {}
+    empty: dict[str, np.ndarray] = {}
+    for name in (name for name in wanted if name in header):
+        columns[name], blank = _numbers(path, name, cells[header.index(name)], lines)
+        if blank is not None:
+            empty[name] = blank
+    return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
+
+
+def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(name for name in names if name not in wanted)
+
+
+def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str], more: bool) -> None:
+    if all(_is_number(cell) for cell in cells):
+        names = [name for name in wanted if not _is_number(name)] or ["time", "q1", "tau1"]
+        raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(names)}")
+    for name in header:
+        if name in wanted and header.count(name) > 1:
+            raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
+    if len(header) == 1 and len(wanted) > 1:
+        above = len(cells) == 1 and more
+        mend = "remove the lines above the columns' names" if above else "separate columns by commas"
+        raise BadInput(f"{path}: line 1 is one column {header[0][:60]!r}; {mend}")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _ragged(path: Path, line: int, row: list[str], n: int) -> None:
+    if len(row) in (2 * n, 2 * n - 1) and all(_is_number(c) for c in row if c.strip()):
+        why = "decimal commas suspected: write decimals with a point"
+    elif len(row) > n and any(_in_thousands(a, b) for a, b in itertools.pairwise(row)):
+        why = "commas between thousands suspected: write 1234.5, nothing between the digits"
+    else:
+        why = "complete or remove that line"
+    raise BadInput(f"{path}: line {line}: has {len(row)} values, the header has {n} columns; {why}")
+
+
+def _in_thousands(before: str, cell: str) -> bool:
+    """Whether two neighbouring cells look like a number that was cut at the comma of its thousands."""
+    return bool(re.fullmatch(r"[-+]?[1-9]\d{0,2}", before.strip()) and re.fullmatch(r"\d{3}(\.\d*)?", cell.strip()))
+
+
+def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> tuple[np.ndarray, np.ndarray | None]:
+    """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none of them)."""
+    try:
+        return np.array([float(cell) for cell in cells], dtype=np.float64), None
+    except ValueError:
+        pass
+    empty = np.array([cell.strip().lower() in NOTHING for cell in cells])
+    for row, cell in enumerate(cells):
+        if empty[row] or _is_number(cell):
+            continue
+        raise BadInput(f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, {_no_number(cell, cells)}")
+    return np.array([np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]), empty
+
+
+def _no_number(cell: str, cells: tuple[str, ...]) -> str:
+    """What a cell is that is no number, and its mend, by what the column's other cells look like."""
+    apart, decimal = THOUSANDS.fullmatch(cell.strip()), DECIMAL_COMMA.fullmatch(cell.strip())
+    if apart and decimal:
+        others = [c.strip() for c in cells if "," in c]
+        if any("." in c for c in cells):
+            decimal = None
+        elif any(not THOUSANDS.fullmatch(c) for c in others):
+            apart = None
+    if apart and decimal:
+        return (
+            "thousands or decimals behind a comma; write thousands without one (1234.5), decimals with a point (1.2345)"
+        )
+    if decimal:
+        return "a decimal comma; write decimals with a point"
+    if apart:
+        return "with its thousands apart; write 1234.5, nothing between the digits"
+    return "not a number; mend or remove that row"
+
+
+def _read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
+    """Arrays by column name, each `[T]`; nothing in the archive is ever executed (no pickles)."""
+    try:
+        with np.load(io.BytesIO(_read_bytes(path)), allow_pickle=False) as data:
+            names = list(data.files)
+            arrays = {name: data[name] for name in wanted if name in names}
+    except BadInput:
+        raise
+    except Exception as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
+        raise _broken_archive(path, e) from None
+    columns = {name: _npz_column(path, name, array) for name, array in arrays.items()}
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
+        raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
+    n = max(lengths.values(), default=0)
+    return Table(columns, np.arange(1, n + 1), _others(names, wanted), row_word="row"), {}
+
+
+def _broken_archive(path: Path, error: Exception) -> BadInput:
+    why = " ".join(str(error).split())[:80] or type(error).__name__
+    return BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez")
+
+
+def _npz_column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    if array.ndim != 1 or array.dtype.kind not in "fiu":
+        what = f"has shape {array.shape} and type {array.dtype}"
+        raise BadInput(f"{path}: array {name!r} {what}; save it as a list of numbers")
+    return np.asarray(array, dtype=np.float64)
+
+
+def check_time(path: str | Path, table: Table) -> None:
+    """Raise `BadInput` naming the first row at which time does not increase, or digits that it lost."""
+    check_clock(path, table.columns["time"], table.lines, table.row_word)

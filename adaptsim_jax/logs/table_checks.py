@@ -1,0 +1,153 @@
+"""What every reader checks of a table of named columns: cells that are missing, and a time that is one clock in seconds.
+
+Each function takes what a file holds and how its rows are called; `BadInput` names the file, the row and a mend that works.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.columns import TIME, role
+
+OPTIONAL = ("v", "tau_commanded", "target")
+"""Stems of columns that a reader can do without: where they hold nothing they count as not there."""
+SLOWEST = 0.25
+"""Sampling interval in s beyond which no motion is sampled at all."""
+FASTEST = 2e-5
+"""Sampling interval in s below which a declared unit of time is doubted."""
+SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+JOINED = 0.3
+"""Share of rows that lack something from which on a table counts as joined of topics."""
+
+
+def without_blank(
+    path: str | Path, columns: Mapping[str, np.ndarray], least: int, ours: Mapping[str, str]
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a note on these.
+
+    ours: what a column is to us where the file names it otherwise.
+    BadInput where a column that is needed holds nothing.
+    """
+    blank = [name for name, values in columns.items() if len(values) >= least and np.isnan(values).all()]
+    for name in blank:
+        if not _is_optional(ours.get(name, name)):
+            raise BadInput(f"{path}: column {name} holds no number in any row; record it, or take the column out")
+    kept = {name: values for name, values in columns.items() if name not in blank}
+    notes = (f"{', '.join(blank)} held no number in {Path(path).name}: taken as not recorded",) if blank else ()
+    return kept, notes
+
+
+def _is_optional(name: str) -> bool:
+    found = role(name)
+    return found is not None and found.stem in OPTIONAL
+
+
+def check_missing(
+    path: str | Path,
+    columns: Mapping[str, np.ndarray],
+    lines: np.ndarray,
+    row_word: str,
+    empty: Mapping[str, np.ndarray],
+) -> None:
+    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all."""
+    bad = {name: ~np.isfinite(values) for name, values in columns.items()}
+    bad = {name: rows for name, rows in bad.items() if rows.any()}
+    if not bad:
+        return
+    _check_joined(path, columns, len(lines))
+    name, rows = min(bad.items(), key=lambda item: int(np.argmax(item[1])))
+    at = np.flatnonzero(rows)
+    where = f"{path}: {row_word} {lines[at[0]]}"
+    if name in empty and empty[name][at[0]]:
+        raise BadInput(f"{where}: column {name} is empty; fill or remove that row")
+    more = f" (and {at.size - 1} more)" if at.size > 1 else ""
+    raise BadInput(f"{where}: column {name} is {columns[name][at[0]]}{more}; remove such rows")
+
+
+def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: int) -> None:
+    """BadInput where rows hold parts of a sample in turn, as an outer join of topics on their times leaves them."""
+    names = [name for name in columns if name not in TIME]
+    there = np.stack([np.isfinite(columns[name]) for name in names], 1)
+    lacking = ~there.all(1)
+    if count < 2 or lacking.mean() < JOINED:
+        return
+    kinds = Counter(map(tuple, there[lacking].tolist()))
+    often = [kind for kind, rows in kinds.most_common(4) if rows > 0.1 * count and any(kind)]
+    if not often or not all(there[:, j].mean() > 0.05 for j in range(len(names))):
+        return
+    said = "; ".join(
+        f"{', '.join(n for n, here in zip(names, kind, strict=True) if here)} in {kinds[kind]} rows" for kind in often
+    )
+    first = [n for n, here in zip(names, often[0], strict=True) if here]
+    others = [n for n in names if n not in first] or names
+    quote = lambda words: ", ".join(repr(w) for w in words)
+    raise BadInput(
+        f"{path}: rows hold parts of a sample ({said}), as topics joined by time do; bring them onto one clock, with pandas: "
+        f"pd.merge_asof(df[['time', {quote(first)}]].dropna(), df[['time', {quote(others)}]].dropna(), on='time', "
+        f"direction='nearest').to_csv(...)"
+    )
+
+
+def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word: str) -> None:
+    """BadInput at the first row at which `time [T]` does not increase, with what clocks and files do to cause it."""
+    bad = np.flatnonzero(np.diff(time) <= 0)
+    if not bad.size:
+        return
+    if lost := lost_digits(time):
+        raise BadInput(f"{path}: {lost}")
+    i = int(bad[0]) + 1
+    where = f"{path}: {row_word} {lines[i]}"
+    pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
+    if time[i] == time[i - 1]:
+        raise BadInput(f"{where}: time repeats ({pair}); sort or remove such rows")
+    raise BadInput(
+        f"{where}: time runs backwards ({pair}); sort or remove such rows, or cut the file there if the clock was set"
+    )
+
+
+def lost_digits(time: np.ndarray) -> str:
+    """What to say of times `[T]` that float32 cannot hold; nothing where it can."""
+    lost = single_precision(time)
+    if not lost:
+        return ""
+    return (
+        f"time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it as float64, or "
+        "take the first time off before saving"
+    )
+
+
+def single_precision(time: np.ndarray) -> float:
+    """The step of float32 at these times where all are of that precision and many rows repeat; else 0."""
+    size = float(np.max(np.abs(time), initial=0.0))
+    if not 1e4 < size < 1e30:
+        return 0.0
+    step = float(np.spacing(np.float32(size)))
+    exact = np.array_equal(time, np.asarray(time, np.float32).astype(float))
+    return step if exact and np.mean(np.diff(time) == 0) > 0.2 else 0.0
+
+
+def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str = "") -> None:
+    """BadInput where `time [T]`, which `scale` made seconds, is of another unit: rows are too far apart, or too near.
+
+    mend: what to do; a line of [units] in meta.toml by default.
+    """
+    if len(time) < 2:
+        return
+    step = float(np.median(np.diff(time)))
+    if step > SLOWEST:
+        unit = next((u for u, size in SMALLER.items() if step * size <= SLOWEST), None)
+        if unit is None:
+            raise BadInput(f"{path}: a row every {step:.3g} s; record at 50 Hz or more")
+        word = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}[unit]
+        how = mend or f'write time = "{unit}" under [units] in meta.toml, or convert the file'
+        raise BadInput(f"{path}: a row every {step:.3g} s: time is suspected in {word}; {how}")
+    if step < FASTEST and scale != 1.0:
+        raise BadInput(
+            f"{path}: a row every {step:.3g} s by the declared unit of time; write the unit that the file has under [units] in "
+            "meta.toml"
+        )

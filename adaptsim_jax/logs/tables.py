@@ -1,0 +1,193 @@
+"""CSV and NPZ files as raw trials: named columns as written, one trial a file or a `trial` column in one."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.columns import TIME, TRIAL, is_ignored, role
+from adaptsim_jax.logs.table import DELIMITERS, MIN_ROWS, Table, check_time, checked, read_table
+
+ENDINGS = (".csv", ".npz")
+__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
+
+
+@dataclass(frozen=True)
+class RawTrial:
+    """One trial as its file has it: `columns`: name -> `[T]` float64, no unit applied, NaN where a value is missing.
+
+    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of columns that are not ours.
+    """
+
+    name: str
+    path: str
+    columns: dict[str, np.ndarray]
+    lines: np.ndarray
+    row_word: str = "line"
+    ignored: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    group: str = ""
+
+
+def table_files(folder: Path) -> list[Path]:
+    """The CSV and NPZ files of a folder, by name with numbers in their order."""
+    found = [
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in ENDINGS and not p.name.startswith((".", "~$")) and p.is_file()
+    ]
+    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+
+
+def read_files(files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
+    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out.
+
+    Raises `BadInput` naming file and line.
+    """
+    stems = [path.stem for path in files]
+    trials = []
+    for path in files:
+        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, rename, ignore)
+    return trials
+
+
+def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
+    """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
+    header = column_names(path)
+    for ours, theirs in rename.items():
+        if theirs not in header:
+            from adaptsim_jax.core.config import suggest
+
+            raise BadInput(
+                f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; {suggest(theirs, header)}"
+            )
+    ours = {theirs: new for new, theirs in rename.items()}
+    named = {column: ours.get(column, column) for column in header if column in ours or column not in rename}
+    told = {column for column in named if role(named[column]) is not None and not is_ignored(named[column], ignore)}
+    wanted = tuple(dict.fromkeys(column for column in header if column in told))
+    labels = next((column for column in wanted if named[column] in TRIAL), None)
+    if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
+        raise _no_time(path, header)
+    table = _read(path, {column: named[column] for column in wanted if column != labels})
+    table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
+    time = next((column for column in table.columns if column in TIME), None)
+    if time is None:
+        raise _no_time(path, header)
+    by_label = _labelled(path, labels, table) if labels else [(name, table)]
+    trials = []
+    for label, part in by_label:
+        check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
+        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, part.notes))
+    return trials
+
+
+def _no_time(path: Path, header: list[str]) -> BadInput:
+    some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})" if header else ""
+    return BadInput(
+        f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = \"...\" in meta.toml"
+    )
+
+
+def column_names(path: Path) -> list[str]:
+    """The names of a file's columns (CSV) or arrays (NPZ)."""
+    if path.suffix.lower() == ".npz":
+        return list(read_archive(path))
+    rows = _csv_rows(path, 1)
+    if not rows:
+        read_table(path, TIME)  # says why: empty, unreadable, not text
+        raise BadInput(f"{path}: is empty; remove it or record the trial again")
+    return rows[0]
+
+
+def _read(path: Path, named: Mapping[str, str]) -> Table:
+    """`read_table` of the columns in `named` (theirs -> ours), and archives of arrays `[T, n]`: `q` gives q1 to qn."""
+    archive = read_archive(path) if path.suffix.lower() == ".npz" else {}
+    arrays = {name: archive[name] for name in named} if archive else {}
+    if all(array.ndim == 1 for array in arrays.values()):
+        table = read_table(path, tuple(named), ours=named)
+        columns = {named[name]: values for name, values in table.columns.items()}
+        return replace(table, columns=columns)
+    columns = {}
+    for name, array in arrays.items():
+        if array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
+            what = f"has shape {array.shape} and type {array.dtype}"
+            raise BadInput(f"{path}: array {name!r} {what}; save it as numbers, a row for each sample")
+        if array.ndim == 1:
+            columns[named[name]] = array.astype(np.float64)
+        else:
+            columns |= {f"{named[name]}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
+        raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
+    count = next(iter(lengths.values()))
+    others = tuple(name for name in archive if name not in named)
+    return checked(path, Table(columns, np.arange(1, count + 1), others, row_word="row"), MIN_ROWS, {}, {})
+
+
+def read_archive(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an archive; nothing in it is ever executed (no pickles)."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
+    except Exception as error:  # zip, zlib, header parser, memory: damaged bytes raise any of them
+        why = " ".join(str(error).split())[:80] or type(error).__name__
+        raise BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez") from None
+
+
+def _csv_rows(path: Path, most: int | None = None, column: str | None = None) -> list[list[str]]:
+    """The first `most` rows that hold anything, cells stripped, each with its line number last where `column` is asked."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    reader = csv.reader(io.StringIO(text), delimiter=max(DELIMITERS, key=first.count))
+    rows: list[list[str]] = []
+    try:
+        for row in reader:
+            if not any(cell.strip() for cell in row):
+                continue
+            cells = [cell.strip().strip('"') for cell in row]
+            if not rows:
+                cells[0] = cells[0].lstrip("# ").strip()
+                place = cells.index(column) if column in cells else 0
+            rows.append([cells[place] if place < len(cells) else "", str(reader.line_num)] if column else cells)
+            if len(rows) == most:
+                break
+    except csv.Error as error:
+        raise BadInput(f"{path}: line {reader.line_num}: not CSV ({error}); mend or remove that line") from None
+    return rows
+
+
+def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
+    """The table cut by its column of trial names, in the order in which they appear."""
+    if path.suffix.lower() == ".npz":
+        labels = [str(label) for label in read_archive(path)[column]]
+    else:
+        at = {int(line): label for label, line in _csv_rows(path, column=column)[1:]}
+        labels = [at.get(int(line), "") for line in table.lines]
+    parts = []
+    array = np.array(labels)
+    for label in dict.fromkeys(labels):
+        rows = np.flatnonzero(array == label)
+        if not label:
+            raise BadInput(f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name the trial")
+        columns = {name: values[rows] for name, values in table.columns.items()}
+        parts.append((_plain(label), replace(table, columns=columns, lines=table.lines[rows])))
+    return parts
+
+
+def _plain(label: str) -> str:
+    """`3.0` is trial 3."""
+    return label.removesuffix(".0") if re.fullmatch(r"\d+\.0", label) else label
