@@ -13,7 +13,7 @@ import adaptsim_jax
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
     "core", "space", "control", "effects", "mechanisms", "logs", "diagnosis", "attribution", "learners", "tasks",
-    "adaptation", "baselines", "report", "commands", "cli", "__main__",
+    "environments", "adaptation", "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
     "core": (
@@ -39,6 +39,10 @@ WITHIN = {
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",
         "rows", "simulated",
+    ),
+    "environments": (
+        "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
+        "targets", "task", "film", "kind",
     ),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",

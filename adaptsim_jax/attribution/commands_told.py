@@ -25,7 +25,9 @@ def check_commands(machine: Machine) -> tuple[Finding, ...]:
     for j in driven:
         stiff, damped = -machine.actuator[2, j], -machine.actuator[3, j]
         if stiff > 0 and (told := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
-            raise BadInput(f"{machine.log.path}: {_cut(machine.tree.joint_names[j], told, machine.tree.unit(j))}; {AS_DECLARED}")
+            raise BadInput(
+                f"{machine.log.path}: {_cut(machine.tree.joint_names[j], told, machine.tree.unit(j))}; {AS_DECLARED}"
+            )
         gains = gains_by_trial(tracks, j)
         if gains is not None:
             found.append(_gains(machine, j, gains))
@@ -38,7 +40,9 @@ def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> No
         return
     names, log = machine.tree.joint_names, machine.log
     moved = [(j, k) for j, k in zip(driven, told.order, strict=True) if j != k]
-    times = float(np.exp(np.mean([np.log(a / max(b, 1e-6)) for a, b in zip(told.left, told.other, strict=True) if a != b])))
+    times = float(
+        np.exp(np.mean([np.log(a / max(b, 1e-6)) for a, b in zip(told.left, told.other, strict=True) if a != b]))
+    )
     says = ", ".join(f"{names[j]} moves as that of {names[k]} says" for j, k in moved)
     columns = {j: _columns(machine, j) for j, _ in moved}
     lines = ", ".join(f'{columns[j][0]} = "{columns[k][1]}"' for j, k in moved)
@@ -55,7 +59,9 @@ def _columns(machine: Machine, joint: int) -> tuple[str, str]:
         own = next((a for a in machine.mechanism.actuators if a.name == told), None)
         if (own is not None and own.joint == joint) or told == name:
             theirs = log.input_columns[k] if k < len(log.input_columns) else f"ctrl{k + 1}"
-            return (f"target_{name}" if theirs.startswith("target") else f"ctrl_{told}"), log.meta.columns.get(theirs, theirs)
+            return (f"target_{name}" if theirs.startswith("target") else f"ctrl_{told}"), log.meta.columns.get(
+                theirs, theirs
+            )
     return f"ctrl_{name}", f"ctrl_{name}"
 
 

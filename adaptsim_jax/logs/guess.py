@@ -15,8 +15,8 @@ from adaptsim_jax.core.config import dumps, nearest
 from adaptsim_jax.logs.columns import STEMS, TIME, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_checks import LARGE
-from adaptsim_jax.logs.scales import Scale, scales_of
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
+from adaptsim_jax.logs.scales import Scale, scales_of
 from adaptsim_jax.logs.table_checks import SLOWEST
 
 TIME_STEPS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
@@ -227,7 +227,9 @@ def meta_text(
     lines += ["", "[units]   # s, rad, rad/s, N m, m, N, V, A where nothing else is said"]
     for key, (unit, why) in found.units.items():
         if isinstance(unit, Scale):
-            lines.append(f"{'' if unit.known else '# '}{unit.line}   # guess: {why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}")
+            lines.append(
+                f"{'' if unit.known else '# '}{unit.line}   # guess: {why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}"
+            )
         else:
             lines.append(f"{line(key, unit)}   # guess: {why}")
     if "angle" not in found.units and not any(isinstance(unit, Scale) for unit, _ in found.units.values()):

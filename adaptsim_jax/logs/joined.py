@@ -48,7 +48,9 @@ def apart(
     for (_, is_state), own in topics.items():
         here = there[own[0]]
         values = {called[name]: columns[name][here] for name in own}
-        made[is_state].append(Series(columns[clock][here], values | ({LINE: lines[here].astype(float)} if is_state else {})))
+        made[is_state].append(
+            Series(columns[clock][here], values | ({LINE: lines[here].astype(float)} if is_state else {}))
+        )
     main = max(made[True], key=lambda series: len(series.time))
     made[True] = [s if s is main else s.of([n for n in s.columns if n != LINE]) for s in made[True]]
     out, notes = merge(str(path), made[True], made[False])

@@ -13,8 +13,8 @@ from adaptsim_jax.logs.angles import finite_without_turns
 from adaptsim_jax.logs.columns import Role, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.meta import ANGLE_UNITS
 from adaptsim_jax.logs.log_units import column_unit
+from adaptsim_jax.logs.meta import ANGLE_UNITS
 from adaptsim_jax.logs.quality.turns import followed_turns
 from adaptsim_jax.logs.table_checks import check_time_unit
 from adaptsim_jax.logs.tables import RawTrial
@@ -90,12 +90,15 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     angles = by_joint.get("q", {})
     whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
     targets = {
-        j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u for j, u in by_joint.get("target", {}).items()
+        j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
+        for j, u in by_joint.get("target", {}).items()
     }
     turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
     turns |= any(not np.array_equal(targets[j], u, equal_nan=True) for j, u in by_joint.get("target", {}).items())
     time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
-    return Columns(trial, time, by_joint | {"q": whole} | ({"target": targets} if targets else {}), ctrl, turns, written, scaled)
+    return Columns(
+        trial, time, by_joint | {"q": whole} | ({"target": targets} if targets else {}), ctrl, turns, written, scaled
+    )
 
 
 def _place(found: Role, zero_based: bool) -> int | str:

@@ -54,12 +54,15 @@ def read_lerobot(folder: Path) -> list[RawTrial]:
 def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
     """BadInput where numbers of a trial have no names that fit, and `[columns]` gives none either. joints: the model's."""
     for vector, stem in STEMS.items():
-        count = sum(re.fullmatch(rf"{stem}_\d+", name) is not None and name[len(stem) + 1 :] not in joints for name in trial.columns)
+        count = sum(
+            re.fullmatch(rf"{stem}_\d+", name) is not None and name[len(stem) + 1 :] not in joints
+            for name in trial.columns
+        )
         named = any(name.startswith(f"{stem}_") and not re.fullmatch(rf"{stem}_\d+", name) for name in trial.columns)
         if joints and count not in (0, len(joints)) and not named:
             raise BadInput(
                 f"{folder}/meta/info.json: {vector} has {count} numbers without names, the model {len(joints)} joint(s); write names "
-                f'there, in the order of the numbers, or say in meta.toml which number is which: [columns] and {stem}_{joints[0]} = '
+                f"there, in the order of the numbers, or say in meta.toml which number is which: [columns] and {stem}_{joints[0]} = "
                 f'"{stem}_K", K from 1 to {count}, and ignore the others'
             )
     for vector in trial.doubt:
@@ -142,7 +145,11 @@ def _names(feature: Any, width: int) -> list[str] | None:
     """The names of a vector's entries; None where info.json has none, or where they are not the entries' (another number of them, or
     twice the same)."""
     names = feature.get("names") if isinstance(feature, dict) else None
-    if isinstance(names, dict) and names and all(isinstance(k, int) and not isinstance(k, bool) for k in names.values()):
+    if (
+        isinstance(names, dict)
+        and names
+        and all(isinstance(k, int) and not isinstance(k, bool) for k in names.values())
+    ):
         names = sorted(names, key=names.__getitem__)
     elif isinstance(names, dict):
         names = [name for group in names.values() if isinstance(group, list) for name in group]

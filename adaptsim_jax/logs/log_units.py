@@ -52,7 +52,7 @@ class Affine:
 Unit = str | Affine
 PERCENT = "percent"
 """Of the joint's range in the model, 0 to 100."""
-FORMS = '{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks = 4096, zero = 2048} or a number (SI a unit)'
+FORMS = "{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks = 4096, zero = 2048} or a number (SI a unit)"
 
 
 def check_unit(path: Path, key: str, value: Any) -> Unit:
@@ -74,10 +74,16 @@ def check_unit(path: Path, key: str, value: Any) -> Unit:
 
 def _affine(path: Path, key: str, value: Any) -> Affine:
     table = value if isinstance(value, dict) else {"scale": value}
-    pair = lambda name: [finite(x) for x in table[name]] if isinstance(table[name], list) and len(table[name]) == 2 else [None]
+    pair = lambda name: (
+        [finite(x) for x in table[name]] if isinstance(table[name], list) and len(table[name]) == 2 else [None]
+    )
     one = lambda name, default: finite(table.get(name, default))
     made: Affine | None = None
-    if set(table) <= {"scale", "offset"} and (scale := one("scale", None)) and (shift := one("offset", 0.0)) is not None:
+    if (
+        set(table) <= {"scale", "offset"}
+        and (scale := one("scale", None))
+        and (shift := one("offset", 0.0)) is not None
+    ):
         made = Affine(scale, shift)
     elif set(table) == {"percent"} and None not in (to := pair("percent")):
         made = _between([0.0, 100.0], to)

@@ -31,7 +31,11 @@ class McapBag:
         kinds: dict[str, set[tuple[str, str]]] = {}
         for file in files:
             summary = self._reader(file).get_summary()
-            if summary is None or summary.statistics is None or (summary.statistics.message_count and not summary.channels):
+            if (
+                summary is None
+                or summary.statistics is None
+                or (summary.statistics.message_count and not summary.channels)
+            ):
                 for schema, channel, _ in self._reader(file).iter_messages(log_time_order=False):
                     counts[channel.topic] += 1
                     kinds.setdefault(channel.topic, set()).add((_kind(schema), channel.message_encoding))
@@ -107,7 +111,10 @@ def _ros(path: Path, schema: Any, encoding: str) -> Decoder:
 def _protobuf(path: Path, schema: Any) -> Decoder:
     """By the file descriptors that the schema holds."""
     described = need(path, "google.protobuf.descriptor_pb2", "ros")
-    pools, factory = need(path, "google.protobuf.descriptor_pool", "ros"), need(path, "google.protobuf.message_factory", "ros")
+    pools, factory = (
+        need(path, "google.protobuf.descriptor_pool", "ros"),
+        need(path, "google.protobuf.message_factory", "ros"),
+    )
     pool = pools.DescriptorPool()
     for file in described.FileDescriptorSet.FromString(schema.data).file:
         pool.Add(file)

@@ -155,7 +155,9 @@ def _commands(
     since = lambda ns: (ns - clock.first) * 1e-9
     if topic.kind in ARRAYS:
         if clock.stamped and clock.late:
-            notes.append(f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the state's messages")
+            notes.append(
+                f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the state's messages"
+            )
         notes.append(f"topic {topic.name} names no joints: taken in the order of the model's actuators")
     if topic.kind in TRAJECTORIES:
         plans = []
@@ -188,7 +190,9 @@ def _trajectory(
     if told is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
         return followed(plans, angle, True), tuple(notes)  # points that give no time to move are commands as they come
     made = {how: followed(plans, angle, how == "hold") for how in POINTS if told in (None, how)}
-    if "ramp" in made:  # a controller that steps with the states holds what it has from row to row; a faster one does not wait
+    if (
+        "ramp" in made
+    ):  # a controller that steps with the states holds what it has from row to row; a faster one does not wait
         main = max(states, key=lambda s: len(s.time)).time
         each = [sampled(series, main) for series in made["ramp"]]
         made["ramp"] = min((each, made["ramp"]), key=lambda commands: _left(str(path), states, commands))
@@ -265,7 +269,9 @@ def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], t
 def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Without efforts, and without speeds, that are zero throughout, as drivers write them that have none."""
     notes: tuple[str, ...] = ()
-    moves = any(np.nanmax(x) - np.nanmin(x) > 1e-3 for n, x in columns.items() if n.startswith("q_") and np.isfinite(x).any())
+    moves = any(
+        np.nanmax(x) - np.nanmin(x) > 1e-3 for n, x in columns.items() if n.startswith("q_") and np.isfinite(x).any()
+    )
     for stem, told in (("tau_", "efforts are zero throughout: not taken for torques"),
                        ("v_", "velocities are zero throughout though joints move: left out")):  # fmt: skip
         own = [name for name in columns if name.startswith(stem) and not name.endswith("_commanded")]

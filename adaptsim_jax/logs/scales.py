@@ -37,7 +37,9 @@ class Scale:
     known: bool
 
 
-def scale_of(key: str, values: Sequence[np.ndarray], gripper: bool = False, limits: tuple[float, float] | None = None) -> Scale | None:
+def scale_of(
+    key: str, values: Sequence[np.ndarray], gripper: bool = False, limits: tuple[float, float] | None = None
+) -> Scale | None:
     """The scale that all values of a joint (its angles, its targets) betray; None where they may well be angles. key: what [units]
     calls them; gripper: whether it is one of a LeRobot data set; limits: its range in the model."""
     x = np.concatenate([np.asarray(v, float)[np.isfinite(v)] for v in values]) if len(values) else np.zeros(0)
@@ -71,7 +73,10 @@ def is_gripper(joint: str) -> bool:
 
 
 def scales_of(
-    columns: Mapping[str, Sequence[np.ndarray]], joints: Sequence[str], lerobot: bool, ranges: Mapping[str, tuple[float, float]]
+    columns: Mapping[str, Sequence[np.ndarray]],
+    joints: Sequence[str],
+    lerobot: bool,
+    ranges: Mapping[str, tuple[float, float]],
 ) -> dict[str, Scale]:
     """By joint, of `columns`: joint -> its angles and targets as written. In a data set of LeRobot all joints of an arm are in one
     scale."""

@@ -22,7 +22,9 @@ def choose(
         if (name := options.get(key)) is not None and name not in by_name:
             raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
     state, notes = _state_topic(path, topics, options)
-    foreign = [t for t in topics if t.encoding and t is not state and (t.unread or not (_commands_of(t) or state_of(t.kind)))]
+    foreign = [
+        t for t in topics if t.encoding and t is not state and (t.unread or not (_commands_of(t) or state_of(t.kind)))
+    ]
     if foreign:
         names = ", ".join(f"{t.name} ({t.kind or 'no type'}, {t.encoding})" for t in foreign)
         notes = (*notes, f"topics that hold no ROS messages, left out: {names}")
@@ -51,7 +53,9 @@ def _state_topic(path: Path, topics: tuple[Topic, ...], options: Mapping[str, st
         if not state_of(state.kind) or state.unread:
             raise BadInput(f"{path}: topic {chosen} is {_what(state)}; name one of sensor_msgs/JointState")
         return state, ()
-    able = [t for t in topics if t.count and state_of(t.kind) and not t.unread and t.name != options.get("command_topic")]
+    able = [
+        t for t in topics if t.count and state_of(t.kind) and not t.unread and t.name != options.get("command_topic")
+    ]
     states = [t for t in able if t.kind == STATE] or [t for t in able if t.kind not in CONTROLLERS] or able
     if options.get("command_topic") and not states:
         states = [t for t in topics if t.name == options["command_topic"] and t.kind in CONTROLLERS]

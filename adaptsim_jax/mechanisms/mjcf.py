@@ -63,7 +63,7 @@ def read_mechanism(path: str | os.PathLike) -> Mechanism:
     """
     spec, source = read_spec(path)
     notes = _check_spec(str(path), spec)
-    _without_shapes(spec)
+    without_shapes(spec)
     model = compiled(str(path), spec)
     return _mechanism(str(path), source, model, notes)
 
@@ -178,7 +178,7 @@ def _name(element: Any) -> str:
     return element.name or f"number {element.id + 1}"
 
 
-def _without_shapes(spec: mujoco.MjSpec) -> None:
+def without_shapes(spec: mujoco.MjSpec) -> None:
     """Remove what only contact and drawing need, with the files it would be read from."""
     from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     for kind in (spec.sensors, spec.keys, spec.pairs, spec.excludes, spec.skins, spec.equalities):

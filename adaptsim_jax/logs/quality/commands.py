@@ -74,7 +74,11 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
     if not len(moved):
         return None
     own, other = left[moved, moved], left[moved, order[moved]]
-    if np.max(other) > KNOWN or np.mean(np.log(own / np.maximum(other, 1e-6))) < np.log(EXCHANGED) or np.any(own < other):
+    if (
+        np.max(other) > KNOWN
+        or np.mean(np.log(own / np.maximum(other, 1e-6))) < np.log(EXCHANGED)
+        or np.any(own < other)
+    ):
         return None
     best = tuple(joints[k] for k in order)
     return Exchanged(best, np.diag(left), left[np.arange(len(joints)), order])
@@ -104,7 +108,9 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     return Cut(best, size, base, left)
 
 
-def _best(tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float) -> tuple[float, float]:
+def _best(
+    tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float
+) -> tuple[float, float]:
     """The size of a reading that leaves least, and what that is."""
     loss = lambda size: unexplained([one(t, 0, read(t, float(size))) for t in tracks])
     grid = np.geomspace(max(low, 1e-9), max(high, 2e-9), 10)
