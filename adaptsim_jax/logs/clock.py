@@ -81,6 +81,9 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
                     if acts
                     else _onto(clock, series.time, values, hold=seldom)
                 )
+    for name in [n for series in rare for n in series.columns if n.startswith("q_")]:
+        if any(n.startswith("v_") for n in out):
+            out.setdefault(f"v{name[1:]}", np.zeros(len(clock)))
     for series in commands:
         out |= {
             name: _acting(clock, series.time, values, series.straight)

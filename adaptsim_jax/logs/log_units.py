@@ -121,14 +121,14 @@ def column_unit(
     quantity = "time" if stem == "time" else INPUT.get(stem) or (SLIDE if slides else HINGE).get(stem)
     if quantity is None:
         return Affine(1.0)
-    name = next(
-        (units[word] for word in (*words, stem, quantity) if word in units and _fits(units, word, quantity)), None
-    )
-    rate = False
-    if name is None and stem in ("v", "target"):
-        joint = tuple(word.replace(stem, "q", 1) for word in words if word.startswith(stem))
-        name = next((units[w] for w in (*joint, "q", (SLIDE if slides else HINGE)["q"]) if w in units), None)
-        rate = stem == "v"
+    joint = tuple(word.replace(stem, "q", 1) for word in words if word.startswith(stem))
+    angle = (HINGE if not slides else SLIDE)["q"]
+    # a target is in its angle's unit, whose own word is closer than that of all angles
+    order = (*words, stem, *((*joint, "q") if stem == "target" else ()), quantity)
+    name = next((units[word] for word in order if word in units and _fits(units, word, quantity)), None)
+    rate = name is None and stem == "v"
+    if rate:
+        name = next((units[w] for w in (*joint, "q", angle) if w in units), None)
     if name is None:
         return Affine(1.0)
     if name == PERCENT:
