@@ -36,7 +36,7 @@ WITHIN = {
     ),
     "environments": (
         "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
-        "targets", "task", "film", "kind",
+        "targets", "checks", "task", "film", "kind",
     ),
     "diagnosis": ("run", "schema", "criteria", "paired", "problem", "fit", "select", "rows"),
     "tasks": (
