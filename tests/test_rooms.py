@@ -12,7 +12,7 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "core", "space", "control", "effects", "mechanisms", "logs", "diagnosis", "sysid", "attribution", "learners", "tasks", "adaptation",
+    "core", "space", "control", "effects", "mechanisms", "logs", "simulators", "diagnosis", "sysid", "attribution", "learners", "tasks", "adaptation",
     "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
@@ -26,12 +26,12 @@ WITHIN = {
         "registry",
     ),
     "mechanisms": (
-        "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write",
+        "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "spec", "roles", "transmission", "mjcf", "mjcf_write",
         "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop", "model_file",
     ),
     "logs": (
         "extras", "types", "segments", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality", "log_meta",
-        "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names",
+        "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names", "followed",
         "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
     ),
     "sysid": (

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.load import Machine
+from adaptsim_jax.attribution.problem import drive_force
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
@@ -98,9 +99,7 @@ def channels(machine: Machine) -> Channels:
 
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
     """`[T, n]` at the joints, by the declared law of the actuators."""
-    gain, bias, angle, speed, low, high = machine.actuator
-    inner = gain * u + bias + angle * q + (0.0 if v is None else speed * v)
-    return machine.gear * np.clip(inner, low, high)
+    return drive_force(machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u)
 
 
 @cache

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path as File
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.choice import choose
 from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.estimate import refitted_start
 from adaptsim_jax.attribution.linear import linear
@@ -22,7 +24,10 @@ from adaptsim_jax.attribution.paths import ready, run, simulated, starts_of, wid
 from adaptsim_jax.attribution.problem import Problem, prepare
 from adaptsim_jax.attribution.weights import Fit, Weights, losses
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
+from adaptsim_jax.mechanisms.spec import Source
+from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
 FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
 ROUNDS = 6
@@ -84,6 +89,7 @@ def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None)
         min(span, longest),
         100_000,
         machine.declared,
+        ties=machine.ties,
     )
     vector = vector if vector is not None else Vector((), np.zeros(0))
     return replayed(problem, vector, span)
@@ -141,10 +147,36 @@ def fitted_starts(problem: Problem, vector: Vector, rounds: int = ROUNDS) -> tup
     return starts
 
 
-def replay_files(model: str | File | None, data: str | File, horizon: float = 0.5) -> Replay:
-    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs."""
+def replay_files(
+    model: str | File | None, data: str | File, horizon: float = 0.5, simulator: str | None = None
+) -> Replay:
+    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs. simulator: `tree`, `mujoco`, None: see `choice`."""
+    found = choose(data, model, simulator, horizon)
+    told = (f"simulated by MuJoCo at the file's own step: {found.why}",) if found.simulator == "mujoco" else ()
+    if found.simulator == "mujoco" and found.source is not None and found.log is not None:
+        return by_mujoco(found.source, found.log, horizon, told)
     machine = load(data, model)
-    return dataclasses.replace(replay(machine, horizon), notes=(*machine.log.notes, *suspected(machine)))
+    notes = (*machine.log.notes, *machine.notes, *suspected(machine))
+    return dataclasses.replace(replay(machine, horizon), notes=notes)
+
+
+def by_mujoco(source: Source, log: Log, horizon: float, told: tuple[str, ...] = ()) -> Replay:
+    """A model file over a recording by MuJoCo itself; a base that moves is told beside the joints."""
+    found = mujoco_replayed(source, log, horizon)
+    s, model = found.stretches, found.made.model
+    slides = {model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    kinds = tuple("slide" if name in slides else "hinge" for name in log.joint_names)
+    names, n, error, measured, simulated = log.joint_names, len(kinds), found.error, s.measured, found.simulated
+    measured, seen = measured[..., :n], s.seen[..., :n].astype(float)
+    if found.base is not None:
+        base = np.median(found.base, 0)
+        told = (*told, f"the base errs by {base[0]:.3g} m and {base[1]:.3g} rad (medians over stretches)")
+    if s.count < found.total:
+        told = (*told, f"{s.count} of {found.total} stretches, evenly spread")
+    return Replay(
+        names, kinds, s.names, s.trial, error, s.time, measured, simulated, seen, horizon,
+        (*told, *log.notes, *source.notes, *found.made.notes),
+    )  # fmt: skip
 
 
 def suspected(machine: Machine) -> tuple[str, ...]:

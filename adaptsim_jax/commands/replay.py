@@ -13,6 +13,7 @@ EXAMPLES = """
   adaptsim replay out/model.toml logs/validation --json   the mended model on other data
   adaptsim replay out/model.xml logs/robot --horizon 0    every trial in one go
   adaptsim replay robot.urdf run.mcap --out replay        with a figure of measured against simulated
+  adaptsim replay robot.xml logs/robot --simulator mujoco    by MuJoCo itself, at the file's own step
 """
 
 
@@ -25,6 +26,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=0.5,
         metavar="S",
         help="length of the stretches; 0: whole trials (default 0.5)",
+    )
+    parser.add_argument(
+        "--simulator",
+        choices=("tree", "mujoco"),
+        help="tree: joints on a base that stands still; mujoco: whatever MuJoCo compiles, at the file's own step (default: tree "
+        "where it can, mujoco where it must)",
     )
     parser.add_argument("--json", action="store_true", help="print all of it as JSON")
     parser.add_argument("--out", metavar="DIR", help="folder for replay.json and replay.png")
@@ -49,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
     if "jax" not in sys.modules:
         compile_flags.small_steps()
-    found = replay_files(args.model, args.data, args.horizon)
+    found = replay_files(args.model, args.data, args.horizon, args.simulator)
     told = {"model": args.model, "data": args.data, **found.told()}
     if args.out is not None:
         from adaptsim_jax.report.replay_figure import save

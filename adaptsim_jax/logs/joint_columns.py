@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import finite_without_turns
-from adaptsim_jax.logs.columns import Role, role
+from adaptsim_jax.logs.columns import BASE, Role, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import column_scale
@@ -27,7 +27,7 @@ LIMIT = 1e5
 class Columns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
 
-    `turns`: whether whole turns were taken out of angles.
+    `turns`: whether whole turns were taken out of angles; `base [T, 7]`: place and orientation of a free base.
     """
 
     raw: RawTrial
@@ -35,6 +35,7 @@ class Columns:
     by_joint: dict[str, dict[int, np.ndarray]]
     ctrl: dict[int | str, np.ndarray]
     turns: bool
+    base: np.ndarray | None = None
 
     def stacked(self, stem: str, n: int) -> np.ndarray:
         """`[T, n]` of a quantity, NaN for joints without."""
@@ -57,7 +58,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     ctrl: dict[int | str, np.ndarray] = {}
     taken: dict[tuple[str, int], str] = {}
     for name, found in roles.items():
-        if found.stem in ("time", "trial"):
+        if found.stem in ("time", "trial", "base"):
             continue
         if found.stem == "ctrl":
             ctrl[found.joint if isinstance(found.joint, str) else (found.joint or 1) - (not zero_based)] = (
@@ -79,7 +80,27 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
     turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
     time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
-    return Columns(trial, time, by_joint | {"q": whole}, ctrl, turns)
+    return Columns(trial, time, by_joint | {"q": whole}, ctrl, turns, _base(trial, roles))
+
+
+def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
+    """`[T, 7]` m and a unit quaternion whose sign does not jump. Raises `BadInput` where a column of them is missing."""
+    named = {str(found.joint): name for name, found in roles.items() if found.stem == "base"}
+    if not named:
+        return None
+    if missing := [name for name in BASE if name not in named]:
+        raise BadInput(f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or ignore all of them")
+    pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
+    size = np.linalg.norm(pose[:, 3:], axis=1)
+    if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
+        raise BadInput(
+            f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length {size[bad[0]]:.3g}; write unit "
+            "quaternions"
+        )
+    pose[:, 3:] /= size[:, None]
+    flips = np.cumprod(np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)) + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0))
+    pose[1:, 3:] *= flips[:, None]
+    return pose
 
 
 def _zero_based(roles: Iterable[Role]) -> bool:

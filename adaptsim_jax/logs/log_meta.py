@@ -15,8 +15,9 @@ from adaptsim_jax.logs.log_units import check_unit
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
 TEXT_KEYS = ("name", "description", "note", "source", "license")
-TABLES = ("columns", "units", "angles", "known", "fit", "noise", "trials", "ros")
-KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
+TABLES = ("columns", "units", "angles", "hold", "known", "fit", "noise", "trials", "ros")
+KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
+SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
 TRIAL_KEYS = ("exclude", "group", "payload")
 ROS_KEYS = ("state_topic", "command_topic")
@@ -32,7 +33,8 @@ class LogMeta:
     `zero`: joint or column -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that
     the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
     standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
-    `kp100_*` may stand for several trials).
+    `kp100_*` may stand for several trials); `hold`: joint -> rad or m that it is held at (None: where the log or the file has it);
+    `simulator`: tree or mujoco, None: by what the model needs.
     """
 
     path: str = ""
@@ -52,6 +54,8 @@ class LogMeta:
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
     ros: Mapping[str, str] = field(default_factory=dict)
+    hold: Mapping[str, float | None] = field(default_factory=dict)
+    simulator: str | None = None
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
@@ -74,6 +78,8 @@ def read_log_meta(path: str | Path) -> LogMeta:
             _text(path, key, raw[key])
     if "input" in raw and raw["input"] not in INPUTS:
         raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
+    if "simulator" in raw and raw["simulator"] not in SIMULATORS:
+        raise BadInput(f"{path}: simulator = {brief(raw['simulator'])} is unknown; {suggest(str(raw['simulator']), SIMULATORS)}")
     angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
     trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
     convention = angles.get("convention", {})
@@ -98,6 +104,8 @@ def read_log_meta(path: str | Path) -> LogMeta:
             key: _text(path, f"ros.{key}", value)
             for key, value in _known_keys(path, "ros", tables["ros"], ROS_KEYS).items()
         },
+        hold={key: None if value is True else _number(path, f"hold.{key}", value) for key, value in tables["hold"].items()},
+        simulator=raw.get("simulator"),
     )
 
 
