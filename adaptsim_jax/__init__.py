@@ -1,6 +1,6 @@
 """Task-driven simulation adaptation (AdaptSim) and closing the loop with measured data, in JAX.
 
-`__all__` here and in `adaptsim_jax.sysid` is what other programs may rely on; all else may change. A name is imported when it is
+`__all__` here and in `adaptsim_jax.diagnosis` is what other programs may rely on; all else may change. A name is imported when it is
 asked for: importing the package loads neither JAX nor NumPy.
 """
 

@@ -28,13 +28,12 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import machine as joined
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
+from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.problem import nuisances, prepare
 from adaptsim_jax.attribution.replay import replay
-from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.diagnosis import read_recording
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
-from adaptsim_jax.sysid import catalogue, read_recording
-from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
 
 DATA = Path(os.environ.get("ADAPTSIM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 LEFT_OUT, HORIZON, STEP = 3, 0.5, 0.002
@@ -110,8 +109,7 @@ def peers(machine, xml: str, links: bool) -> tuple[dict, str]:
 def main(rig: str) -> None:
     whole = read_recording(DATA / "measured_double_pendulum" / rig)
     train = usable(*(lambda r: (r, audit(r)))(whole.replace(trials=whole.trials[:-LEFT_OUT])))
-    base = fit_unfiltered(train, audit(train), noise_floor(train, audit(train)), catalogue("pendulum"), None)[1]
-    theta = np.asarray(base.candidate.theta)
+    theta = first_parameters(train, audit(train))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "declared.xml"
         machine = declared_machine(train, theta, path)

@@ -12,6 +12,7 @@ from tests.generators.suites import ALIASES, SAME, Case
 
 Named = tuple[str, str]  # effect, place
 
+LEVELLED = ("presliding", "stribeck", "friction_drift")
 NOTHING = ("within_noise", "underpowered")
 
 
@@ -77,7 +78,10 @@ def score_case(suite: str, case: Case, truth: dict, report: dict) -> dict:
     if suite != "outside":
         quiet = verdict in (*NOTHING, "confounded_with_declared") and not found
         hits = [hit or (absorbed and quiet) for hit, absorbed in zip(hits, confounded, strict=True)]
-    wrong = sum(not any(h in c for h in hidden) for c in found)
+    # dry friction's level stands beside its bristles and its rise at creeping speed: it is a part of what was hidden
+    parts = {("coulomb", where) for name, where in hidden if name in LEVELLED}
+    found_alone = [c for c in found if not c & parts] if any(hits) else found
+    wrong = sum(not any(h in c for h in hidden) for c in found_alone)
     first = [f"{e['name']}@{place(e.get('where', ''))}" for e in report.get("effects", [])]
     right = ",".join(f"{n}@{w}" for n, w in hidden) or "nothing"
     return {
@@ -134,13 +138,6 @@ def gap_closed(r: dict) -> float | None:
     return (numbers[0] - numbers[1]) / (numbers[0] - numbers[2])
 
 
-def beside_truth(r: dict) -> float | None:
-    """Held-out error of the mended model over that of the true model refitted, where an effect was named rightly."""
-    true = (r.get("true_model") or {}).get("rmse")
-    after = (r["error"] or {}).get("after")
-    return after / true if true and after and r["named"] and all(r["hits"]) else None
-
-
 def consistent(group: list[dict]) -> float:
     """Share of disguises with the verdict and the names of the plain recording."""
     plain = next(r for r in group if not r["variant"])
@@ -161,7 +158,6 @@ def _suite(name: str, rs: list[dict]) -> dict:
     errors = [e for r in rs for e in r["declared"].values()]
     covered = [e for e in errors if "covered" in e]
     gaps = [g for g in map(gap_closed, rs) if g is not None]
-    beside = [b for b in map(beside_truth, rs) if b is not None]
     out: dict = {
         "cases": len(rs),
         "verdicts": dict(Counter(r["verdict"] for r in rs)),
@@ -174,9 +170,6 @@ def _suite(name: str, rs: list[dict]) -> dict:
         "declared_error_after": median(abs(e["after"]) for e in errors) if errors else None,
         "declared_covered": share(covered, lambda e: e["covered"]),
     }
-    if beside:
-        out["after_over_true_model_median"] = median(beside)
-        out["after_at_most_1.15_true_model"] = share(beside, lambda b: b <= 1.15)
     if name == "null":
         out["false_alarms"] = by(rs, "condition", lambda r: bool(r["named"]))
     if name in ("single", "power"):
@@ -264,7 +257,6 @@ def row(r: dict) -> dict[str, object]:
         "wrong": r["wrong"],
         "left_at": r["leftover"][0]["joint"] if r["leftover"] and r["verdict"] == "structured_unattributed" else "",
         **{k: number(error.get(k)) for k in ("before", "after", "noise_floor")},
-        "true_model": number((r.get("true_model") or {}).get("rmse")),
         "covered": sum(e["covered"] for e in declared),
         "told": len(declared),
         "seconds": f"{r['seconds']:.0f}",

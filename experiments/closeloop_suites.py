@@ -19,10 +19,11 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 from adaptsim_jax.core import compile_flags, memory
+from adaptsim_jax.diagnosis import Effect, Parameter, catalogue
 from experiments.closeloop_scores import row, score_case, summarise, table
-from experiments.closeloop_truth import true_error
 from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case, disguise
 
@@ -35,9 +36,9 @@ def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tupl
     """The report of one folder (without its follow-up) and the seconds it took; a crash is a report, verdict `error`."""
     from adaptsim_jax import diagnose
 
-    options: dict = {"follow_up": False} | ({"exclude": exclude} if exclude else {})
+    options: dict = {"exclude": exclude} if exclude else {}
     if variant == "irrelevant":
-        options["irrelevant"] = 1
+        options["effects"] = (*catalogue("mechanism"), useless())
     if next(_diagnosed) % FRESH == FRESH - 1:
         jax.clear_caches()
     start = time.perf_counter()
@@ -48,12 +49,11 @@ def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tupl
     return report, time.perf_counter() - start
 
 
-def true_of(folder: Path, truth: dict, report: dict) -> dict:
-    """The true model's held-out error over stretches as long as the report's; empty where it cannot be had, and why."""
-    try:
-        return true_error(folder, truth, report["error"]["stretch_s"])
-    except Exception as problem:
-        return {"problem": f"{problem}"}
+def useless() -> Effect:
+    """A candidate that explains nothing: a force that follows the square of an hour-long cosine."""
+    size = Parameter("size", "N m", -1.0, 1.0, 0.0)
+    force = lambda p, m: p["size"] * jnp.cos(37.0 * m.t + 11.0 * m.q) ** 3
+    return Effect("irrelevant", "force", (size,), force, "nothing physical", "nothing shows it")
 
 
 def pending(cases: list[Case], out: Path) -> list[Case]:
@@ -69,10 +69,8 @@ def write_batch(cases: list[Case], out: Path) -> list[tuple[Case, Path, dict]]:
     return jobs
 
 
-def run_suite(
-    suite: str, cases: list[Case], out: Path, pool: ProcessPoolExecutor | None, keep: bool, true: bool = False
-) -> None:
-    """Diagnose whatever is not done yet, batch by batch; `true`: and refit the true model to each."""
+def run_suite(suite: str, cases: list[Case], out: Path, pool: ProcessPoolExecutor | None, keep: bool) -> None:
+    """Diagnose whatever is not done yet, batch by batch."""
     todo = pending(cases, out)
     for at in range(0, len(todo), BATCH):
         jobs = write_batch(todo[at : at + BATCH], out)
@@ -83,8 +81,6 @@ def run_suite(
             results = ((futures[f], f.result()) for f in as_completed(futures))
         for (case, folder, truth), (report, seconds) in results:
             record = score_case(suite, case, truth, report) | {"seconds": seconds}
-            if true:
-                record["true_model"] = true_of(folder, truth, report)
             (out / "cases" / f"{case.name}.json").write_text(json.dumps(record, indent=1, default=float))
             (out / "reports" / f"{case.name}.json").write_text(json.dumps(report, indent=1, default=str))
             if not keep:
@@ -100,7 +96,6 @@ def main() -> None:
     p.add_argument("--out", type=Path, required=True)
     p.add_argument("--workers", type=int, default=1)
     p.add_argument("--keep-data", action="store_true")
-    p.add_argument("--true-model", action="store_true", help="also refit the true model to each data set")
     p.add_argument("--generate-only", action="store_true", help="write the data sets and their truths, no diagnosis")
     a = p.parse_args()
     memory.keep_freed()
@@ -114,7 +109,7 @@ def main() -> None:
             for c, _, truth in write_batch(cases, a.out):
                 (a.out / "data" / f"{c.name}.truth.json").write_text(json.dumps(truth, indent=1))
         else:
-            run_suite(suite, cases, a.out, pool, a.keep_data, a.true_model)
+            run_suite(suite, cases, a.out, pool, a.keep_data)
     if pool:
         pool.shutdown()
     if not a.generate_only:

@@ -24,11 +24,10 @@ from adaptsim_jax.attribution.diagnose import HORIZON, diagnose, examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
+from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
 from adaptsim_jax.attribution.replay import Replay, replay
-from adaptsim_jax.logs.noise.floor import noise_floor
+from adaptsim_jax.diagnosis import read_recording
 from adaptsim_jax.logs.quality.audit import audit, usable
-from adaptsim_jax.sysid import catalogue, read_recording
-from adaptsim_jax.sysid.nuisance.prefilter import fit_unfiltered
 
 RIGS = Path(__file__).parent / "rigs"
 
@@ -57,13 +56,11 @@ def left_out(rig: str, trial: str) -> dict:
     began = time.perf_counter()
     rest = whole.replace(trials=tuple(t for t in whole.trials if t.name != trial))
     checked = audit(rest)
-    rest = usable(rest, checked)
-    base = fit_unfiltered(rest, checked, noise_floor(rest, checked), catalogue("pendulum"), None)[1]
-    theta = np.asarray(base.candidate.theta)
-    keep = lambda vector: in_the_plane(vector, tuple(rest.known))
+    rest = masked(usable(rest, checked), checked)
+    theta = first_parameters(rest, checked)
     with tempfile.TemporaryDirectory() as folder:
         machine = declared_machine(rest, theta, Path(folder) / DECLARED)
-        report, _, _, found = examined(machine, Criteria(), HORIZON, narrow=keep)
+        report, _, _, found = examined(machine, Criteria(), HORIZON, narrow=in_the_plane)
         one = whole.replace(trials=tuple(t for t in whole.trials if t.name == trial))
         test = declared_machine(usable(one, audit(one)), theta, Path(folder) / "one.xml")
         scores = {

@@ -49,7 +49,7 @@ def test_a_command_lists_what_is_installed(installed):
     assert "-pull q exp(-(q / reach)^2)" in shown and "N m/rad" in shown
 
 
-@pytest.mark.parametrize(("name", "task"), [("coulomb", "pendulum"), ("machine.armature", "mechanism")])
+@pytest.mark.parametrize(("name", "task"), [("coulomb", "pendulum"), ("armature", "mechanism")])
 def test_two_things_of_one_name_are_refused(installed, name, task):
     folder, environment = installed
     twin = folder / "twin-1.0.dist-info"

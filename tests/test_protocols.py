@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import adaptsim_jax
-import adaptsim_jax.sysid
+import adaptsim_jax.diagnosis
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS
 from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation, of_the_engine
@@ -38,7 +38,7 @@ from adaptsim_jax.tasks.registry import TASKS
 ROOT = Path(__file__).parents[1]
 BATCH = 3
 UNIT = ("kg", "m/s", "rad", "N m", " s", " m", "[", "unit")  # a public docstring names units, or shapes
-LISTS = [adaptsim_jax, adaptsim_jax.sysid]
+LISTS = [adaptsim_jax, adaptsim_jax.diagnosis]
 
 
 @pytest.fixture(params=[False, True], ids=["float32", "x64"])
@@ -95,7 +95,7 @@ def test_documents_import_what_there_is():
 
 def test_importing_the_package_loads_no_library():
     """Of what is slow to import: `import adaptsim_jax` takes 0.02 s so, and 1 s with JAX."""
-    code = "import adaptsim_jax, adaptsim_jax.sysid, sys; print([m for m in ('jax', 'numpy', 'scipy') if m in sys.modules])"
+    code = "import adaptsim_jax, adaptsim_jax.diagnosis, sys; print([m for m in ('jax', 'numpy', 'scipy') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 

@@ -12,13 +12,13 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "core", "space", "control", "effects", "mechanisms", "logs", "simulators", "diagnosis", "sysid", "attribution", "learners", "tasks", "adaptation",
-    "baselines", "report", "commands", "cli", "__main__",
+    "core", "space", "control", "effects", "mechanisms", "logs", "simulators", "diagnosis", "attribution", "learners", "tasks",
+    "adaptation", "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
     "core": (
         "lazy", "errors", "given", "files", "lock", "surroundings", "progress", "beside", "config", "registry",
-        "constants", "once", "trig", "parallel", "compile_cache", "compile_flags", "memory", "kept_programs", "tree_store",
+        "constants", "once", "trig", "parallel", "compile_cache", "compile_flags", "memory", "tree_store",
         "store",
     ),
     "effects": (
@@ -26,18 +26,16 @@ WITHIN = {
         "registry",
     ),
     "mechanisms": (
-        "lanes", "tree", "spatial", "kinematics", "dynamics", "actuators", "inertia_frames", "urdf", "spec", "roles", "transmission", "mjcf", "mjcf_write",
-        "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop", "model_file",
+        "lanes", "tree", "spatial", "kinematics", "dynamics", "equations", "actuators", "inertia_frames", "urdf", "spec", "roles",
+        "transmission", "mjcf", "mjcf_write", "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop",
+        "model_file",
     ),
     "logs": (
-        "extras", "types", "segments", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality", "log_meta",
-        "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names", "followed",
-        "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
+        "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality",
+        "log_meta", "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks",
+        "model_names", "followed", "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
     ),
-    "sysid": (
-        "criteria", "forward", "dictionary", "estimate", "score", "nuisance",
-        "evaluate", "select", "rivals", "decide", "design", "report", "examine", "pipeline",
-    ),
+    "diagnosis": ("run", "schema"),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",
         "one_action", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing", "scooping", "toss", "parity", "registry",

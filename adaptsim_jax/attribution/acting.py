@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.effects.base import Dry, Effect
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms import equations
+from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.tree import Tree
 
 BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be bent at its start
@@ -129,11 +130,11 @@ def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
     """All that acts on the joints besides their own dynamics. seen: angles and speeds as the controllers have them, where they are
     other than q and v."""
     tau, pull = actuated(values, *(seen or (q, v)), u)
-    gravity = lambda q: dynamics.gravity_force(model.tree, values.inertial, q, values.gravity)
+    gravity = lambda q: equations.gravity_force(model.tree, values.inertial, q, values.gravity)
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
     nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)
     smooth, level, inertia, yielding = tau + nothing, nothing, nothing, nothing
-    held_up = dynamics.compensation(model.tree, q)
+    held_up = compensation(model.tree, q)
     smooth = smooth if held_up is None else smooth + held_up
     for effect in model.effects:
         if effect.place != "force" or effect.name not in values.effects:

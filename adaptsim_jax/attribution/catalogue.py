@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from adaptsim_jax.attribution.angle_effects import BY_ANGLE
 from adaptsim_jax.attribution.drive_effects import DRIVES
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, WIDEST
-from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
 from adaptsim_jax.effects.actuator import actuator_lag, delay
 from adaptsim_jax.effects.base import Dry, Effect, Parameter, of_the_engine
+from adaptsim_jax.effects.registry import of_other_packages
 from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
 
 LATEST = 0.05  # s
@@ -209,6 +209,22 @@ OWN: tuple[Effect, ...] = (
         ("spring",), grid=grids.orders, formula="sine sin(order q) + cosine cos(order q)",
     ),
     Effect(
+        "periodic_disturbance", "force",
+        (Parameter("sine", "N m", -1.0, 1.0, 0.0), Parameter("cosine", "N m", -1.0, 1.0, 0.0),
+         Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None)),
+        disturbance.periodic_disturbance, "a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
+        "long trials whose commands leave that frequency free", ("cogging",), grid=grids.frequencies,
+        formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t since the trial began",
+    ),
+    Effect(
+        "friction_drift", "force",
+        (Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0), Parameter("dry", "N m", -1.0, 1.0, 0.0),
+         Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third")),
+        friction.friction_drift, "friction that changes as the joint warms up within a trial",
+        "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=grids.decays,
+        formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
+    ),
+    Effect(
         "hard_stop", "force",
         (Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1), Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
          Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True), Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True),
@@ -306,9 +322,7 @@ OWN: tuple[Effect, ...] = (
     ),
 )  # fmt: skip
 
-OTHERS: Registry[Effect] = Registry("effects", {}, within="machine", type="Effect", taken=(e.name for e in OWN))
-"""Those of other packages: entry points `adaptsim.effects` called `machine.NAME`."""
-MACHINE: tuple[Effect, ...] = (*OWN, *OTHERS.values())
+MACHINE: tuple[Effect, ...] = (*OWN, *of_other_packages(taken=[e.name for e in OWN]))
 COMMON = ("delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain")
 """Effects that are tried with one value for all joints as well: those of the one computer that talks to them."""
 EVERYWHERE = ("coulomb", "armature", "stribeck", "load_friction", "quadratic_drag")

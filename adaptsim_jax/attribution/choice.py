@@ -38,7 +38,9 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
         raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
     if own or declared_task(data) == "pendulum":
         if asked == "mujoco":
-            raise BadInput(f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give model.xml beside it")
+            raise BadInput(
+                f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give model.xml beside it"
+            )
         return Choice("tree", "")
     source, log = read_source_and_log(data, model)
     asked = asked or log.meta.simulator

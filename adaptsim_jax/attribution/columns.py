@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms import equations
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
 SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance", "drive_play")
@@ -83,7 +83,7 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
     lanes = lanes._replace(effects=seen)
     u = jnp.moveaxis(path.u, 0, 1)
     tau, pull = actuated(lanes, q, v, u)
-    gravity = lambda q: dynamics.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
+    gravity = lambda q: equations.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
     motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u)
     turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
 
@@ -124,13 +124,13 @@ def _spring(model, values, ahead, p, effect: str, parameter: str):
 @jax.jit
 def _regressor(tree, gravity, path: Path, time):
     q, v, a = _middle(path, jnp.diff(time, axis=0))
-    return dynamics.regressor(tree, q, v, a, gravity[:, None] if gravity.ndim > 1 else gravity)
+    return equations.regressor(tree, q, v, a, gravity[:, None] if gravity.ndim > 1 else gravity)
 
 
 @jax.jit
 def _gravity(tree, inertial, way, path: Path, time):
     q, _, _ = _middle(path, jnp.diff(time, axis=0))
-    return dynamics.gravity_force(tree, inertial[:, :, None], q, way)
+    return equations.gravity_force(tree, inertial[:, :, None], q, way)
 
 
 @partial(jax.jit, static_argnames=("past", "effect", "parameter"))

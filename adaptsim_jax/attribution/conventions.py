@@ -22,7 +22,7 @@ from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
-from adaptsim_jax.mechanisms.dynamics import regressor
+from adaptsim_jax.mechanisms.equations import regressor
 from adaptsim_jax.mechanisms.tree import Tree
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}

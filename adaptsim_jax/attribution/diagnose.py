@@ -26,6 +26,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder, write_bytes
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
 
@@ -48,10 +49,11 @@ def diagnose(
     progress: Progress | None = None,
     page: Page | None = None,
     as_declared: bool = False,
+    effects: Sequence[Effect] | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
     writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
-    as_declared: conventions that the motion contradicts are taken all the same.
+    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None.
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
@@ -63,7 +65,7 @@ def diagnose(
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
     folder = None if out is None else output_folder(out)
-    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say)
+    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say, effects=effects)
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
@@ -97,15 +99,18 @@ def examined(
     exclude: Sequence[str] = (),
     say: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
+    effects: Sequence[Effect] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
-    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept."""
-    names = {e.name for e in MACHINE}
+    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept; effects: the
+    catalogue, ours where None (of another, what is always fitted is ours)."""
+    fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
+    names = {e.name for e in known}
     if strange := sorted(set(exclude) - names):
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
-    fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
-    effects = tuple(e for e in MACHINE if e.name not in exclude or e.name in fitted)
+    chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
     problem = prepare(
-        machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared,
+        machine.tree, machine.tracks, chosen, machine.actuator, machine.gear, horizon, declared=machine.declared,
         look_back=LOOK_BACK, ties=machine.ties,
     )  # fmt: skip
     step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.acting import Forces, Model, Values, forces
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms import equations
 
 LEAST = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
 
@@ -89,7 +89,7 @@ def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, 
     give = drive.compliance > 0.0
     spring = sprung(drive, at.ahead, at.rate)
     on_link = jnp.where(give, spring, force) + more
-    link = dynamics.acceleration(
+    link = equations.acceleration(
         model.tree, values.inertial, at.link_q, at.link_v, on_link, jnp.where(give, 0.0, inertia), values.gravity
     )
     return jnp.where(give, (force - spring) / jnp.maximum(inertia, LEAST), link), link
@@ -105,7 +105,7 @@ def answers(model: Model, values: Values, drive: Drive, at: Parts, inertia):
     """Accelerations [n, n, .] of the rotors (of the joints, where these are rigid) under a force of 1 at one: second axis."""
     give = drive.compliance > 0.0
     give = give + jnp.zeros(inertia.shape, bool)
-    whole = dynamics.inverse_mass(model.tree, values.inertial, at.link_q, jnp.where(give, 0.0, inertia))
+    whole = equations.inverse_mass(model.tree, values.inertial, at.link_q, jnp.where(give, 0.0, inertia))
     n = len(inertia)
     own = jnp.eye(n).reshape((n, n) + (1,) * (inertia.ndim - 1)) * (1.0 / jnp.maximum(inertia, LEAST))[None]
     return jnp.where(give[:, None] | give[None], own, whole)
@@ -116,7 +116,7 @@ def at_rest(model: Model, values: Values, x0, u, t):
     q, v = jnp.split(x0, 2)
     drive = drive_of(model, values)
     act = forces(model, values, q, v, u, t[None])
-    a = dynamics.acceleration(model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity)
+    a = equations.acceleration(model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity)
     return jnp.concatenate([x0, yielded(drive, act.smooth - act.inertia * a), 0.0 * v])
 
 

@@ -75,7 +75,9 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     if commanded:
         for a in mechanism.actuators:
             declared["delay", "delay"][a.joint], declared["actuator_lag", "lag"][a.joint] = a.delay, a.lag
-    beyond = mechanism.beyond + (mechanism.drives_beyond if commanded else ()) + drives.beyond + _far(mechanism.tree, tracks)
+    beyond = (
+        mechanism.beyond + (mechanism.drives_beyond if commanded else ()) + drives.beyond + _far(mechanism.tree, tracks)
+    )
     return Machine(mechanism, log, tracks, law, gear, unknown, declared, ties=drives.ties, beyond=beyond)
 
 
@@ -111,7 +113,7 @@ def _torques(mechanism: Mechanism, log: Log) -> _Drives:
 
 
 def _drives(mechanism: Mechanism, log: Log) -> _Drives:
-    """What actuators make of commands. Several at a joint add up: to one law, whose command is theirs in the units of the first servo."""
+    """What actuators make of commands. Several at a joint add up to one law, whose command is in the units of the first servo's."""
     n, m = mechanism.tree.n, len(log.input_names)
     law = np.stack([*[np.zeros(n)] * 4, np.full(n, -np.inf), np.full(n, np.inf)])
     gear, ties, share = np.ones(n), np.zeros((n, n)), np.zeros((m, n))
@@ -119,40 +121,53 @@ def _drives(mechanism: Mechanism, log: Log) -> _Drives:
     by_joint: dict[int, list[tuple[int, Actuator]]] = {}
     for k, name in enumerate(log.input_names):
         a = _actuator(mechanism, name)
-        if a is None:  # of joints that are held, or on no joint of the tree, which is told
-            continue
-        limits[k] = _open(a.ctrlrange)
-        by_joint.setdefault(a.joint, []).append((k, a))
-    beyond = []
+        if a is not None:  # else of joints that are held, or on no joint of the tree, which is told
+            limits[k] = _open(a.ctrlrange)
+            by_joint.setdefault(a.joint, []).append((k, a))
+    beyond: list[str] = []
     for j, some in by_joint.items():
-        ks, actuators = zip(*some, strict=True)
+        actuators = [a for _, a in some]
         lead = next((a for a in actuators if a.kp), actuators[0])
-        gear[j] = lead.gear
-        parts = [a.gear / gear[j] for a in actuators]
-        total = lambda value, power=1: sum(p**power * value(a) for p, a in zip(parts, actuators, strict=True))
-        law[0, j] = lead.gain
-        for k, p, a in zip(ks, parts, actuators, strict=True):
-            share[k, j] = p * a.gain / lead.gain if lead.gain else 0.0
-        law[1, j], law[2, j], law[3, j] = total(lambda a: a.offset), -total(lambda a: a.kp, 2), -total(lambda a: a.kv, 2)
-        bounds = np.array([np.sort(p * np.array(_open(a.forcerange))) for p, a in zip(parts, actuators, strict=True)])
-        law[4:, j] = bounds.sum(0)
-        name = mechanism.tree.joint_names[j]
-        if len(some) > 1 and np.isfinite(bounds).any():
-            beyond.append(f"force ranges of each actuator of {name} (their sum acts)")
-        if len(some) > 1 and len({(a.delay, a.lag) for a in actuators}) > 1:
-            beyond.append(f"delays of each actuator of {name} (that of the last acts)")
-        if len(some) > 1 and any(a.more for a in actuators):
-            beyond.append(f"tendons that pull {name} beside another actuator")
+        parts = np.array([a.gear / lead.gear for a in actuators])
+        gear[j], law[:, j] = lead.gear, _summed(lead, actuators, parts)
+        for (k, a), part in zip(some, parts, strict=True):
+            share[k, j] = part * a.gain / lead.gain if lead.gain else 0.0
         low, high = np.sort(np.array(_open(tuple(mechanism.force_limits[j]))) / gear[j])
         law[4:, j] = max(law[4, j], low), min(law[5, j], high)
         for other, g in lead.more:
             ties[j, other] = g
+        beyond += _differing(mechanism.tree.joint_names[j], actuators)
     return _Drives(law, gear, ties if ties.any() else None, share, limits, tuple(beyond))
+
+
+def _summed(lead: Actuator, actuators: Sequence[Actuator], parts: np.ndarray) -> np.ndarray:
+    """Law [6] of all actuators of a joint, with the gear of `lead`; parts: the gear of each over it."""
+    of = lambda name: np.array([getattr(a, name) for a in actuators])
+    bounds = [np.sort(p * np.array(_open(a.forcerange))) for p, a in zip(parts, actuators, strict=True)]
+    return np.array([
+        lead.gain, parts @ of("offset"), -(parts**2) @ of("kp"), -(parts**2) @ of("kv"), *np.sum(bounds, 0)
+    ])  # fmt: skip
+
+
+def _differing(joint: str, actuators: Sequence[Actuator]) -> list[str]:
+    """What is only nearly so where several actuators of a joint add up."""
+    if len(actuators) == 1:
+        return []
+    out = []
+    if any(np.isfinite(_open(a.forcerange)).any() for a in actuators):
+        out.append(f"force ranges of each actuator of {joint} (their sum acts)")
+    if len({(a.delay, a.lag) for a in actuators}) > 1:
+        out.append(f"delays of each actuator of {joint} (that of the last acts)")
+    if any(a.more for a in actuators):
+        out.append(f"tendons that pull {joint} beside another actuator")
+    return out
 
 
 def _actuator(mechanism: Mechanism, name: str) -> Actuator | None:
     by_name = {a.name: a for a in mechanism.actuators}
-    return by_name.get(name) or next((a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None)
+    return by_name.get(name) or next(
+        (a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None
+    )
 
 
 def _open(limits: tuple[float, ...]) -> tuple[float, float]:

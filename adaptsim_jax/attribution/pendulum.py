@@ -7,15 +7,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from adaptsim_jax.attribution.catalogue import OWN
+from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
-from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.effects.registry import catalogue, effect_named
+from adaptsim_jax.effects.base import NINETY, Effect
+from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.logs.pendulum_log import log_of
 from adaptsim_jax.logs.types import Recording
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import JOINTS, double_pendulum_mjcf
@@ -28,13 +29,15 @@ SAME = {
     "load_friction": ("share",), "torque_gain": ("gain",), "saturation": ("cut", "peak"), "dead_zone": ("width",),
     "delay": ("delay", "before"), "actuator_lag": ("lag", "before"), "encoder_offset": ("offset",), "sensor_lag": ("lag",),
     "backlash": ("gap",), "coulomb": ("level",),
+    "periodic_disturbance": ("sine", "cosine", "frequency"), "friction_drift": ("viscous", "dry", "decay"),
 }  # fmt: skip
 """Effects of the pendulum's catalogue that mechanisms have under the same name, with the parameters that both know."""
 LINK = ("size", "stretch_y", "shift_y")
+RIGID, LINEAR = "rigid_body", "linearized"
 
 
-def pendulum_machine(recording: Recording, model: str | Path) -> Machine:
-    """A recording of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`.
+def pendulum_machine(recording: Recording, model: str | Path, effects: Sequence[Effect] = ()) -> Machine:
+    """A recording of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`, which may hold `effects` besides ours.
 
     Raises BadInput where the model is not of two joints, or has an effect that mechanisms do not know.
     """
@@ -50,13 +53,18 @@ def pendulum_machine(recording: Recording, model: str | Path) -> Machine:
         return machine(mechanism, replace(log, joint_names=mechanism.tree.joint_names, input_names=told, driven=told))
     from adaptsim_jax.mechanisms.model_file import read_model
 
-    given = read_model(model)
-    if given.model != "rigid_body":
-        raise BadInput(f'{model}: model = "{given.model}" has no mechanism; replay takes model = "rigid_body"')
+    given = read_model(model, own_catalogue(recording.task, effects))
     with TemporaryDirectory() as folder:
         made = declared_machine(recording, given.theta(given.plant()), Path(folder) / DECLARED)
     notes = (*made.log.notes, *left_out(given))
     return replace(made, declared=made.declared | _declared_effects(given), log=replace(made.log, notes=notes))
+
+
+def own_catalogue(task: str, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """What a `model.toml` may hold: the task's effects, and those of `effects` that have other names."""
+    known = catalogue(task)
+    names = {e.name for e in (*known, *OWN)}
+    return (*known, *(e for e in effects if e.name not in names))
 
 
 def left_out(given: ModelFile) -> list[str]:
@@ -70,9 +78,19 @@ def left_out(given: ModelFile) -> list[str]:
 
 
 def declared_machine(recording: Recording, theta: np.ndarray, path: Path) -> Machine:
-    """A recording with the declared model at base parameters p1, p3, h1, h2, b1, b2 [6], which is written to `path` as MJCF."""
-    write_bytes(path, double_pendulum_mjcf(theta, recording.geometry, recording.angle_zero).encode())
-    return machine(read_mechanism(path), log_of(recording))
+    """A recording with the declared model at parameters theta (p1, p3, h1, h2, b1, b2 of a rigid body, m1, m2, b1, b2 of a linearized
+    one), which is written to `path` as MJCF."""
+    linear = recording.model == LINEAR
+    base = _of_point_masses(theta) if linear else theta
+    write_bytes(path, double_pendulum_mjcf(base, recording.geometry, recording.angle_zero).encode())
+    mechanism = read_mechanism(path)
+    return machine(replace(mechanism, tree=replace(mechanism.tree, linear=linear)), log_of(recording))
+
+
+def _of_point_masses(theta: np.ndarray) -> np.ndarray:
+    """Base parameters [6] of point masses m1, m2 at the ends of links of 1 m, with dampings b1, b2."""
+    m1, m2, b1, b2 = (float(z) for z in theta)
+    return np.array([m1 + 2.0 * m2, m2, m1 + m2, m2, b1, b2])
 
 
 def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
@@ -93,20 +111,32 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
             put("coulomb", "level", e.where, numbers["level"])
             for k in ("excess", "speed"):
                 put("stribeck", k, e.where, numbers[k])
+        elif e.name == "presliding":
+            put("coulomb", "level", e.where, numbers["level"])
+            put(e.name, "compliance", e.where, numbers["deflection"] / max(numbers["level"], 1e-9))
         elif e.name in SAME:
             for k in SAME[e.name]:
                 put(e.name, k, e.where, numbers[k])
+        elif e.name not in {x.name for x in catalogue(given.task)}:
+            for k, value in numbers.items():
+                put(e.name, k, e.where, value)
         else:
             raise BadInput(f"{given.path}: {e.name} is no effect of a mechanism; take it out to replay the rest")
     return out
 
 
-def in_the_plane(vector: Vector, known: Sequence[str] = ()) -> Vector:
-    """The vector without what `p1, p3, h1, h2, b1, b2` do not say (a centre of mass beside the link), and without the dampings that
-    are known."""
-    gone = [e.key for e in vector.entries if e.owner == INERTIA and e.name not in LINK]
-    held = [e.key for e in vector.entries if e.owner == "viscous" and f"b{e.joints[0] + 1}" in known]
-    return vector.without([*gone, *held])
+def in_the_plane(vector: Vector) -> Vector:
+    """The vector without what `p1, p3, h1, h2, b1, b2` do not say: a centre of mass beside the link."""
+    return vector.without([e.key for e in vector.entries if e.owner == INERTIA and e.name not in LINK])
+
+
+def doubted(known: Mapping[str, float], values: Mapping[str, Value]) -> list[str]:
+    """A sentence for each declared parameter that `[known]` gives otherwise than the motion: beyond its interval, by a fiftieth."""
+    return [
+        f"[known] {k} = {x:.4g}, but the motion says {v.value:.4g} [{v.low:.4g}, {v.high:.4g}] {v.unit}: mend it or take it out"
+        for k, x in known.items()
+        if (v := values.get(k)) is not None and not v.low <= x <= v.high and abs(v.value - x) > 0.02 * abs(x)
+    ]
 
 
 def base_parameters(inertial: np.ndarray, l1: float, down: float) -> np.ndarray:
@@ -115,53 +145,72 @@ def base_parameters(inertial: np.ndarray, l1: float, down: float) -> np.ndarray:
     return np.array([i1 + m2 * l1**2 + i2, i2, down * m1y + m2 * l1, down * m2y])
 
 
-def model_file(
-    recording: Recording, problem: Problem, found: Selection, told: Mapping[str, object]
-) -> tuple[ModelFile, list[str]]:
-    """The final model as `model.toml` holds it, and a line for each effect that it cannot hold. told: of its provenance."""
-    model = found.final
-    vector, spread = model.fit.vector, model.spread
+def declared_values(recording: Recording, problem: Problem, model: Model) -> dict[str, Value]:
+    """Declared parameters of a fitted model under their names in `model.toml`, with 90 % intervals from its folds (jackknife)."""
     (group,) = problem.groups
-    values = values_of(problem, group, vector)
-    l1, down = float(recording.geometry["l1"]), -1.0 if recording.angle_zero == "upright" else 1.0
-    own = base_parameters(values.inertial[..., 0], l1, down)
-    folds = np.array([
-        base_parameters(values_of(problem, group, vector.at(z)).inertial[..., 0], l1, down) for z in model.held.vectors
-    ])  # fmt: skip
+    vector, l1 = model.fit.vector, float(recording.geometry["l1"])
+    down = -1.0 if recording.angle_zero == "upright" else 1.0
+    base = lambda z: base_parameters(values_of(problem, group, vector.at(z)).inertial[..., 0], l1, down)
+    names, units, of = ("p1", "p3", "h1", "h2"), ("kg m^2", "kg m^2", "kg m", "kg m"), lambda z: z
+    if recording.model == LINEAR:  # gravity has the least to do with how bodies are shaped
+        names, units, of = ("m1", "m2"), ("kg", "kg"), lambda z: np.array([z[2] - z[3], z[3]])
+    own, folds = of(base(vector.values)), np.array([of(base(z)) for z in model.held.vectors])
     wide = np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean(0)).sum(0))
-    number = lambda v, s, unit: Value(float(v), float(v - NINETY * s), float(v + NINETY * s), unit)
-    units = ("kg m^2", "kg m^2", "kg m", "kg m")
-    declared = {
-        k: number(*z) for k, z in zip(("p1", "p3", "h1", "h2"), zip(own, wide, units, strict=True), strict=True)
-    }
-    by = {(e.owner, e.name, j): (float(v), float(s), e.unit)
-          for e, v, s in zip(vector.entries, vector.values, spread, strict=True) for j in e.joints}  # fmt: skip
+    out = {k: _number(*z) for k, z in zip(names, zip(own, wide, units, strict=True), strict=True)}
+    by = _fitted(model)
     for k in range(2):
-        v = by.get(("viscous", "damping", k)) or (recording.known.get(f"b{k + 1}", 0.0), 0.0, "N m s/rad")
-        declared[f"b{k + 1}"] = number(*v)
+        held = (float(recording.known.get(f"b{k + 1}", 0.0)), 0.0, "N m s/rad")
+        out[f"b{k + 1}"] = _number(*by.get(("viscous", "damping", k), held))
+    return out
+
+
+def _number(value: float, spread: float, unit: str) -> Value:
+    return Value(float(value), float(value - NINETY * spread), float(value + NINETY * spread), unit)
+
+
+def _fitted(model: Model) -> dict[tuple[str, str, int], tuple[float, float, str]]:
+    """Value, standard deviation and unit of each fitted number by owner, name and joint."""
+    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
+    return {(e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints}
+
+
+def model_file(
+    recording: Recording, problem: Problem, model: Model, told: Mapping[str, object]
+) -> tuple[ModelFile, list[str]]:
+    """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold. told: of its provenance."""
+    declared, by = declared_values(recording, problem, model), _fitted(model)
     effects, lost = [], []
+    library = {e.name: e for e in own_catalogue(recording.task, problem.effects)}
+    own = set(library) - {e.name for e in catalogue(recording.task)}
 
     def put(name: str, where: str, mine: Mapping[str, Value]) -> None:
-        parameters = effect_named(name, catalogue(recording.task)).parameters
+        parameters = library[name].parameters
         effects.append(
-            AddedEffect(name, where, {p.name: mine.get(p.name, number(p.default, 0.0, p.unit)) for p in parameters})
+            AddedEffect(name, where, {p.name: mine.get(p.name, _number(p.default, 0.0, p.unit)) for p in parameters})
         )
 
     for name, k in sorted({(owner, k) for owner, _, k in by if owner not in (INERTIA, "viscous")}):
-        mine = {p: number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
+        mine = {p: _number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
         where = JOINTS[k]
         if name == "armature":
             put("rotor_inertia", where, mine)
         elif name == "stribeck":
-            put(name, where, mine | {"level": number(*by.get(("coulomb", "level", k), (0.0, 0.0, "N m")))})
+            put(name, where, mine | {"level": _number(*by.get(("coulomb", "level", k), (0.0, 0.0, "N m")))})
         elif name == TILT:
             if k == 0:
                 put("tilt", "base", {"angle": mine["about_y"]})
-        elif name in SAME and not (name == "coulomb" and ("stribeck", "excess", k) in by):
+        elif name == "presliding" and ("coulomb", "level", k) in by:  # of all dry friction there
+            level, compliance = by["coulomb", "level", k], mine["compliance"]
+            bent = {x: level[0] * getattr(compliance, x) for x in ("value", "low", "high")}
+            put(name, where, {"level": _number(*level), "deflection": Value(**bent, unit="rad")})
+        elif name == "coulomb" and {("stribeck", "excess", k), ("presliding", "compliance", k)} & set(by):
+            continue  # held by the other
+        elif name in SAME or name in own:
             put(name, where, mine)
-        elif name not in SAME:
+        else:
             lost.append(f"model.toml cannot hold {name} at {where}; model.xml says what of it MJCF can hold")
     given = {k: float(v) for k, v in recording.geometry.items()}
     file = ModelFile(recording.task, recording.model, recording.angle_zero, given, declared, tuple(effects),
-                     {k: float(v) for k, v in recording.known.items()}, provenance=dict(told))  # fmt: skip
+                     {k: float(v) for k, v in recording.known.items()}, provenance=dict(told),
+                     library=tuple(library.values()) if own else ())  # fmt: skip
     return file, lost

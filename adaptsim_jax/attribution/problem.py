@@ -20,8 +20,8 @@ from adaptsim_jax.attribution.parameters import (
 )
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
-from adaptsim_jax.logs.segments import local_motion
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 
 LEAST_TRIALS = 5  # of which each is a fold
@@ -148,7 +148,9 @@ def within_reach(tree: Tree, tracks: Sequence[Track]) -> Tree:
     q = np.concatenate([t.q for t in tracks])
     low, high = np.asarray(tree.range, float).T
     near = np.maximum(np.nanmax(q, axis=0) - high, low - np.nanmin(q, axis=0)) > -NEAR_STOP
-    return replace(tree, limited=tuple(bool(a and b and c <= BEYOND_STOP) for a, b, c in zip(tree.limited, near, far, strict=True)))
+    return replace(
+        tree, limited=tuple(bool(a and b and c <= BEYOND_STOP) for a, b, c in zip(tree.limited, near, far, strict=True))
+    )
 
 
 def tied(groups: list[tuple[int, ...]], ties: np.ndarray | None) -> list[tuple[int, ...]]:
@@ -178,7 +180,9 @@ def _nameless(tree: Tree) -> Tree:
     """The same with names that say nothing, so that four like legs share one compiled program."""
     count = range(len(tree.joint_names))
     whole = None if tree.whole is None else replace(tree.whole, tree=_nameless(tree.whole.tree))
-    return replace(tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count), whole=whole)
+    return replace(
+        tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count), whole=whole
+    )
 
 
 def _padded(stretches: Stretches) -> Stretches:
@@ -344,4 +348,4 @@ def group_inertia(values: Values, group: Group) -> tuple[np.ndarray, np.ndarray]
 
 @jax.jit
 def _at_rest(tree: Tree, inertial, gravity, q):
-    return dynamics.mass_matrix(tree, inertial, q), dynamics.gravity_force(tree, inertial, q, gravity)
+    return equations.mass_matrix(tree, inertial, q), equations.gravity_force(tree, inertial, q, gravity)

@@ -20,7 +20,7 @@ import numpy as np
 from adaptsim_jax.attribution import drive as drives
 from adaptsim_jax.attribution import stops
 from adaptsim_jax.attribution.acting import Model, Values, bent_at, carried, forces, held_by
-from adaptsim_jax.mechanisms import dynamics
+from adaptsim_jax.mechanisms import equations
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
 RUNGE_KUTTA = np.array([[0.0, 0.0, 1 / 6], [0.5, 0.0, 1 / 3], [0.5, 0.0, 1 / 3], [1.0, 0.0, 1 / 6]])
@@ -80,7 +80,7 @@ class Moving(NamedTuple):
 
 def _rigid(model: Model, values: Values, u) -> Moving:
     """Of states [2n, W]."""
-    accelerate = lambda x, force, inertia: dynamics.acceleration(
+    accelerate = lambda x, force, inertia: equations.acceleration(
         model.tree, values.inertial, *jnp.split(x, 2), force, inertia, values.gravity
     )
     speeds = lambda x: jnp.split(x, 2)[1]
@@ -88,7 +88,7 @@ def _rigid(model: Model, values: Values, u) -> Moving:
         lambda x, t: forces(model, values, *jnp.split(x, 2), u, t),
         accelerate,
         lambda x, force, inertia: jnp.concatenate([speeds(x), accelerate(x, force, inertia)]),
-        lambda x, inertia: dynamics.inverse_mass(model.tree, values.inertial, jnp.split(x, 2)[0], inertia),
+        lambda x, inertia: equations.inverse_mass(model.tree, values.inertial, jnp.split(x, 2)[0], inertia),
         speeds,
     )
 

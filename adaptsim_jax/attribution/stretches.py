@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.segments import local_motion
+from adaptsim_jax.logs.local_motion import local_motion
 
 ROW = 4e-3  # s, of a row: a faster log is merged to about this
 PAST, FUTURE = 0.25, 0.06  # s of command before and after a stretch, for effects that move or filter it

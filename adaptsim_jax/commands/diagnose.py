@@ -11,12 +11,8 @@ from typing import TYPE_CHECKING, Any
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
-    from adaptsim_jax.core.progress import Report
     from adaptsim_jax.diagnosis.run import Page
     from adaptsim_jax.logs.types import Recording
-
-BEGINS = (0.0, 0.0, 0.02, 0.25, 0.3, 0.75, 0.85, 0.9, 0.95, 1.0)
-"""Share of the time that has passed when each stage of `diagnose` begins; the search is most of it."""
 
 EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
@@ -43,9 +39,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05")
     parser.add_argument("--json", action="store_true", help="print report.json")
-    parser.add_argument(
-        "--strict", action="store_true", help="of a double pendulum, name only what explains all but the noise"
-    )
+    parser.add_argument("--strict", action="store_true", help=argparse.SUPPRESS)  # of earlier versions
     parser.add_argument(
         "--as-declared",
         action="store_true",
@@ -65,28 +59,27 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.logs.recording import read_recording
 
     check_apart(Path(args.data), Path(args.out))
+    if args.strict:
+        raise BadInput(STRICT)
     if args.model is None and (task := of_trials(Path(args.data))):
         return run_trials(args, task)
     if args.model is not None or of_a_mechanism(Path(args.data)):
         return run_mechanism(args)
-    # refused within a second, and before JAX is loaded
     without = split_names(args.without)
-    recording = read_recording(args.data, without=without)
+    recording = read_recording(args.data, without=without)  # refused within a second, and before JAX is loaded
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     with output(args.out) as out, progress("diagnose") as report:
         result = diagnose(
-            recording,
-            out=out,
-            seed=args.seed,
-            exclude=args.exclude,
-            progress=paced(report),
-            effects_progress=report,
-            without=without,
-            as_declared=args.as_declared,
-            strict=args.strict,
+            recording, out=out, exclude=args.exclude, progress=report, without=without, as_declared=args.as_declared
         )
     return say(args, result, out)
+
+
+STRICT = (
+    "--strict: there is one search for all machines now; leave the option out: names that explain all but the noise have the "
+    "verdict `explained`, others `partly_explained`"
+)
 
 
 def check_apart(data: Path, out: Path) -> None:
@@ -198,33 +191,31 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
     return 0
 
 
-def diagnose(
-    data: str | Path | Recording, *, strict: bool = False, effects_progress: Report | None = None, **options: Any
-) -> dict[str, Any]:
-    """`sysid.pipeline.diagnose` with the task's reward in the report, and the page `report.html` in `out`; where it names nothing
-    although the declared model does not explain the data, what holds out by itself (`attribution.partly`), unless `strict`.
-    effects_progress: told of that second part, whose length is not known beforehand."""
-    from adaptsim_jax.attribution.partly import partly_explained
-    from adaptsim_jax.commands.task_reward import task_reward
-    from adaptsim_jax.logs.quality.audit import audit, usable
-    from adaptsim_jax.logs.recording import read_recording, without_trials
-    from adaptsim_jax.sysid import pipeline
+def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
+    """Which effects recorded trials show that their declared model lacks.
 
-    recording = read_recording(data) if isinstance(data, (str, Path)) else data
-    page = page_of(options.get("out"))
-    report = pipeline.diagnose(recording, reward=task_reward, page=page, **options)
-    # the second part knows a bare machine and its own catalogue: no mended model, no effects of the caller's
-    bare = recording.model == "rigid_body" and recording.model_file is None and options.get("effects") is None
-    if strict or not bare or report["verdict"] != "structured_unattributed":
-        return report
-    kept = {k: options[k] for k in ("out", "exclude") if k in options}
-    rest = without_trials(recording, options.get("without", ()))
-    found = partly_explained(usable(rest, audit(rest)), report, progress=effects_progress, page=page, **kept)
-    return found or report
+    Args:
+        data: a folder with `meta.toml`, one log (with `model=`), or a recording of the double pendulum that was read.
+        options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`, `effects`, `criteria`,
+            `progress`, `as_declared`, as far as the data's task has them (`attribution.diagnose.diagnose`,
+            `attribution.pendulum_diagnosis.diagnose_pendulum`).
+
+    Returns:
+        The report, as `report.json` holds it (`diagnosis.schema`). Raises BadInput where the data or the model cannot be read.
+    """
+    options.setdefault("page", page_of(options.get("out")))
+    if isinstance(data, (str, Path)) and (options.get("model") is not None or of_a_mechanism(Path(data))):
+        from adaptsim_jax.attribution.diagnose import diagnose as of_mechanism
+
+        return of_mechanism(data, **options)
+    from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
+    from adaptsim_jax.commands.task_reward import task_reward
+
+    return diagnose_pendulum(data, reward=task_reward, **options)
 
 
 def page_of(out: str | Path | None) -> Page:
-    """Report and page, with the command that was given: `sysid` does not know the folder that it is for."""
+    """Report and page, with the command that was given: the diagnosis does not know the folder that it is for."""
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
     def page(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
@@ -234,17 +225,3 @@ def page_of(out: str | Path | None) -> Page:
         write_diagnosis(folder, report, evidence)
 
     return page
-
-
-def paced(report: Report) -> Report:
-    """Stages counted by the time that they take; within one, each word of it goes a part of the way that is left."""
-    told = {"stage": 0, "words": 0}
-
-    def say(done: float, total: float, note: str = "") -> None:
-        stage = int(done)
-        told["words"] = told["words"] + 1 if stage == told["stage"] else 0
-        told["stage"] = stage
-        start, end = BEGINS[stage], BEGINS[min(stage + 1, len(BEGINS) - 1)]
-        report(start + (end - start) * (1.0 - 0.93 ** told["words"]), 1.0, note)
-
-    return say

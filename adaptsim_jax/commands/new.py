@@ -16,7 +16,7 @@ NEXT = {
     "baseline": "python {file}    tries it in one target",
 }
 KNOWN = {  # entry points: group, name, object, and where it then stands
-    "effect": ("effects", ("{name}", "machine.{name}"), "EFFECT", "`adaptsim effects mechanism`, `adaptsim diagnose`"),
+    "effect": ("effects", ("{name}",), "EFFECT", "`adaptsim effects mechanism`, `adaptsim diagnose`"),
     "task": ("tasks", ("{name}",), "TASK", "`adaptsim train {name}`, `adaptsim compare {name}`"),
     "engine": ("backends", ("pendulum.{name}",), "ENGINE", "`adaptsim parity pendulum`"),
     "baseline": ("baselines", ("exact.{name}",), "{name}", "`adaptsim compare pendulum --methods {name}`"),

@@ -1,31 +1,26 @@
 """What the mended model is worth for the task: policies trained on the declared and on the mended model, compared."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.mechanisms.closed_loop import Law, run_loop
 from adaptsim_jax.mechanisms.model_file import ModelFile
-from adaptsim_jax.sysid.report.augmented_model import fitted_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import DT, ROWS, MendedPolicy, World, command, descended, make_world
-
-if TYPE_CHECKING:
-    from adaptsim_jax.sysid.estimate.problem import Problem
-    from adaptsim_jax.sysid.select.trace import Trace
 
 REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
 
 
-def task_reward(problem: "Problem", found: "Trace") -> dict[str, Any] | None:
-    """`{before, after, oracle, cost, in}`: both policies run in the mended model, rewards against the better of the two.
+def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
+    """`{before, after, oracle, cost, in}`: policies of the declared and of the mended model, both run in the mended one, rewards
+    against the better of the two.
 
-    Only for recordings of the linearized pendulum, whose task this is; None else, or where nothing was added. What the
-    real rig would give, only it can say: `oracle` is null.
+    Only of a linearized pendulum, whose task this is; None else, or where nothing was added. What the real rig would give, only it
+    can say: `oracle` is null.
     """
-    if problem.recording.model != "linearized" or not found.added:
+    if after.model != "linearized" or not after.effects:
         return None
-    before, after = (fitted_model(problem, m) for m in (found.base, found.final))
     costs = {}
     for stage, given in (("before", before), ("after", after)):
         trained = trained_policy(given)

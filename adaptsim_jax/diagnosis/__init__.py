@@ -1,1 +1,53 @@
-"""The core of diagnosis, which knows numbers with names: what is missing, what is left, and how it is told."""
+"""What a machine does, from recordings, and what its model lacks.
+
+`__all__` is what other programs may rely on. `adaptsim_jax.diagnose` is the whole of it, with the page and the mended model.
+"""
+
+from typing import TYPE_CHECKING
+
+from adaptsim_jax.core.lazy import lazily
+
+if TYPE_CHECKING:
+    from adaptsim_jax.attribution.criteria import Criteria as Criteria
+    from adaptsim_jax.effects.base import Dry as Dry
+    from adaptsim_jax.effects.base import Effect as Effect
+    from adaptsim_jax.effects.base import Parameter as Parameter
+    from adaptsim_jax.effects.base import Relaxation as Relaxation
+    from adaptsim_jax.effects.registry import catalogue as catalogue
+    from adaptsim_jax.effects.registry import effect_named as effect_named
+    from adaptsim_jax.logs.model_file import write_model as write_model
+    from adaptsim_jax.logs.recording import read_recording as read_recording
+    from adaptsim_jax.logs.types import Recording as Recording
+    from adaptsim_jax.mechanisms.model_file import ModelFile as ModelFile
+    from adaptsim_jax.mechanisms.model_file import read_model as read_model
+    from adaptsim_jax.mechanisms.plant import Plant as Plant
+    from adaptsim_jax.mechanisms.registry import make_plant as make_plant
+
+__all__ = [
+    "Criteria", "Dry", "Effect", "ModelFile", "Parameter", "Plant", "Recording", "Relaxation", "catalogue", "effect_named",
+    "make_plant", "read_model", "read_recording", "write_model",
+]  # fmt: skip
+
+__getattr__ = lazily(
+    __name__,
+    {
+        "Criteria": "attribution.criteria",
+        "Dry": "effects.base",
+        "Effect": "effects.base",
+        "ModelFile": "mechanisms.model_file",
+        "Parameter": "effects.base",
+        "Plant": "mechanisms.plant",
+        "Recording": "logs.types",
+        "Relaxation": "effects.base",
+        "catalogue": "effects.registry",
+        "effect_named": "effects.registry",
+        "make_plant": "mechanisms.registry",
+        "read_model": "mechanisms.model_file",
+        "read_recording": "logs.recording",
+        "write_model": "logs.model_file",
+    },
+)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from importlib.metadata import EntryPoint
+from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.registry import Registry
@@ -41,14 +42,43 @@ EFFECTS: Registry[Effect] = Registry(
         "backlash": f"{HERE}.sensor:BACKLASH",
     },
 )
-TASKS = ("pendulum", "pushing", "scooping")  # of which recordings may be diagnosed with it
+ALSO = {
+    "mechanism": "adaptsim_jax.attribution.catalogue:MACHINE",
+    "pushing": "adaptsim_jax.tasks.pushing.diagnosis.catalogue:EFFECTS",
+    "scooping": "adaptsim_jax.tasks.scooping.diagnosis.catalogue:EFFECTS",
+    "toss": "adaptsim_jax.tasks.toss.catalogue:EFFECTS",
+}
+"""Where the catalogues of other tasks stand, which are loaded when asked for."""
 
 
-def catalogue(task: str = "pendulum") -> tuple[Effect, ...]:
-    """Every effect known for a task. Add your own: `catalogue("pendulum") + (my_effect,)`."""
-    if task not in TASKS:
-        raise BadInput(f"task {task!r} is unknown; use pendulum, pushing or scooping")
-    return tuple(EFFECTS.values())
+def catalogue(task: str = "pendulum") -> tuple[Any, ...]:
+    """What `diagnose` can find in recordings of a task.
+
+    Args:
+        task: `mechanism` (any tree of joints), `pushing`, `scooping`, `toss`; `pendulum`: the effects that a `model.toml` of the
+            double pendulum may hold, in which policies are trained.
+
+    Returns:
+        Effects, ours first, then those of other packages (entry points `adaptsim.effects`). Add your own to it:
+        `catalogue("mechanism") + (my_effect,)`. Raises BadInput where there is no such task.
+    """
+    if task == "pendulum":
+        return tuple(EFFECTS.values())
+    if task not in ALSO:
+        raise BadInput(f"task {task!r} is unknown; use one of pendulum, {', '.join(ALSO)}")
+    return tuple(EntryPoint(task, ALSO[task], EFFECTS.group).load())
+
+
+def of_other_packages(taken: Sequence[str] = ()) -> tuple[Effect, ...]:
+    """Effects that other packages add, by name: one registration serves every machine. Those with a memory of their own only the
+    pendulum's simulator steps. Raises BadInput where one has a name of those `taken`."""
+    if both := sorted(set(taken) & set(EFFECTS.others)):
+        point = EFFECTS.others[both[0]]
+        raise BadInput(
+            f"entry point {point.name} = {point.value} of {EFFECTS.group}: there is another of that name; rename it"
+        )
+    found = [EFFECTS[name] for name in EFFECTS.others]
+    return tuple(e for e in found if not e.memory)
 
 
 def effect_named(name: str, effects: tuple[Effect, ...]) -> Effect:

@@ -45,6 +45,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_names=inputs.names,
         driven=inputs.driven,
         notes=inputs.notes
+        + _strange(raw[0], names, held)
         + _numbered(raw[0], names, kept)
         + _notes(raw, log_trials)
         + turned
@@ -64,16 +65,22 @@ def _moving(
     """
     n = len(names.joints)
     if unknown := [name for name in meta.hold if name not in names.joints]:
-        raise BadInput(f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; {suggest(unknown[0], names.joints)}")
+        raise BadInput(
+            f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; {suggest(unknown[0], names.joints)}"
+        )
     have = [columns.by_joint.get("q", {}) for columns in trials]
     if not n:
         if any(columns.base is None for columns in trials):
-            raise BadInput(f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) and base_qw .. base_qz")
+            raise BadInput(
+                f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) and base_qw .. base_qz"
+            )
         return [], {}
     for columns, here in zip(trials, have, strict=True):
         if not here:
             _no_angle(columns, names, 0, here)
-        spoken = {j for rows in columns.by_joint.values() for j, x in rows.items() if len(np.unique(x[np.isfinite(x)])) > 1}
+        spoken = {
+            j for rows in columns.by_joint.values() for j, x in rows.items() if len(np.unique(x[np.isfinite(x)])) > 1
+        }
         for j in sorted(set().union(*have, spoken) - set(here)):
             if names.joints[j] not in meta.hold:
                 _no_angle(columns, names, j, here)
@@ -107,6 +114,17 @@ def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np
     near = nearest(joint, [c for c in (*raw.columns, *raw.ignored) if c not in have])
     hint = f"did you mean '{near}'? Then name it by [columns] in meta.toml;" if near and not have else ""
     raise BadInput(f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {hint}{mend}")
+
+
+def _strange(trial: RawTrial, names: ModelNames, held: Mapping[str, float | None]) -> tuple[str, ...]:
+    """A joint that nothing was logged of beside angles that no joint of the model has: the same by another name?"""
+    bare = [name for name, value in held.items() if value is None]
+    left = [name for name in trial.ignored if (r := role(name, names.joints)) is not None and r.stem == "q"]
+    if not bare or not left:
+        return ()
+    return (
+        f"nothing is logged of {', '.join(bare)}, held; {', '.join(left)} is left out: if it is the same, name it by [columns]",
+    )
 
 
 def _numbered(trial: RawTrial, names: ModelNames, kept: Sequence[int]) -> tuple[str, ...]:

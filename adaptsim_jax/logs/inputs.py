@@ -70,9 +70,7 @@ def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray
         )
 
 
-def choose_inputs(
-    path: str, trials: list[Columns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
-) -> Inputs:
+def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: LogMeta, moving: Sequence[str]) -> Inputs:
     """Which columns drive the model in all trials; moving: its joints that move, of which alone something is needed.
 
     Raises `BadInput` where trials differ or a motor has no column.
@@ -163,7 +161,9 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], 
     for columns in trials:
         _check_ctrl(columns, actuators)
         for index, actuator in enumerate(actuators):
-            if _told(columns, actuator, index, names) or not (actuator.kind == "other" or set(actuator.joints) & set(moving)):
+            if _told(columns, actuator, index, names) or not (
+                actuator.kind == "other" or set(actuator.joints) & set(moving)
+            ):
                 continue
             others = [a for a in actuators if a is not actuator and set(a.joints) & set(actuator.joints)]
             if actuator.kind == "other" or any(_told(columns, a, actuators.index(a), names) for a in others):
@@ -199,12 +199,20 @@ def _idle(columns: Columns, actuator: ActuatorName, names: ModelNames) -> bool:
 
 def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> None:
     path, joint = columns.raw.path, actuator.joint
-    if actuator.kind == "motor" and joint in names.joints and names.joints.index(joint) in columns.by_joint.get("target", {}):
+    if (
+        actuator.kind == "motor"
+        and joint in names.joints
+        and names.joints.index(joint) in columns.by_joint.get("target", {})
+    ):
         raise BadInput(
             f"{path}: joint '{joint}' has a target, but its actuator '{actuator.name}' in the model is a motor; make it "
             f'<position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it is what the motor was told'
         )
-    column = f"target_{joint} or ctrl_{actuator.name}" if actuator.kind in ("position", "general") else f"ctrl_{actuator.name}"
+    column = (
+        f"target_{joint} or ctrl_{actuator.name}"
+        if actuator.kind in ("position", "general")
+        else f"ctrl_{actuator.name}"
+    )
     raise BadInput(
         f"{path}: no command for actuator '{actuator.name}' of joint '{joint}'; add column {column}, or hold the joint: "
         f"[hold] and {joint} = 0.0 in meta.toml"

@@ -89,7 +89,9 @@ def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
     if not named:
         return None
     if missing := [name for name in BASE if name not in named]:
-        raise BadInput(f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or ignore all of them")
+        raise BadInput(
+            f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or ignore all of them"
+        )
     pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
     size = np.linalg.norm(pose[:, 3:], axis=1)
     if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
@@ -98,7 +100,9 @@ def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
             "quaternions"
         )
     pose[:, 3:] /= size[:, None]
-    flips = np.cumprod(np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)) + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0))
+    flips = np.cumprod(
+        np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)) + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0)
+    )
     pose[1:, 3:] *= flips[:, None]
     return pose
 

@@ -64,7 +64,13 @@ class ModelNames:
             return -1
 
         joints = tuple(self.joints[j] for j in kept)
-        return ModelNames(joints, tuple(s for s in self.slides if s in joints), tuple(before(j) for j in kept), self.actuators, self.tied)
+        return ModelNames(
+            joints,
+            tuple(s for s in self.slides if s in joints),
+            tuple(before(j) for j in kept),
+            self.actuators,
+            self.tied,
+        )
 
 
 @dataclass(frozen=True)

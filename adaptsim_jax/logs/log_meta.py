@@ -79,7 +79,9 @@ def read_log_meta(path: str | Path) -> LogMeta:
     if "input" in raw and raw["input"] not in INPUTS:
         raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
     if "simulator" in raw and raw["simulator"] not in SIMULATORS:
-        raise BadInput(f"{path}: simulator = {brief(raw['simulator'])} is unknown; {suggest(str(raw['simulator']), SIMULATORS)}")
+        raise BadInput(
+            f"{path}: simulator = {brief(raw['simulator'])} is unknown; {suggest(str(raw['simulator']), SIMULATORS)}"
+        )
     angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
     trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
     convention = angles.get("convention", {})
@@ -104,7 +106,9 @@ def read_log_meta(path: str | Path) -> LogMeta:
             key: _text(path, f"ros.{key}", value)
             for key, value in _known_keys(path, "ros", tables["ros"], ROS_KEYS).items()
         },
-        hold={key: None if value is True else _number(path, f"hold.{key}", value) for key, value in tables["hold"].items()},
+        hold={
+            key: None if value is True else _number(path, f"hold.{key}", value) for key, value in tables["hold"].items()
+        },
         simulator=raw.get("simulator"),
     )
 

@@ -37,7 +37,9 @@ def model_names(source: Source) -> ModelNames:
             rows = range(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
             own = [w for w in rows if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
             moved = [model.joint(int(model.wrap_objid[w])).name for w in own]
-        moves = tuple(dict.fromkeys(other for name in moved for other in (name, *tied.get(name, ())) if other in joints))
+        moves = tuple(
+            dict.fromkeys(other for name in moved for other in (name, *tied.get(name, ())) if other in joints)
+        )
         kind = _kind(model, k) if trn in JOINTS else "tendon" if moves else "other"
         actuators.append(ActuatorName(model.actuator(k).name, moves[0] if moves else "", kind, moves))
     return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied)
@@ -55,4 +57,3 @@ def _kind(model, k: int) -> str:
     if bias[0] or gain[0] not in (-bias[1], -bias[2]):
         return "general"
     return "position" if bias[1] else "velocity"
-

@@ -15,9 +15,9 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs import lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
+from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
-from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.model_names import model_names
 from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 

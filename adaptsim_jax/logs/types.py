@@ -58,14 +58,3 @@ class Recording:
     def replace(self, **changes) -> "Recording":
         """A copy with these fields changed."""
         return replace(self, **changes)
-
-
-@dataclass(frozen=True)
-class Atom:
-    """One candidate at fixed shape, linear in its amplitudes: columns of the atom matrix."""
-
-    effect: str
-    where: str
-    shape: dict[str, float]
-    columns: tuple[int, ...]
-    sign: int = 0  # +1: the first amplitude must be positive to be that effect

@@ -109,7 +109,9 @@ def _inverse_dynamics(tree: Tree, whole: Tree, rows: Array, q: jax.Array, v: Any
     down = lifted(gravity, 1, q.ndim - 1, q.dtype)
     wrench = _up(whole, _moving(whole, still, _rates(tree, v), _rates(tree, a), down).wrench)
     like = _like(whole, rows, q, v, a, gravity)
-    return _on_one(tree, jnp.broadcast_to(_filled(dot_pair(still.screw, wrench), whole.n, like), (whole.n, *like.shape)))
+    return _on_one(
+        tree, jnp.broadcast_to(_filled(dot_pair(still.screw, wrench), whole.n, like), (whole.n, *like.shape))
+    )
 
 
 def compensation(tree: Tree, q: Array) -> jax.Array | None:
@@ -117,7 +119,12 @@ def compensation(tree: Tree, q: Array) -> jax.Array | None:
     every = tree if tree.whole is None else tree.whole.tree
     if not any(every.compensated):
         return None
-    bare = replace(every, shapes=tuple(replace(shape, massless=not on) for shape, on in zip(every.shapes, every.compensated, strict=True)))
+    bare = replace(
+        every,
+        shapes=tuple(
+            replace(shape, massless=not on) for shape, on in zip(every.shapes, every.compensated, strict=True)
+        ),
+    )
     return _inverse_dynamics(tree, bare, jnp.asarray(every.gravcomp), jnp.asarray(q), None, None, tree.gravity)
 
 

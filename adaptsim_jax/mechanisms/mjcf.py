@@ -100,7 +100,11 @@ def mechanism_of(
     own, added.beyond = tuple(added.beyond), []
     actuators, idle = read_actuators(model, place, added)
     tree = _with_added(tree, added)
-    notes = (*source.notes, *role.notes, *((f"actuators of held joints do nothing: {', '.join(idle)}",) if idle else ()))
+    notes = (
+        *source.notes,
+        *role.notes,
+        *((f"actuators of held joints do nothing: {', '.join(idle)}",) if idle else ()),
+    )
     beyond = (*role.beyond, *walk.beyond, *own, *_medium(model))
     return Mechanism(
         tree, actuators, source.path, source.kind, notes, _force_limits(model, tree, place), walk.frames(tree), beyond,
@@ -180,7 +184,9 @@ class _Walk:
         self.beyond.append(f"ball joint '{name}' as more than three hinges in turn")
         for axis, unit in zip(TURNS, np.eye(3), strict=True):
             along = frame_along(unit)
-            self._joint("hinge", on, f"{name}_{axis}", body, (k, TURNS.index(axis)), at + turn @ model.jnt_pos[k], turn @ along)
+            self._joint(
+                "hinge", on, f"{name}_{axis}", body, (k, TURNS.index(axis)), at + turn @ model.jnt_pos[k], turn @ along
+            )
             at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
         return at, turn, on
 
@@ -189,7 +195,10 @@ class _Walk:
         if on < 0:
             return
         own = inertial_about(
-            model.body_mass[b], at + turn @ model.body_ipos[b], turn @ rotation_of(model.body_iquat[b]), model.body_inertia[b]
+            model.body_mass[b],
+            at + turn @ model.body_ipos[b],
+            turn @ rotation_of(model.body_iquat[b]),
+            model.body_inertia[b],
         )
         self.inertial[on] += own
         self.gravcomp[on] += model.body_gravcomp[b] * own
@@ -286,7 +295,7 @@ def _with_added(tree: Tree, added: Added) -> Tree:
 
 
 def _force_limits(model: mujoco.MjModel, tree: Tree, place: Place) -> np.ndarray:
-    """[n, 2] of what actuators together do to each coordinate, nan where nothing bounds it: the sum over its joints that any acts on."""
+    """[n, 2] of what actuators together do to each coordinate, nan where nothing bounds it: summed over its driven joints."""
     driven = set()
     for k in range(model.nu):
         target = int(model.actuator_trnid[k, 0])

@@ -54,9 +54,7 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(out)
 
 
-def roles(
-    source: Source, hold: Mapping[str, float | None], logged: Collection[str] | None, where: str = ""
-) -> Roles:
+def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[str] | None, where: str = "") -> Roles:
     """Of all joints. hold: joints to hold, with their value (None: as the file has it); logged: names (of `joint_names`) of which
     there is a log, None: all; where: the file that `hold` comes from.
 
@@ -97,6 +95,10 @@ def roles(
         elif name not in have and (leads is None or leads.leader not in have):
             held[name] = at
             told["unlogged"].append(f"{name} = {at[0]:.4g}")
+    for name, f in followers.items():
+        if f.leader in held and name not in held:
+            held[name] = f.offset + f.factor * held[f.leader]
+            told["looped"].append(name)
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
         what = "every joint is in a loop that closes" if loops else "every joint is held"
@@ -108,7 +110,9 @@ def _fixed(model: mujoco.MjModel) -> dict[str, float]:
     """Joints that an equality holds at a constant."""
     alone = [e for e in range(model.neq) if model.eq_type[e] == TIE and model.eq_active0[e] and model.eq_obj2id[e] < 0]
     joint = {e: int(model.eq_obj1id[e]) for e in alone}
-    return {model.joint(k).name: float(model.qpos0[model.jnt_qposadr[k]] + model.eq_data[e, 0]) for e, k in joint.items()}
+    return {
+        model.joint(k).name: float(model.qpos0[model.jnt_qposadr[k]] + model.eq_data[e, 0]) for e, k in joint.items()
+    }
 
 
 def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
@@ -124,7 +128,9 @@ def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
     if told["welded"]:
         out.append(f"welded to the world, as no pose of it is simulated: {', '.join(told['welded'])}")
     if told["unlogged"]:
-        out.append(f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: [hold] in meta.toml)")
+        out.append(
+            f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: [hold] in meta.toml)"
+        )
     if told["asked"]:
         out.append(f"held, as [hold] or an equality says: {', '.join(told['asked'])}")
     if told["looped"]:
@@ -184,7 +190,11 @@ def _followers(source: Source, have: list[str], hold: set[str]) -> tuple[dict[st
     near, beyond = _near(source)
     out: dict[str, Follower] = {}
     seen: set[str] = set()
-    driven = {model.joint(int(model.actuator_trnid[k, 0])).name for k in range(model.nu) if model.actuator_trntype[k] in JOINTS}
+    driven = {
+        model.joint(int(model.actuator_trnid[k, 0])).name
+        for k in range(model.nu)
+        if model.actuator_trntype[k] in JOINTS
+    }
     for start in sorted(near, key=lambda n: (n not in hold, n not in have, n not in driven)):
         if start in seen:
             continue
@@ -217,7 +227,9 @@ def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
         for b in own:
             looped |= {k for k in range(model.njnt) if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE}
         what = "connects" if kind == CONNECT else "welds"
-        told.append(f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and {model.body(max(ends[1], 0)).name}")
+        told.append(
+            f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and {model.body(max(ends[1], 0)).name}"
+        )
     return looped, told
 
 

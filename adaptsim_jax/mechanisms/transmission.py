@@ -39,7 +39,9 @@ class Added:
     beyond: list[str] = field(default_factory=list)
 
 
-def length(model: mujoco.MjModel, place: Place, joint: int = -1, tendon: int = -1) -> tuple[dict[int, float], float] | None:
+def length(
+    model: mujoco.MjModel, place: Place, joint: int = -1, tendon: int = -1
+) -> tuple[dict[int, float], float] | None:
     """A joint's or fixed tendon's length as (slope by coordinate, length at zero); None where it is no such sum."""
     parts = [(joint, 1.0)] if joint >= 0 else []
     if tendon >= 0:
@@ -95,7 +97,9 @@ def read_actuators(model: mujoco.MjModel, place: Place, added: Added) -> tuple[t
 def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
     """The law of an actuator without where it acts, and what of it a tree has not ('' where it has all)."""
     gain, bias, dyn = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_dynprm[k]
-    gaintype, biastype, dyntype = (int(x[k]) for x in (model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype))
+    gaintype, biastype, dyntype = (
+        int(x[k]) for x in (model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype)
+    )
     limited = lambda on, values: tuple(map(float, values)) if on else NO_RANGE
     shared: dict[str, Any] = {
         "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
@@ -133,7 +137,11 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
 
 def _dcmotor(model: mujoco.MjModel, k: int) -> str:
     """What a dcmotor has besides, in words; LuGre's bristles are its friction."""
-    return "winding, cogging, heat, a controller or LuGre's friction" if np.any(model.actuator_dynprm[k]) else "cogging or friction"
+    return (
+        "winding, cogging, heat, a controller or LuGre's friction"
+        if np.any(model.actuator_dynprm[k])
+        else "cogging or friction"
+    )
 
 
 def add_tendons(model: mujoco.MjModel, place: Place, added: Added) -> None:

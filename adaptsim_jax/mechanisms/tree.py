@@ -68,7 +68,7 @@ class Tree:
     `stiffness_poly` [n, 2] are MuJoCo's higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref.
     range [n, 2] rad or m, of use where `limited`; stop [n, 8] what a limit does there: MuJoCo's two numbers of `solref`, five of
     `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). gravcomp [n, 10]: inertial parameters of what is held up
-    against gravity, where `compensated`.
+    against gravity, where `compensated`. linear: its equations of motion are those about rest at zero (`equations.py`).
     """
 
     joint_names: tuple[str, ...]
@@ -93,6 +93,7 @@ class Tree:
     stop: Array
     gravcomp: Array
     whole: Whole | None = None
+    linear: bool = False
 
     @property
     def n(self) -> int:
@@ -116,7 +117,8 @@ class Tree:
         return "N m" if self.kinds[joint] == "hinge" else "N"
 
 
-_META = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")
+_OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")
+_META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)
 _OF_JOINTS = tuple(name for name in _DATA if name not in ("gravity", "whole"))
 _SIZES = {"damping_poly": (2,), "stiffness_poly": (2,), "range": (2,), "stop": (8,), "gravcomp": (10,)}
@@ -226,7 +228,7 @@ def take(tree: Tree, indices: Sequence[int]) -> Tree:
     if any(new.get(tree.parent[i], -1) > new[i] for i in indices):
         raise ValueError(f"indices {tuple(indices)} must name a joint after its parent")
     at = np.asarray(indices, int)
-    meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _META}
+    meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _OF_EACH}
     meta["parent"] = tuple(new.get(p, -1) for p in meta["parent"])
     whole = None if tree.whole is None else _taken(tree.whole, new)
     return replace(tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS}, whole=whole)
@@ -273,7 +275,7 @@ def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
     pull = summed(c * tree.stiffness * (tree.springref - d))
     stiff = values["stiffness"]
     values["springref"] = np.where(stiff > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref[own])
-    meta = {name: tuple(getattr(tree, name)[k] for k in own) for name in _META}
+    meta = {name: tuple(getattr(tree, name)[k] for k in own) for name in _OF_EACH}
     meta["parent"] = tuple(_parent(tree, k, goes, j) for j, k in enumerate(own))
     rest = {name: getattr(tree, name)[np.asarray(own)] for name in _OF_JOINTS if name not in values}
     whole = Whole(tree, goes, tuple(own), c, d)

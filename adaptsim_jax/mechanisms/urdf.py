@@ -109,7 +109,9 @@ def _mimics(where: str, joints: list) -> tuple[Mimic, ...]:
             continue
         leader = mimic.get("joint")
         if leader not in names or leader == name:
-            raise BadInput(f"{where}: joint '{name}' mimics {brief(leader)}, which is no other joint that moves; mend the name")
+            raise BadInput(
+                f"{where}: joint '{name}' mimics {brief(leader)}, which is no other joint that moves; mend the name"
+            )
         factor = _number(where, name, mimic, "multiplier", 1.0)
         if factor == 0.0:
             raise BadInput(f"{where}: joint '{name}' mimics '{leader}' with multiplier 0; make it fixed")
@@ -199,15 +201,21 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
         if inertia is None:
             inertia = ElementTree.SubElement(inertial, "inertia")
         for k in SIX:
-            line = k[1] == k[2] and not any(given[other] for other in SIX if k[1] in other[1:])  # a point, or along a rod
+            line = k[1] == k[2] and not any(
+                given[other] for other in SIX if k[1] in other[1:]
+            )  # a point, or along a rod
             inertia.set(k, f"{LEAST:g}" if line else repr(given[k]))
         xx, xy, xz, yy, yz, zz = (given[k] for k in SIX)
         moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if compiler.get("balanceinertia") == "true":
             continue
         if moments[0] < -TINY * abs(moments[2]):
-            told = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0] or [f"{moments[0]:.3g} about a main axis"]
-            raise BadInput(f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend their sign")
+            told = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0] or [
+                f"{moments[0]:.3g} about a main axis"
+            ]
+            raise BadInput(
+                f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend their sign"
+            )
         if moments[0] + moments[1] < moments[2] * (1.0 - TINY):
             odd.append(name)
     return odd

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import Phase1Config, Phase1Hyper, compare, default_comparison, make_backend, make_phase1, make_task
-from adaptsim_jax.sysid import catalogue, make_plant
+from adaptsim_jax.diagnosis import catalogue, make_plant
 
 print([effect.name for effect in catalogue()][-1], make_plant("inclined", "hanging", {"l1": 0.3}).name)
 

@@ -10,14 +10,14 @@ import pytest
 
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.mend import HELD
-from adaptsim_jax.attribution.partly import partly_explained
 from adaptsim_jax.attribution.pendulum import base_parameters, left_out
+from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
 from adaptsim_jax.attribution.problem import tilted
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
-from adaptsim_jax.mechanisms.double_pendulum.rigid import BASE_NAMES, Geometry, base_gravity
+from adaptsim_jax.mechanisms.double_pendulum.rigid import Geometry, base_gravity
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from tests.logs.measured_files import real_rig
 
@@ -49,9 +49,8 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
     folder = real_rig("rig_a")
     recording = read_recording(folder)
     some, others = recording.trials[:4], [t.name for t in recording.trials[4:]]
-    strict = {"declared": {"before": {k: {"value": v} for k, v in zip(BASE_NAMES, THETA, strict=True)}}, "run": RUN}
-    report = partly_explained(recording.replace(trials=some), strict, out=tmp_path)
-    assert report is not None and report["verdict"] == "partly_explained"
+    report = diagnose_pendulum(recording.replace(trials=some), out=tmp_path)
+    assert report["verdict"] == "partly_explained"
     assert "coulomb" in {e["name"] for e in report["effects"]}
     held_out = {m: replay(load(folder, tmp_path / m).without([t.name for t in some])).told() for m in FILES}
     assert set(held_out["model.toml"]["trials"]) == set(others)
@@ -62,7 +61,6 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
 
 
 FILES = ("declared.xml", "model.xml", "model.toml")
-RUN = {"version": "0", "seed": 0, "command": "adaptsim diagnose", "seconds": 0.0}
 
 
 def test_what_a_replay_leaves_out_of_a_mended_model_is_told():

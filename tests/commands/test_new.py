@@ -94,7 +94,7 @@ def test_what_was_begun_is_installed_and_compared(tmp_path):
 
 @pytest.mark.parametrize(
     "kind, group, name, names",
-    [("effect", "effects", "worm", ["worm", "machine.worm"]), ("task", "tasks", "walk", ["walk"])],
+    [("effect", "effects", "worm", ["worm"]), ("task", "tasks", "walk", ["walk"])],
 )
 def test_the_first_file_comes_with_a_pyproject(kind, group, name, names, tmp_path, monkeypatch, capsys):
     """Its entry points load what they name; a second file leaves it alone, and tells the lines to add."""

@@ -80,13 +80,12 @@ def of_pendulum(source: Path) -> list[str]:
     from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
     from adaptsim_jax.logs.quality.trial_words import sentences
     from adaptsim_jax.logs.recording import read_recording
-    from adaptsim_jax.sysid.pipeline import told_in_short
 
     recording = read_recording(source)
     checked = audit(recording)
     if checked.fault:
         return [checked.message]
-    said = told_in_short(recording, checked)["warnings"]
+    said = list(checked.warnings)
     kept = usable(recording, checked)
     said += [f.message for f in check_conventions(kept)]
     found = pendulum_trials(kept)

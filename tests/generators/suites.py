@@ -26,7 +26,7 @@ POWER_MULTIPLES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0,
 # shift q1 against gravity, and nothing else in the equations of motion depends on q1.
 SAME = {("tilt", "base"): {("encoder_offset", "joint1")}, ("encoder_offset", "joint1"): {("tilt", "base")}}
 # Names under which one family may be listed in a catalogue.
-ALIASES = {"dahl": "presliding", "lugre": "presliding", "viscous_drift": "friction_drift"}
+ALIASES = {"dahl": "presliding", "lugre": "presliding", "viscous_drift": "friction_drift", "armature": "rotor_inertia"}
 # Effects close enough in kind that two of them in one data set would be one question asked twice.
 KIN = (
     {"coulomb", "stribeck", "presliding", "load_friction"},

@@ -126,4 +126,4 @@ def test_a_case_in_a_line():
     line = row(record)
     assert (line["hidden"], line["said"]) == ("stribeck@joint1", "coulomb@joint1|stribeck@joint1 + bias@joint2")
     assert (line["right"], line["wrong"], line["covered"], line["told"]) == (1, 1, 1, 1)
-    assert (line["before"], line["after"], line["true_model"], line["seconds"]) == ("0.01235", "", "", "10")
+    assert (line["before"], line["after"], line["seconds"]) == ("0.01235", "", "10")

@@ -93,7 +93,10 @@ def test_subtrees_share_no_body(tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ('<body><freejoint name="root"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>', "every joint is held"),
+        (
+            '<body><freejoint name="root"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>',
+            "every joint is held",
+        ),
         ("", "no joint"),
     ],
 )

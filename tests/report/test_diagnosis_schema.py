@@ -6,7 +6,7 @@ import json
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.sysid.report import schema
+from adaptsim_jax.diagnosis import schema
 from tests.report.diagnosis_cases import REPORTS
 
 TOP = (

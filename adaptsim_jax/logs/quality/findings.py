@@ -49,6 +49,35 @@ class Audit:
         warnings = sum(f.severity == "warn" for f in self.findings)
         return f"{warnings} warning(s), no fault" if warnings else "no fault found"
 
+    @property
+    def warnings(self) -> list[str]:
+        """A sentence for each kind of warning and channel, and the trials left out."""
+        lines = [f"left out: {', '.join(self.exclude)}"] if self.exclude else []
+        groups: dict[tuple[str, str], list[Finding]] = {}
+        for f in self.findings:
+            if f.severity == "warn":
+                groups.setdefault((f.kind, f.where if f.kind != "gap" else ""), []).append(f)
+        for (_, where), found in groups.items():
+            first = found[0]
+            place = f"{first.trial}: " if first.trial else ""
+            more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})" if len(found) > 1 else ""
+            own = "" if not where or first.message.startswith(where) or where in first.message else f"{where} "
+            lines.append(f"{place}{own}{first.message}{more}")
+        return lines
+
+    @property
+    def limits(self) -> list[str]:
+        """A sentence for each channel that rests at its largest values."""
+        cut = sorted({f.where for f in self.findings if f.kind == "saturation" and f.severity == "info"})
+        only = "where only its log is cut, and not the torque, what is named is wrong"
+        return [f"{name} rests at its largest values: {only}" for name in cut]
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """The findings as a page shows them."""
+        where = lambda f: " ".join(x for x in (f.trial, f.where) if x)
+        return [{"severity": f.severity, "where": where(f), "message": f.message} for f in self.findings]
+
     def of(self, kind: str) -> tuple[Finding, ...]:
         """Findings of one kind."""
         return tuple(f for f in self.findings if f.kind == kind)

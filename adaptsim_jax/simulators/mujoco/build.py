@@ -1,4 +1,4 @@
-"""The model that is stepped: the user's file as it is, with its base welded where no pose of it was logged, and what stands still held.
+"""The model that is stepped: the user's file, its base welded where no pose of it was logged, and held what stands still.
 
 A joint that nothing was logged of is held where `roles.roles` has it; one in a loop that closes, or tied to others, moves as the
 model says.
@@ -37,7 +37,7 @@ class Stepped:
 
 def stepped(source: Source, log: Log) -> Stepped:
     """The model of a file for a log of it. Raises BadInput where MuJoCo refuses it."""
-    spec, kind = read_spec(source.path)
+    spec, _ = read_spec(source.path)
     logged = any(t.base is not None for t in log.trials)
     first = source.model
     pose, _ = pose_of(first)
@@ -46,7 +46,9 @@ def stepped(source: Source, log: Log) -> Stepped:
     _weld(spec, values, logged, notes)
     _hold(spec, source, log, values, notes)
     for mimic in source.mimics:
-        tie = spec.add_equality(name=f"mimic_{mimic.joint}", type=mujoco.mjtEq.mjEQ_JOINT, name1=mimic.joint, name2=mimic.leader)
+        tie = spec.add_equality(
+            name=f"mimic_{mimic.joint}", type=mujoco.mjtEq.mjEQ_JOINT, name1=mimic.joint, name2=mimic.leader
+        )
         data = np.zeros(len(tie.data))
         data[:2] = mimic.offset, mimic.factor
         tie.data = data
@@ -68,7 +70,9 @@ def stepped(source: Source, log: Log) -> Stepped:
     angle = [at[name] for name in log.joint_names if name in at]
     if len(angle) < len(log.joint_names):
         lacks = next(name for name in log.joint_names if name not in at)
-        raise BadInput(f"{source.path}: '{lacks}' is one turn of a ball joint, which the mujoco simulator does not read; hold the ball")
+        raise BadInput(
+            f"{source.path}: '{lacks}' is one turn of a ball joint, which the mujoco simulator does not read; hold the ball"
+        )
     return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes))
 
 
@@ -140,5 +144,7 @@ def _tied(model: mujoco.MjModel) -> set[str]:
                 ways.append(way)
             bodies |= ways[0] ^ ways[1]
     out |= {k for k in range(model.njnt) if int(model.jnt_bodyid[k]) in bodies}
-    out |= {int(model.wrap_objid[w]) for w in range(model.nwrap) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)}
+    out |= {
+        int(model.wrap_objid[w]) for w in range(model.nwrap) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    }
     return {model.joint(k).name for k in out}

@@ -11,7 +11,7 @@ import numpy as np
 from mujoco import rollout
 
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.stretches import Stretches
+from adaptsim_jax.simulators.mujoco.stretches import Stretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 STEP = 1e-5
@@ -33,7 +33,9 @@ def predict(
     size = mujoco.mj_stateSize(made.model, FULL)
     block = max(1, int(ROOM / (size * stretches.steps)))
     parts = [
-        _predict(made, stretches, starts[i : i + block], lanes[i : i + block], models[i : i + block] if len(models) else ())
+        _predict(
+            made, stretches, starts[i : i + block], lanes[i : i + block], models[i : i + block] if len(models) else ()
+        )
         for i in range(0, len(lanes), block)
     ]
     return np.concatenate(parts)
@@ -65,7 +67,11 @@ def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lane
         qpos = stretches.qpos[w].copy()
         if np.any(x[:nv]):
             mujoco.mj_integratePos(model, qpos, np.ascontiguousarray(x[:nv]), 1.0)
-        data.qpos[:], data.qvel[:], data.act[:] = qpos, stretches.qvel[w] + x[nv : 2 * nv], stretches.act[w] + x[2 * nv :]
+        data.qpos[:], data.qvel[:], data.act[:] = (
+            qpos,
+            stretches.qvel[w] + x[nv : 2 * nv],
+            stretches.act[w] + x[2 * nv :],
+        )
         for k in late:
             count = int(model.actuator_history[k, 0])
             if k not in times:
@@ -84,12 +90,13 @@ def read(made: Stepped, stretches: Stretches, path: np.ndarray, lanes: np.ndarra
     high = np.minimum(low + 1, path.shape[1] - 1)
     share = np.clip(at - low, 0.0, 1.0)
     share = np.where(share < 1e-6, 0.0, share)[..., None]
-    pick = lambda rows, columns: np.take_along_axis(path, rows[..., None], 1)[..., 1 + columns] if len(columns) else np.zeros((*rows.shape, 0))
+    pick = lambda rows, columns: (
+        np.take_along_axis(path, rows[..., None], 1)[..., 1 + columns] if len(columns) else np.zeros((*rows.shape, 0))
+    )
     angle = np.asarray(made.angle)
-    dof = np.array([int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in angle], int)
     columns = [angle]
     if has_speeds(made, stretches):
-        columns.append(model.nq + dof)
+        columns.append(model.nq + dofs(made))
     if made.base >= 0:
         columns.append(made.base + np.arange(7))
     columns = np.concatenate(columns)
@@ -128,7 +135,9 @@ def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return sign * vector * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
 
 
-def by_start(made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def by_start(
+    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward differences."""
     width = start_size(made)
     base = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)

@@ -18,16 +18,23 @@ def position_weight(made: Stepped, stretches: Stretches) -> np.ndarray:
     return np.concatenate([np.ones(n), speeds, np.ones(6 if made.base >= 0 else 0)])
 
 
-def fitted(made: Stepped, stretches: Stretches, weight: np.ndarray, rounds: int = ROUNDS) -> tuple[np.ndarray, np.ndarray]:
+def fitted(
+    made: Stepped, stretches: Stretches, weight: np.ndarray, rounds: int = ROUNDS, begin: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """(starts [W, 2 nv + na] from which the weighted squares are least, residual [W, L, C'] there).
 
-    weight [C'] of each channel. A start that the readings do not fix stays near the measured one.
+    weight [C'] of each channel; begin: where the search begins (None: the measured starts). A start that the readings do not fix
+    stays near there.
     """
     width, size = stretches.count, start_size(made)
     lanes = np.arange(width)
-    starts, damping = np.zeros((width, size)), np.full(width, 1e-6)
+    starts, damping = np.zeros((width, size)) if begin is None else begin.copy(), np.full(width, 1e-6)
     off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
     cost = _cost(off, weight)
+    for other in _others(made, stretches) if begin is None else ():
+        new = residual(made, stretches, predict(made, stretches, other, lanes), lanes)
+        better = _cost(new, weight) < cost
+        starts[better], off[better], cost[better] = other[better], new[better], _cost(new, weight)[better]
     open_ = np.flatnonzero(cost > EXACT * off[0].size)
     for _ in range(rounds):
         if not len(open_):
@@ -55,6 +62,17 @@ def fitted(made: Stepped, stretches: Stretches, weight: np.ndarray, rounds: int 
         fall = 1.0 - cost[open_] / np.maximum(before, 1e-300)
         open_ = open_[(fall > GAINED) & (cost[open_] > EXACT * off[0].size)]
     return starts, off
+
+
+def _others(made: Stepped, stretches: Stretches) -> list[np.ndarray]:
+    """Starts that may be nearer than smoothed speeds, which blur where a joint sticks: speeds by the rows just before, and rest."""
+    nv = made.model.nv
+    out = []
+    for speed in (stretches.before, np.zeros_like(stretches.before)):
+        start = np.zeros((stretches.count, start_size(made)))
+        start[:, nv : 2 * nv] = speed - stretches.qvel
+        out.append(start)
+    return out
 
 
 def _cost(off: np.ndarray, weight: np.ndarray) -> np.ndarray:

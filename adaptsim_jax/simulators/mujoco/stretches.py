@@ -1,14 +1,14 @@
 """A recording cut into stretches on the grid of a model's own time step, each with a start of its own."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.logs.log import Log, LogTrial
-from adaptsim_jax.logs.segments import local_motion
 from adaptsim_jax.simulators.mujoco.build import Stepped
 
 PAST = 0.1  # s of command before a stretch, for actuators that remember
@@ -19,7 +19,7 @@ class Stretches:
     """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows with `seen` [W, L, C] readings
     `measured` [W, L, C] of C channels (angles in the log's order, then speeds where they are logged, then the seven of a base);
     at [W, L]: rows in steps since the start; control [W, S, nu]; past [W, B, nu]: commands of the B steps before; qpos [W, nq],
-    qvel [W, nv], act [W, na]: where each begins, from the measured motion."""
+    qvel [W, nv], act [W, na]: where each begins, from the measured motion; before [W, nv]: its speeds by the rows just before."""
 
     trial: np.ndarray
     time: np.ndarray
@@ -31,6 +31,7 @@ class Stretches:
     qpos: np.ndarray
     qvel: np.ndarray
     act: np.ndarray
+    before: np.ndarray
     names: tuple[str, ...]
 
     @property
@@ -50,7 +51,9 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
     model, h = made.model, float(made.model.opt.timestep)
     pieces = [(k, b, e) for k, trial in enumerate(log.trials) for b, e in _whole(trial, horizon)]
     if not pieces:
-        raise BadInput(f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or longer trials")
+        raise BadInput(
+            f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or longer trials"
+        )
     keep = np.unique(np.linspace(0, len(pieces) - 1, min(most, len(pieces))).round().astype(int))
     chosen = [pieces[i] for i in keep]
     rows = max(e - b for _, b, e in chosen) + 1
@@ -59,8 +62,10 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
     inputs = [inputs_of(model, log, trial) for trial in log.trials]
     lanes = [_lane(made, log.trials[k], motion[k], inputs[k], b, e, rows, max(steps, 1)) for k, b, e in chosen]
     stack = lambda key: np.stack([lane[key] for lane in lanes])
-    keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act")
-    return Stretches(np.array([k for k, *_ in chosen]), **{k: stack(k) for k in keys}, names=tuple(t.name for t in log.trials))
+    keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
+    return Stretches(
+        np.array([k for k, *_ in chosen]), **{k: stack(k) for k in keys}, names=tuple(t.name for t in log.trials)
+    )
 
 
 def _motion(trial: LogTrial) -> tuple[np.ndarray, np.ndarray]:
@@ -109,21 +114,27 @@ def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
 
 
 def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end: int, rows: int, steps: int) -> dict:
-    model, h = made.model, float(made.model.opt.timestep)
+    h = float(made.model.opt.timestep)
     live = begin + np.minimum(np.arange(rows), end - begin)
     here = (np.arange(rows) <= end - begin)[:, None]
     start = trial.time[begin]
-    row_of = lambda t: np.clip(np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1, 0, len(trial.time) - 1)
+    row_of = lambda t: np.clip(
+        np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1, 0, len(trial.time) - 1
+    )
     control = u[row_of(start + h * np.arange(steps))]
     before = max(1, int(np.ceil(PAST / h)))
     past = u[row_of(start - h * np.arange(before, 0, -1))]
-    channels = [trial.q[live], *([trial.v[live]] if trial.v is not None else []), *([trial.base[live]] if made.base >= 0 else [])]
+    channels = [
+        trial.q[live],
+        *([trial.v[live]] if trial.v is not None else []),
+        *([trial.base[live]] if made.base >= 0 else []),
+    ]
     measured = np.concatenate(channels, 1)
     qpos, qvel = _start(made, trial, motion, begin)
     return {
         "time": trial.time[live] - trial.time[0], "measured": np.nan_to_num(measured), "seen": np.isfinite(measured) & here,
         "at": np.clip((trial.time[live] - start) / h, 0, steps), "control": control, "past": past, "qpos": qpos, "qvel": qvel,
-        "act": _act(made, qpos, past),
+        "act": _act(made, qpos, past), "before": _rate_before(made, trial, begin, qvel),
     }  # fmt: skip
 
 
@@ -134,7 +145,7 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
     q, v = motion
     measured = trial.q[begin]
     qpos[made.angle] = np.where(np.isfinite(measured), measured, q[begin])
-    dof = np.array([int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in made.angle], int)
+    dof = dofs(made)
     speed = v[begin] if trial.v is None else np.where(np.isfinite(trial.v[begin]), trial.v[begin], v[begin])
     qvel[dof] = speed
     known = np.zeros(model.nv, bool)
@@ -150,9 +161,29 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
     return qpos, qvel
 
 
-def _base_rate(trial: LogTrial, row: int) -> np.ndarray:
-    """[6] m/s in the world and rad/s in the base, by differences over some rows about one."""
-    some = slice(max(0, row - 2), row + 3)
+def _rate_before(made: Stepped, trial: LogTrial, begin: int, qvel: np.ndarray) -> np.ndarray:
+    """Speeds [nv] by the last two rows up to a start; as they are where there is none before."""
+    out = qvel.copy()
+    if begin > 0:
+        change = (trial.q[begin] - trial.q[begin - 1]) / (trial.time[begin] - trial.time[begin - 1])
+        known = np.isfinite(change)
+        dof = dofs(made)
+        out[dof[known]] = change[known]
+        if made.base >= 0:
+            at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
+            out[at : at + 6] = _base_rate(trial, begin, slice(begin - 1, begin + 1))
+    return out
+
+
+def dofs(made: Stepped) -> np.ndarray:
+    """[n]: where the speed of each joint of the log is in qvel."""
+    model = made.model
+    return np.array([int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in made.angle], int)
+
+
+def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarray:
+    """[6] m/s in the world and rad/s in the base, by differences over some rows (None: about one)."""
+    some = some or slice(max(0, row - 2), row + 3)
     t, place, turn = trial.time[some], trial.base[some, :3], trial.base[some, 3:]
     out = np.zeros(6)
     out[:3] = np.polyfit(t - trial.time[row], place, min(2, len(t) - 1))[-2]
@@ -173,9 +204,11 @@ def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, 
         if not len(rows):
             break
         jacobian = np.zeros((data.nefc, model.nv))
-        mujoco.mju_sparse2dense(jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind) if mujoco.mj_isSparse(
-            model
-        ) else jacobian.__setitem__(slice(None), data.efc_J.reshape(-1, model.nv)[: data.nefc])
+        mujoco.mju_sparse2dense(
+            jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+        ) if mujoco.mj_isSparse(model) else jacobian.__setitem__(
+            slice(None), data.efc_J.reshape(-1, model.nv)[: data.nefc]
+        )
         j, off = jacobian[rows], data.efc_pos[rows]
         step = np.zeros(model.nv)
         step[free] = -np.linalg.lstsq(j[:, free], off, rcond=1e-6)[0]
@@ -213,5 +246,16 @@ def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
 def pick(stretches: Stretches, lanes: Sequence[int]) -> Stretches:
     """Those stretches alone."""
     at = np.asarray(lanes)
-    keys = ("trial", "time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act")
+    keys = ("trial", "time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
     return Stretches(**{k: getattr(stretches, k)[at] for k in keys}, names=stretches.names)
+
+
+def delayed(stretches: Stretches, late: float, step: float) -> Stretches:
+    """The same with commands that act `late` s later (below zero: earlier), between steps as a mix of both."""
+    both = np.concatenate([stretches.past, stretches.control], 1)
+    before, count = stretches.past.shape[1], stretches.control.shape[1]
+    at = np.clip(before + np.arange(count) - late / step, 0, both.shape[1] - 1)
+    low = np.floor(at).astype(int)
+    share = (at - low)[None, :, None]
+    high = np.minimum(low + 1, both.shape[1] - 1)
+    return replace(stretches, control=(1.0 - share) * both[:, low] + share * both[:, high])

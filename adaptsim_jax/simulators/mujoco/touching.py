@@ -28,7 +28,11 @@ def touching(made: Stepped, log: Log) -> str:
         if base is not None:
             data.qpos[made.base : made.base + 7] = base[row]
         mujoco.mj_fwdPosition(model, data)
-        found = {tuple(sorted(model.geom_bodyid[[c.geom1, c.geom2]])) for c in data.contact[: data.ncon] if c.dist < 0 and c.geom1 >= 0}
+        found = {
+            tuple(sorted(model.geom_bodyid[[c.geom1, c.geom2]]))
+            for c in data.contact[: data.ncon]
+            if c.dist < 0 and c.geom1 >= 0
+        }
         hits += bool(found)
         for pair in found:
             pairs[pair] = pairs.get(pair, 0) + 1
@@ -36,4 +40,5 @@ def touching(made: Stepped, log: Log) -> str:
         return ""
     one, two = max(pairs, key=pairs.__getitem__)
     share = 100 * hits / len(rows)
-    return f"contact: {model.body(int(one)).name or 'world'} and {model.body(int(two)).name or 'world'} touch in {share:.0f} % of the poses"
+    names = [model.body(int(b)).name or "world" for b in (one, two)]
+    return f"contact: {names[0]} and {names[1]} touch in {share:.0f} % of the poses"

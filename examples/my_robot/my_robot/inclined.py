@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.sysid import Plant, make_plant
+from adaptsim_jax.diagnosis import Plant, make_plant
 
 SLOPE = np.radians(30.0)
 

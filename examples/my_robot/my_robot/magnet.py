@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from adaptsim_jax.sysid import Effect, Parameter
+from adaptsim_jax.diagnosis import Effect, Parameter
 
 
 def magnet(p, m):

@@ -1,0 +1,134 @@
+"""`task = "pendulum"` from files to a report and back: friction sized, data that contradict themselves, a mended model as the declared
+one, a linearized world, an effect of one's own."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import adaptsim_jax
+from adaptsim_jax import diagnose
+from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
+from adaptsim_jax.cli import main
+from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
+from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.mechanisms import dynamics, equations
+from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
+from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
+from adaptsim_jax.mechanisms.mjcf import read_mechanism
+from tests.attribution.small_rig import TRUE, make_trials, written
+from tests.generators import Spec, make_datasets, write_dataset
+
+SAMPLE = Path(adaptsim_jax.__file__).parent / "logs" / "sample" / "recording"
+FEW = ("viscous", "coulomb", "bias", "quadratic_drag")
+REST = tuple(e.name for e in catalogue("mechanism") if e.name not in FEW)
+LEVEL = 0.03  # N m of dry friction on joint 2
+
+
+def rubbing(t, q, v, u):
+    return np.array([0.0, -LEVEL * np.tanh(v[1] / 1e-2)])
+
+
+def test_the_fit_begins_near_the_truth(tmp_path):
+    recording = read_recording(written(tmp_path, make_trials(seed=1, count=3, noise=0.2)))
+    found = first_parameters(recording, audit(recording))
+    np.testing.assert_allclose(found[:4], TRUE[:4], rtol=0.15)
+
+
+def test_rows_that_the_audit_found_spiked_are_not_fitted(tmp_path):
+    trials = make_trials(seed=2, count=3, seconds=3.0, noise=0.2)
+    trials[1].q[205, 1] += 0.4
+    recording = read_recording(written(tmp_path, trials))
+    checked = audit(recording)
+    hidden = ~np.isfinite(masked(usable(recording, checked), checked).trials[1].q[:, 1])
+    assert np.flatnonzero(hidden).tolist() == [205]
+
+
+@pytest.mark.slow
+def test_friction_is_named_and_a_second_pass_on_the_mended_model_finds_nothing(tmp_path):
+    trials = make_trials(3, 6, 3.0, 100.0, noise=0.2, extra=rubbing, velocity=False)
+    (tmp_path / "data").mkdir()
+    data = written(tmp_path / "data", trials)
+    report = diagnose(data, out=tmp_path / "out", exclude=REST)
+    assert [(e["name"], e["where"]) for e in report["effects"]] == [("coulomb", "joint2")]
+    assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(LEVEL, rel=0.1)
+    for name, true in zip(("p1", "p3", "h1", "h2"), TRUE[:4], strict=True):
+        assert report["declared"]["after"][name]["value"] == pytest.approx(true, rel=0.05)
+    model = read_model(tmp_path / "out" / "model.toml")
+    level = model.effects[0].parameters["level"]
+    assert level.value == pytest.approx(LEVEL, rel=0.1) and level.low < level.value < level.high
+    meta = (data / "meta.toml").read_text().replace('"rigid_body"', '"../out/model.toml"')
+    (data / "meta.toml").write_text(meta[: meta.index("[geometry]")])
+    again = diagnose(data, exclude=REST)
+    assert again["verdict"] == "within_noise" and not again["effects"]
+
+
+def test_what_an_earlier_run_left_in_the_folder_goes(tmp_path):
+    """A recording that contradicts itself has no model; that of the run before is not this report's."""
+    stale = [tmp_path / "out" / name for name in ("model.toml", "leading.toml", "next_experiment.csv", "model.xml")]
+    (tmp_path / "out").mkdir()
+    for file in stale:
+        file.write_text("old")
+    data = shutil.copytree(SAMPLE, tmp_path / "data")
+    for trial in data.glob("*.csv"):
+        rows = np.genfromtxt(trial, delimiter=",", names=True)
+        rows["v1"] *= -1.0
+        np.savetxt(trial, rows, delimiter=",", header=",".join(rows.dtype.names), comments="")
+    assert diagnose(data, out=tmp_path / "out")["verdict"] == "data_fault"
+    assert not any(file.exists() for file in stale)
+
+
+def test_strict_is_refused_with_what_replaced_it(tmp_path, capsys):
+    assert main(["diagnose", str(SAMPLE), "--out", str(tmp_path), "--strict"]) == 2
+    assert "one search for all machines" in capsys.readouterr().err
+
+
+def test_a_linearized_tree_is_the_papers_linear_model(tmp_path):
+    m1, m2 = 1.7, 1.2
+    file = tmp_path / "model.xml"
+    theta = np.array([m1 + 2 * m2, m2, m1 + m2, m2, 0.0, 0.0])
+    file.write_text(double_pendulum_mjcf(theta, {"l1": 1.0}, "upright"))
+    tree = read_mechanism(file).tree
+    with jax.enable_x64(True):
+        A, B = linearized(jnp.array([m1, m2, 0.0, 0.0]))
+        q, v, force = jnp.array([2.1, -0.7]), jnp.array([3.0, -5.0]), jnp.array([0.4, -0.2])
+        right = A[2:] @ jnp.concatenate([q, v]) + B[2:] @ force
+        inertial, gravity = jnp.asarray(tree.inertial), jnp.asarray(tree.gravity)
+        linear = replace(tree, linear=True)
+        got = equations.acceleration(linear, inertial, q, v, force, jnp.zeros(2), gravity)
+        np.testing.assert_allclose(got, right, rtol=2e-2)  # two bodies near point masses, as MJCF can write them
+        full = dynamics.acceleration(tree, inertial, q, v, force, jnp.zeros(2), gravity)
+        assert np.abs(np.asarray(full - right)).max() > 1.0
+        a = equations.acceleration(linear, inertial, q, v, force, jnp.zeros(2), gravity)
+        table = equations.regressor(linear, q, v, a, gravity)
+        np.testing.assert_allclose(table @ inertial.ravel(), force, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_of_two_effects_of_a_linearized_world_both_are_named(tmp_path):
+    two = (("coulomb", 2, 5.0), ("spring", 1, 4.0))
+    (data,) = make_datasets([Spec(906, n_trials=4, seconds=4.0, effects=two, world="linearized")])
+    report = diagnose(write_dataset(data, tmp_path / "data"), out=tmp_path / "out")
+    found = {(e["name"], e["where"]) for e in report["effects"]}
+    assert {("coulomb", "joint2"), ("spring", "joint1")} <= found, report["message"]
+    assert set(report["declared"]["after"]) == {"m1", "m2", "b1", "b2"} and "task_reward" in report
+    assert not (tmp_path / "out" / "model.xml").exists() and (tmp_path / "out" / "model.toml").exists()
+
+
+@pytest.mark.slow
+def test_an_effect_of_ones_own_competes(tmp_path):
+    def pull(p, m):
+        return -p["size"] * jnp.sin(3.0 * m.q)
+
+    mine = Effect("mine", "force", (Parameter("size", "N m", -1.0, 1.0, 0.0),), pull, "a magnet", "wide angles")
+    trials = make_trials(5, 4, 3.0, 100.0, noise=0.2, extra=lambda t, q, v, u: np.array([-0.1 * np.sin(3 * q[0]), 0.0]))
+    data = written(tmp_path, trials)
+    few = tuple(e for e in catalogue("mechanism") if e.name in ("bias", "coulomb"))
+    report = diagnose(data, effects=(*few, mine))
+    assert [(e["name"], e["where"]) for e in report["effects"]] == [("mine", "joint1")]
+    assert report["effects"][0]["parameters"]["size"]["value"] == pytest.approx(0.1, rel=0.05)
