@@ -17,7 +17,6 @@ from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
 from adaptsim_jax.attribution.weights import Counted, Fit, counted
 
-
 LOST = 1e30
 """Derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit make."""
 

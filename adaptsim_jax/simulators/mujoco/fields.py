@@ -18,6 +18,7 @@ from adaptsim_jax.core.errors import BadInput
 
 DELAY = "command.delay"
 LATEST = 0.05  # s
+STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
 FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
 OF_DOF = ("damping", "armature", "frictionloss", "invweight0")
 KINDS = {kind: (f"{kind if kind != 'joint' else 'jnt'}_", getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"))
@@ -59,7 +60,7 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     neutral = float(np.mean(values))
     low = 0.0 if what in POSITIVE else -np.inf
     size = abs(neutral) if neutral else _typical(what)
-    return Field(name, made.field, made.elements, index, neutral, low, np.inf, 1e-3 * size)
+    return Field(name, made.field, made.elements, index, neutral, low, np.inf, STEP * size)
 
 
 def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:

@@ -21,7 +21,8 @@ BUDGET = 4e6  # steps of one linearisation
 ROUNDS, TRIES = 10, 5
 FIRST, SETTLED = 8, 2
 """Rounds of starts before the first step, and after each."""
-CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
+CONVERGED = 1e-4  # of the loss a reading, that a round must take off
+FLOOR = 0.01  # of a weighted residual: less is not told from nothing
 EXACT = 1e-16  # mean square of what is left, below which nothing is
 WILD = 1e9  # of weighted residuals and their derivatives: a stretch that runs away says nothing of where to go
 NINETY = 1.645
@@ -71,15 +72,20 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
         for _ in range(TRIES):
             step = _bounded(lin.hess.sum(0), lin.slope.sum(0), fields, values, damping)
             trial = _at(made, stretches, fields, values + step)
-            moved = starts + lin.start_steps(step)
-            new_starts, new = _better(trial, weight, (moved, starts))
+            options = (starts + lin.start_steps(step), starts, np.zeros_like(starts))
+            new_starts, new = _better(trial, weight, options)
             if _loss(new, weight) < loss:
                 break
             damping *= 10.0
         else:
-            code = "stuck"
-            break
-        fall = 1.0 - _loss(new, weight) / loss
+            again = _anew(_at(made, stretches, fields, values), weight, starts, off)
+            if loss - _loss(again[1], weight) < CONVERGED * off.size:
+                code = "stuck"
+                break
+            starts, off = again
+            loss, damping = _loss(off, weight), 1e-3
+            continue
+        fall = loss - _loss(new, weight)
         values, starts, off, loss, damping = (
             values + step,
             new_starts,
@@ -87,11 +93,9 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
             _loss(new, weight),
             max(0.1 * damping, 1e-8),
         )
-        if fall < CONVERGED or np.square(off).mean() < EXACT:
+        if fall < CONVERGED * off.size or np.median(np.square(off).mean((1, 2))) < EXACT:
             code = "converged"
             break
-        weight = _weights(off)
-        loss = _loss(off, weight)
     lin = _linear(made, stretches, fields, values, starts, weight)
     spread = NINETY * _jackknife(lin, fields, values)
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
@@ -126,10 +130,23 @@ def _better(
     return fitted(*trial, weight, SETTLED, begin)
 
 
+def _anew(
+    at: tuple[Stepped, Stretches], weight: np.ndarray, starts: np.ndarray, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(starts, residual), those of stretches that are nearer when their starts are sought from the measured ones again."""
+    other, new = fitted(*at, weight, FIRST)
+    good = _each(new, weight) < _each(off, weight)
+    return np.where(good[:, None], other, starts), np.where(good[:, None, None], new, off)
+
+
+def _each(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """[W] mean squares of weighted residuals, with a floor."""
+    return np.square(off * weight).mean((1, 2)) + FLOOR**2
+
+
 def _loss(off: np.ndarray, weight: np.ndarray) -> float:
-    """Half the weighted squares, in which a stretch that ran away counts no more than a hundred times its like."""
-    each = np.square(off * weight).sum((1, 2))
-    return 0.5 * float(np.minimum(each, 100.0 * np.median(each)).sum())
+    """Each stretch has a spread of its own, so that one whose start is caught at another contact does not decide."""
+    return 0.5 * float(off[0].size * np.log(_each(off, weight)).sum())
 
 
 def _rms(off: np.ndarray, weight: np.ndarray) -> float:
@@ -165,7 +182,9 @@ def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
     base, by_x = by_start(*now, starts, lanes)
     columns = [_column(made, stretches, fields, values, p, starts) for p in range(len(fields))]
     by_p = np.stack(columns, -1)
+    spread = np.sqrt(_each(base, weight))
     wide = lambda z: (z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))).reshape(len(z), -1, *z.shape[3:])
+    wide = lambda z, all_=wide: all_(z) / spread.reshape(-1, *[1] * (z.ndim - 2))
     r, x, s = wide(base), wide(by_x), wide(by_p)
     good = np.all([np.abs(z).reshape(len(z), -1).max(1) < WILD for z in (r, x, s)], 0)
     trials = np.unique(stretches.trial)
