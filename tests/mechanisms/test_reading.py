@@ -180,3 +180,26 @@ def test_what_is_odd_but_readable_is_told(tmp_path, link, more, says):
     )
     assert any(says in note for note in made.notes)
     assert abs(made.tree.inertial[0, 1:4]).max() == pytest.approx(0.1)  # of the first origin
+
+
+def test_a_mended_file_keeps_what_is_behind_a_joint_that_is_held(tmp_path):
+    from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf
+
+    path = written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
+    made = mechanism_of(read_source(path), {}, ("arm",))
+    heavier = np.array(made.tree.inertial) * 1.2
+    model = mujoco.MjModel.from_xml_string(mended_mjcf(made, Changes(heavier, {"damping": {"arm": 0.3}})))
+    assert model.nv == 10 and model.body("left").mass[0] == 0.2
+    again = mechanism_of(
+        read_source(written(tmp_path / "model.xml", mended_mjcf(made, Changes(heavier)))), {}, ("arm",)
+    )
+    np.testing.assert_allclose(again.tree.inertial, heavier, rtol=1e-4, atol=1e-6)  # the file has six digits
+
+
+def test_what_a_follower_and_a_tendon_add_stays_with_them(tmp_path):
+    from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf
+
+    made = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free="")))
+    damping = dict(zip(made.tree.joint_names, 2.0 * made.tree.damping, strict=True))
+    again = read_mechanism(written(tmp_path / "model.xml", mended_mjcf(made, Changes(joints={"damping": damping}))))
+    np.testing.assert_allclose(again.tree.damping, 2.0 * made.tree.damping, rtol=1e-5)

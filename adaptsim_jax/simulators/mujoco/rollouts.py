@@ -3,8 +3,9 @@
 A start is [2 nv + na]: a displacement of qpos along the tangent, one of qvel, one of the activations, from where the stretch begins.
 """
 
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -51,9 +52,21 @@ def _predict(made: Stepped, stretches: Stretches, starts, lanes, models) -> np.n
         spec = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
     chosen = list(models) if len(models) else model
     data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
-    path, _ = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
+    with quietly():
+        path, _ = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
     path = np.concatenate([states[:, None], path], 1)
     return read(made, stretches, path, lanes)
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file; they are seen in the numbers."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray) -> np.ndarray:
