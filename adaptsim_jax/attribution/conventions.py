@@ -22,6 +22,7 @@ from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.equations import regressor
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -99,7 +100,9 @@ def channels(machine: Machine) -> Channels:
 
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
     """`[T, n]` at the joints, by the declared law of the actuators."""
-    return drive_force(machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u)
+    force = drive_force(machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u)
+    held_up = compensation(machine.tree, q.T)
+    return force if held_up is None else force + np.asarray(held_up).T
 
 
 @cache

@@ -39,7 +39,12 @@ class Machine:
     def notes(self) -> tuple[str, ...]:
         """What a person should know of how the model was read and of what is left out, a sentence each."""
         left_out = f"not simulated by the tree of joints: {'; '.join(self.beyond)}" if self.beyond else ""
-        return (*self.mechanism.notes, *((left_out,) if left_out else ()))
+        asked = (
+            "diagnosed by a tree of joints: the simulator mujoco replays and fits"
+            if self.log.meta.simulator == "mujoco"
+            else ""
+        )
+        return (*self.mechanism.notes, *(line for line in (left_out, asked) if line))
 
     @property
     def tree(self) -> Tree:
