@@ -20,8 +20,8 @@ NOISE = 1e-4  # rad, m
 WORLDS = ("null", "friction", "delay", "gain", "armature", "payload")
 
 
-def welded(path: Path) -> mujoco.MjModel:
-    """The file with its free base fixed at `home`, in fine steps, without contact."""
+def welded(path: Path) -> tuple[mujoco.MjModel, np.ndarray]:
+    """The file with its free base fixed at `home`, and the pose [nq] of `home` (its zero, where it has none)."""
     spec = mujoco.MjSpec.from_file(str(path))
     first = spec.compile()
     home = next((k for k in range(first.nkey) if first.key(k).name == "home"), -1)
@@ -36,17 +36,18 @@ def welded(path: Path) -> mujoco.MjModel:
     for key in list(spec.keys):
         spec.delete(key)
     model = spec.compile()
+    pose = model.qpos0.copy()
     for k in range(model.njnt):
         old = first.joint(model.joint(k).name).id
-        model.qpos0[model.jnt_qposadr[k]] = q0[first.jnt_qposadr[old]]
+        pose[model.jnt_qposadr[k]] = q0[first.jnt_qposadr[old]]
+    return model, pose
+
+
+def hidden(model: mujoco.MjModel, pose: np.ndarray, world: str, rng: np.random.Generator) -> dict:
+    """Change the model as the world has it, in fine steps without contact; what was changed. A delay [s] is the caller's."""
+    driven = [int(model.actuator_trnid[k, 0]) for k in range(model.nu) if model.actuator_trntype[k] == 0]
     model.opt.timestep = FINE
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    return model
-
-
-def hidden(model: mujoco.MjModel, world: str, rng: np.random.Generator) -> dict:
-    """Change the model as the world has it; what was changed. A delay [s] is the caller's to act on."""
-    driven = [int(model.actuator_trnid[k, 0]) for k in range(model.nu) if model.actuator_trntype[k] == 0]
     heavy = [j for j in driven if model.jnt_type[j] == 3]
     j = int(rng.choice(heavy))
     k = next(k for k in range(model.nu) if model.actuator_trntype[k] == 0 and model.actuator_trnid[k, 0] == j)
@@ -54,7 +55,7 @@ def hidden(model: mujoco.MjModel, world: str, rng: np.random.Generator) -> dict:
     out = {"world": world, "joint": model.joint(j).name, "delay": 0.0}
     inertia = 1.0 / max(float(model.dof_invweight0[dof]), 1e-9)
     if world == "friction":
-        model.dof_frictionloss[dof] += (size := 3.0 * inertia + 0.5 * abs(weight(model)[dof]))
+        model.dof_frictionloss[dof] += (size := 3.0 * inertia + 0.5 * abs(weight(model, pose)[dof]))
         out["size"] = float(size)
     elif world == "delay":
         out["delay"] = float(rng.uniform(0.008, 0.02))
@@ -76,8 +77,10 @@ def hidden(model: mujoco.MjModel, world: str, rng: np.random.Generator) -> dict:
     return out | {"body": out.get("body", model.body(body).name)}
 
 
-def weight(model: mujoco.MjModel) -> np.ndarray:
+def weight(model: mujoco.MjModel, pose: np.ndarray) -> np.ndarray:
+    """[nv] N m, N: of gravity at a pose."""
     data = mujoco.MjData(model)
+    data.qpos[:] = pose
     mujoco.mj_forward(model, data)
     return data.qfrc_bias
 
@@ -95,7 +98,9 @@ def commands(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generato
     return lambda t: middle + size / 2 * np.sin(2 * np.pi * speed * t + phase).sum(0)
 
 
-def record(model: mujoco.MjModel, folder: Path, path: Path, delay: float, rng: np.random.Generator) -> None:
+def record(
+    model: mujoco.MjModel, pose: np.ndarray, folder: Path, path: Path, delay: float, rng: np.random.Generator
+) -> None:
     """Six trials into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "meta.toml").write_text(f'task = "mechanism"\nmodel = "{path.resolve()}"\n')
@@ -105,6 +110,7 @@ def record(model: mujoco.MjModel, folder: Path, path: Path, delay: float, rng: n
     ]
     for trial in range(6):
         mujoco.mj_resetData(model, data)
+        data.qpos[:] = pose
         mujoco.mj_forward(model, data)
         told = commands(model, data, rng)
         rows = []
@@ -134,10 +140,10 @@ def main() -> None:
         (path,) = [p for p in sorted(args.folder.glob("*.xml")) if p.stem == robot or p.stem.endswith(robot)][:1]
         for world in args.worlds:
             rng = np.random.default_rng([args.seed, WORLDS.index(world), sum(map(ord, robot))])
-            model = welded(path)
-            truth = hidden(model, world, rng)
+            model, pose = welded(path)
+            truth = hidden(model, pose, world, rng)
             data = args.out / f"{robot}_{world}_{args.seed}"
-            record(model, data, path, truth["delay"], rng)
+            record(model, pose, data, path, truth["delay"], rng)
             began = time.monotonic()
             try:
                 report = diagnose(data, out=data / "out")

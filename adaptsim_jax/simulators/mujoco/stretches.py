@@ -134,7 +134,7 @@ def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end
     return {
         "time": trial.time[live] - trial.time[0], "measured": np.nan_to_num(measured), "seen": np.isfinite(measured) & here,
         "at": np.clip((trial.time[live] - start) / h, 0, steps), "control": control, "past": past, "qpos": qpos, "qvel": qvel,
-        "act": _act(made, qpos, past), "before": _rate_before(made, trial, begin, qvel),
+        "act": _act(made, qpos, past), "before": _rate_before(made, trial, begin, qpos, qvel),
     }  # fmt: skip
 
 
@@ -161,7 +161,7 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
     return qpos, qvel
 
 
-def _rate_before(made: Stepped, trial: LogTrial, begin: int, qvel: np.ndarray) -> np.ndarray:
+def _rate_before(made: Stepped, trial: LogTrial, begin: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
     """Speeds [nv] by the last two rows up to a start; as they are where there is none before."""
     out = qvel.copy()
     if begin > 0:
@@ -172,6 +172,19 @@ def _rate_before(made: Stepped, trial: LogTrial, begin: int, qvel: np.ndarray) -
         if made.base >= 0:
             at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
             out[at : at + 6] = _base_rate(trial, begin, slice(begin - 1, begin + 1))
+        unknown = ~_known(made)
+        if unknown.any() and made.model.neq:
+            out = _consistent(made.model, mujoco.MjData(made.model), qpos.copy(), out, unknown)[1]
+    return out
+
+
+def _known(made: Stepped) -> np.ndarray:
+    """[nv]: whether a log tells the speed."""
+    out = np.zeros(made.model.nv, bool)
+    out[dofs(made)] = True
+    if made.base >= 0:
+        at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
+        out[at : at + 6] = True
     return out
 
 
