@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.diagnose import HORIZON, diagnose, examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
@@ -27,6 +26,7 @@ from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
 from adaptsim_jax.attribution.replay import Replay, replay
 from adaptsim_jax.diagnosis import read_recording
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.logs.quality.audit import audit, usable
 
 RIGS = Path(__file__).parent / "rigs"

@@ -3,14 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import Model, Test, attempted, modelled, paired, refit
+from adaptsim_jax.attribution.held_out import Model, attempted, modelled, paired, refit
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.paired import Test
 from adaptsim_jax.effects.base import Reach
 
 

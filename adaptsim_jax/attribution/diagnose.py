@@ -11,7 +11,6 @@ import numpy as np
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import over_floor
 from adaptsim_jax.attribution.inertias_told import otherwise
@@ -20,10 +19,12 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
-from adaptsim_jax.attribution.report import reported
+from adaptsim_jax.attribution.report import evidence_of, reported
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
 from adaptsim_jax.effects.base import Effect
@@ -34,7 +35,6 @@ Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
-OTHERS = ("leading.toml", "next_experiment.csv")  # of an earlier run of another kind into the same folder
 
 
 def diagnose(
@@ -64,8 +64,11 @@ def diagnose(
     say(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
-    folder = None if out is None else output_folder(out)
-    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say, effects=effects)
+    folder = None if out is None else cleared(output_folder(out))
+    keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
+    report, evidence, problem, found = examined(
+        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep
+    )
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
@@ -74,22 +77,24 @@ def diagnose(
     ]
     command = command_of(data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared)
     report["run"] = evidence["run"] = Run(command, began).told()
-    report = check(report)
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        write_mjcf(folder, machine, problem, found, criteria or Criteria())
-        write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told, gains(machine)).encode())
-        (page or plain)(folder, report, evidence)
-    return report
+        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine))
+        write_all(folder, report, evidence, page or plain, {
+            model_toml.FILE: model, **mjcf_files(machine, problem, found, criteria or Criteria())
+        })  # fmt: skip
+    return check(report)
 
 
-def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:
-    """`declared.xml` and `model.xml` into the folder; what an earlier run of another kind left there goes."""
-    for name in (*OTHERS, MODEL):
-        (folder / name).unlink(missing_ok=True)
-    made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
-    write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
-    write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
+def mjcf_files(
+    machine: Machine, problem: Problem, found: Selection, criteria: Criteria
+) -> dict[str, Callable[[], str]]:
+    """What makes the text of `declared.xml` and of `model.xml`."""
+    made = lambda: changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
+    return {
+        model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
+        MODEL: lambda: mended_mjcf(machine.mechanism, made()),
+    }
 
 
 def examined(
@@ -100,9 +105,10 @@ def examined(
     say: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
     effects: Sequence[Effect] | None = None,
+    keep: Callable[[dict[str, Any]], None] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
     """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept; effects: the
-    catalogue, ours where None (of another, what is always fitted is ours)."""
+    catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes."""
     fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
     known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
     names = {e.name for e in known}
@@ -117,10 +123,12 @@ def examined(
     say(0.05, 1.0, "declared model")
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
-        found = select(problem, null, criteria, step)
+        so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
+        found = select(problem, null, criteria, step, so_far)
         if not found.named and over_floor(problem, found.final) > criteria.odd:
             found = select_shorter(problem, null, criteria, found, step)
-    return *reported(machine, problem, found, criteria, horizon), problem, found
+    report = reported(machine, problem, found, criteria, horizon)
+    return report, evidence_of(problem, found, report), problem, found
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:

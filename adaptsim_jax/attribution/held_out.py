@@ -10,20 +10,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.apart import apart, linear_part, part_of, put_back, touched
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_steps
 from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold, unchanged
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
-from adaptsim_jax.attribution.problem import Problem, blocks_of
+from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.folds import BLOCKS, blocks_of
+from adaptsim_jax.diagnosis.paired import Test, sign_flip
 from adaptsim_jax.effects.base import Effect, Reach
 
 ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothing
-BLOCKS = 24  # of consecutive stretches, about, whose losses a paired test compares
-EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 
 
 @dataclass(frozen=True)
@@ -52,18 +52,6 @@ class Model:
         """Standard errors [P] by the jackknife over folds."""
         v = self.held.vectors
         return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
-
-
-@dataclass(frozen=True)
-class Test:
-    """Of one model against another. gain: the share of the loss that it takes off (geometric mean over folds); p of a sign-flip test
-    over `parts` blocks; better: folds in which it is better."""
-
-    gain: float
-    p: float
-    better: int
-    folds: int
-    parts: int
 
 
 def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like: Model | None = None) -> HeldOut:
@@ -155,17 +143,6 @@ def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:
     loss = losses(problem, run(problem, fitted.vector, fitted.starts), plain)
     weight = 1.0 / np.maximum(1.0, loss / (WILD**2 * np.median(loss[some])))
     return replace(fitted, weights=replace(plain, stretch=weight), loss=loss * weight)
-
-
-def sign_flip(d: np.ndarray) -> float:
-    """One-sided p of the mean of paired differences [F] under random signs (Fisher's permutation test): all patterns, or 20,000."""
-    count = len(d)
-    if count <= EXACT:
-        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
-    else:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (10_000, count))
-        signs[0] = 1.0
-    return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
 
 
 def modelled(

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.backward import without
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.held_out import Model, attempted, modelled, refit
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.attribution.score import Candidate, candidates, table
 from adaptsim_jax.attribution.select import Selection
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.mechanisms.mjcf_write import Changes
 
 HELD = ("viscous", "coulomb", "armature", "spring", TILT, INERTIA)

@@ -19,12 +19,12 @@ from adaptsim_jax.attribution.parameters import (
     inertias,
 )
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
+from adaptsim_jax.diagnosis.folds import folds_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 
-LEAST_TRIALS = 5  # of which each is a fold
 LANES = 16  # stretches are padded to a multiple, so that compiled programs repeat
 
 
@@ -64,28 +64,6 @@ class Problem:
         return next(e for e in self.effects if e.name == name)
 
 
-def folds_of(stretches: Stretches) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Fold [W] of each stretch and the folds' names: trials, or of fewer than `LEAST_TRIALS` about eight blocks."""
-    trials = np.unique(stretches.trial)
-    if len(trials) >= LEAST_TRIALS:
-        return np.searchsorted(trials, stretches.trial), tuple(stretches.names[t] for t in trials)
-    fold = blocks_of(stretches.trial, 8)
-    first = [int(np.flatnonzero(fold == k)[0]) for k in range(fold.max() + 1)]
-    part = [k - int(fold[stretches.trial == stretches.trial[i]].min()) for k, i in enumerate(first)]
-    return fold, tuple(f"{stretches.names[stretches.trial[i]]} part {p + 1}" for i, p in zip(first, part, strict=True))
-
-
-def blocks_of(trial: np.ndarray, about: int) -> np.ndarray:
-    """Block [W] of each stretch: about so many blocks of consecutive stretches of one trial, at least one a trial."""
-    out, at = np.zeros(len(trial), int), 0
-    for t in np.unique(trial):
-        mine = np.flatnonzero(trial == t)
-        parts = max(1, min(len(mine), round(about * len(mine) / len(trial))))
-        for part in np.array_split(mine, parts):
-            out[part], at = at, at + 1
-    return out
-
-
 def prepare(
     tree: Tree,
     tracks: Sequence[Track],
@@ -103,7 +81,7 @@ def prepare(
     n = len(tree.joint_names)
     tree = within_reach(tree, tracks)
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
-    fold, names = folds_of(stretches)
+    fold, _, names = folds_of(stretches.trial, stretches.names)
     stretches = _padded(stretches)
     if actuator is None:
         actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])

@@ -8,7 +8,6 @@ import numpy as np
 
 from adaptsim_jax.attribution import inertias_told
 from adaptsim_jax.attribution.backward import Named
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
@@ -16,6 +15,7 @@ from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.effects.base import NINETY
 
@@ -26,8 +26,8 @@ def _numbers(error: np.ndarray) -> float:
 
 def reported(
     machine: Machine, problem: Problem, found: Selection, criteria: Criteria, horizon: float
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The report, and the arrays behind its page."""
+) -> dict[str, Any]:
+    """The report."""
     before, after = held_error(problem, found.null), held_error(problem, found.final)
     noise = problem.floor[: problem.joints]
     floor = float(np.median(noise))
@@ -46,7 +46,7 @@ def reported(
     }  # fmt: skip
     after_rows = _declared(machine, problem, found.final)
     fixed = inertias_told.sentence(problem, found.final, after_rows)
-    report = new_report(
+    return new_report(
         "mechanism", Path(machine.mechanism.path).name, kind,
         message(problem, found, before, after, over, odd, int(far.sum()), criteria), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
@@ -60,10 +60,12 @@ def reported(
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
                 for m in (*found.stages, found.final)],
     )  # fmt: skip
-    evidence = {"held_out": _held_out(problem, found), "audit": [
-        {"severity": "info", "where": "", "message": note} for note in report["notes"]
-    ]}  # fmt: skip
-    return report, evidence
+
+
+def evidence_of(problem: Problem, found: Selection, report: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays behind the page of a report."""
+    notes = [{"severity": "info", "where": "", "message": note} for note in report["notes"]]
+    return {"held_out": _held_out(problem, found), "audit": notes}
 
 
 def _odd(problem: Problem, found: Selection, far: np.ndarray, criteria: Criteria) -> list[tuple[str, str, float]]:

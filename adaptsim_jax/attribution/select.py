@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.backward import Named, Step, from_afar, judged, more, scored, where
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
     Model,
@@ -28,6 +27,7 @@ from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, s
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import eased
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit
@@ -50,9 +50,13 @@ class Selection:
 
 
 def select(
-    problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None
+    problem: Problem,
+    null: Vector,
+    criteria: Criteria,
+    say: Callable[[str], None] = lambda note: None,
+    keep: "Callable[[Selection], None]" = lambda found: None,
 ) -> Selection:
-    """Forward, then each effect beside the others, then against its look-alikes."""
+    """Forward, then each effect beside the others, then against its look-alikes. keep: told of what is found, as it goes."""
     base = first = declared(problem, null, criteria)
     say("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
@@ -61,6 +65,8 @@ def select(
     scores, forms = (scored(problem, base, reach, laws) for laws in (True, False))
     opening = sorted(scores + forms, key=lambda s: -s.held_out)
     family = max(len(opening), 1)
+    so_far = lambda: Selection(first, base, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
+    keep(so_far())
     while len(base.added) < criteria.most_effects:
         better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
@@ -71,6 +77,7 @@ def select(
             break
         base = better
         stages.append(base)
+        keep(so_far())
         scores = scored(problem, base, reach, True)
     final, named = judged(problem, base, reach, criteria, trace, say)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)

@@ -3,12 +3,12 @@
 import numpy as np
 
 from adaptsim_jax.attribution.backward import Named
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import TILT
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Selection
+from adaptsim_jax.diagnosis.criteria import Criteria
 
 SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.held_out import Model, Test, held_error
+from adaptsim_jax.attribution.held_out import Model, held_error
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.paired import Test
 
 TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from adaptsim_jax.core.lazy import lazily
 
 if TYPE_CHECKING:
-    from adaptsim_jax.attribution.criteria import Criteria as Criteria
+    from adaptsim_jax.diagnosis.criteria import Criteria as Criteria
     from adaptsim_jax.effects.base import Dry as Dry
     from adaptsim_jax.effects.base import Effect as Effect
     from adaptsim_jax.effects.base import Parameter as Parameter
@@ -31,7 +31,7 @@ __all__ = [
 __getattr__ = lazily(
     __name__,
     {
-        "Criteria": "attribution.criteria",
+        "Criteria": "diagnosis.criteria",
         "Dry": "effects.base",
         "Effect": "effects.base",
         "ModelFile": "mechanisms.model_file",

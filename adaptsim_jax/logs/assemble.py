@@ -19,6 +19,8 @@ from adaptsim_jax.logs.joint_columns import Columns, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.quality.jitter import jitter
+from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
 
 V = TypeVar("V")
@@ -30,12 +32,14 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
+    scales = check_scales(trials, names)
     kept, held = _moving(path, trials, names, meta)
     inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in kept])
     log_trials = tuple(_trial(columns, names, meta, inputs, kept) for columns in trials)
-    suspected = check_log_units(log_trials, names.only(kept))
+    log_trials, evened = _evened(log_trials)
+    suspected = scales + check_log_units(log_trials, names.only(kept))
     turns = [columns.raw.name for columns in trials if columns.turns]
-    turned = (f"jumps of whole turns taken out of the angles of {', '.join(turns)}",) if turns else ()
+    turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
     return Log(
         path=path,
         meta=meta,
@@ -44,11 +48,13 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_kind=inputs.kind,
         input_names=inputs.names,
         driven=inputs.driven,
+        input_columns=_input_columns(raw[0], names, inputs),
         notes=inputs.notes
         + _strange(raw[0], names, held)
         + _numbered(raw[0], names, kept)
         + _notes(raw, log_trials)
         + turned
+        + evened
         + suspected
         + copies([(t.name, t.q) for t in log_trials])
         + unread(path),
@@ -135,6 +141,21 @@ def _numbered(trial: RawTrial, names: ModelNames, kept: Sequence[int]) -> tuple[
     return (f"columns go by number, in the model's order of joints: {', '.join(names.joints[j] for j in kept)}",)
 
 
+def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[str, ...]:
+    """The column that each input was read from, empty where there is none."""
+    stems = ("ctrl", "target") if inputs.kind == "command" else (inputs.stem,)
+    roles = {name: r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem in stems}
+    base = 0 if any(r.joint == 0 for name in trial.columns if (r := role(name, names.joints)) is not None) else 1
+    place = {joint: k + base for k, joint in enumerate(names.joints)}
+    out = []
+    for index, name in enumerate(inputs.names):
+        joint = inputs.actuators[index].joint if inputs.actuators else name
+        own = {"ctrl": (name, joint, index + base)}
+        mine = sorted((r.stem, c) for c, r in roles.items() if r.joint in own.get(r.stem, (joint, place.get(joint))))
+        out.append(mine[0][1] if mine else "")
+    return tuple(out)
+
+
 def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     names = [trial.name for trial in raw]
     for key, patterns in (("exclude", meta.exclude), ("group", meta.group), ("payload", meta.payload)):
@@ -178,6 +199,10 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
             if name not in known:
                 joints = suggest(name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q"))))
                 raise BadInput(f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}")
+    for key, given in (("rate", meta.rate), ("within", meta.within)):
+        for name in given:
+            if name not in names.joints:
+                raise BadInput(f"{meta.path}: commands.{key} names {name!r}, no joint; {suggest(name, names.joints)}")
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
@@ -235,6 +260,19 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
         extra=extra,
         base=columns.base,
     )
+
+
+def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
+    """The trials at even times where their rows were read evenly and only stamped unevenly, and a note on it."""
+    told = jitter([(t.time, t.q) for t in trials])
+    if told is None:
+        return trials, ()
+    step = float(np.median([np.median(np.diff(time)) for time in told.times]))
+    note = (
+        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not ({100 * told.share:.0f} % of it is not in them): rows "
+        f"are taken as read evenly, every {1e3 * step:.4g} ms"
+    )
+    return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
 
 
 def _of(table: Mapping[str, V], trial: str, default: V) -> V:

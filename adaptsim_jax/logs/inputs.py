@@ -13,6 +13,8 @@ from adaptsim_jax.logs.angles import flipped_joints, model_angles
 from adaptsim_jax.logs.joint_columns import Columns
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.quality.turns import followed_turns
+from adaptsim_jax.logs.sent import limited, within
 
 STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
 PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")
@@ -50,9 +52,24 @@ class Inputs:
                 j = names.joints.index(actuator.joint)
                 told = (angles if actuator.kind in ("position", "general") else targets)[:, j]
             out.append(told)
-        u = np.stack(out, axis=1)
+        u = np.stack([_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)], axis=1)
         _complete(columns, self.kind, self.names, u)
         return u
+
+
+def _sent(columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, told: np.ndarray) -> np.ndarray:
+    """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as `[commands]` says."""
+    if actuator.kind not in ("position", "general") or actuator.joint not in names.joints:
+        return told
+    j = names.joints.index(actuator.joint)
+    q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
+    if not np.isfinite(q).any():  # of a joint that is held
+        return told
+    if actuator.kind == "position" and actuator.joint not in names.slides:
+        told = followed_turns(q, told)
+    if actuator.joint in meta.rate:
+        told = limited(columns.time, told, q, meta.rate[actuator.joint])
+    return within(told, q, meta.within[actuator.joint]) if actuator.joint in meta.within else told
 
 
 def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:

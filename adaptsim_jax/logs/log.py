@@ -39,7 +39,8 @@ class ModelNames:
 
     `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m, not rad);
     `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a serial chain);
-    `actuators`: in the model's order, None where nothing is known of them; `tied`: joints that go with others, and with which.
+    `actuators`: in the model's order, None where nothing is known of them; `tied`: joints that go with others, and with which;
+    `ranges`: of each joint in rad or m, None where it has none (empty: not known).
     """
 
     joints: tuple[str, ...]
@@ -47,6 +48,16 @@ class ModelNames:
     parents: tuple[int, ...] = ()
     actuators: tuple[ActuatorName, ...] | None = None
     tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    ranges: tuple[tuple[float, float] | None, ...] = ()
+
+    def turns_to(self, joint: int) -> bool:
+        """Whether a target of a joint is an angle: not where it slides, nor where all that drives it takes speeds or torques."""
+        kinds = [a.kind for a in self.actuators or () if a.joint == self.joints[joint]]
+        return self.joints[joint] not in self.slides and (not kinds or any(k in ("position", "general") for k in kinds))
+
+    def limits_of(self, joint: int) -> tuple[float, float] | None:
+        """The range of a joint, where the model declares one."""
+        return self.ranges[joint] if joint < len(self.ranges) else None
 
     @property
     def parent_of(self) -> tuple[int, ...]:
@@ -70,6 +81,7 @@ class ModelNames:
             tuple(before(j) for j in kept),
             self.actuators,
             self.tied,
+            tuple(self.ranges[j] for j in kept if self.ranges),
         )
 
 
@@ -116,7 +128,8 @@ class Log:
     `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the model's actuators
     are not known); `driven`: joints that have an input column, torque is 0 at the others. `notes`: what a person
     should know of how the files were read, a line each. `held`: joints that stand still in all trials, or that `[hold]` names, and
-    where they were (None: nothing was logged); they are not among `joint_names`.
+    where they were (None: nothing was logged); they are not among `joint_names`. `input_columns [m]`: the column that each
+    actuator's command was read from.
     """
 
     path: str
@@ -128,6 +141,7 @@ class Log:
     driven: tuple[str, ...]
     notes: tuple[str, ...] = ()
     held: dict[str, float | None] = field(default_factory=dict)
+    input_columns: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:

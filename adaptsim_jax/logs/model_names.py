@@ -21,12 +21,15 @@ def model_names(source: Source) -> ModelNames:
     tied = ties(source)
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     slides = [model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == slide]
-    parents, last = [], {0: -1}
+    parents, ranges, last = [], [], {0: -1}
+    acts = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     for b in range(1, model.nbody):
         on = last[int(model.body_parentid[b])]
         for k in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
             for _ in range({BALL: len(TURNS), FREE: 0}.get(int(model.jnt_type[k]), 1)):
                 parents.append(on)
+                single = acts and model.jnt_limited[k] and model.jnt_type[k] != BALL
+                ranges.append(tuple(map(float, model.jnt_range[k])) if single else None)
                 on = len(parents) - 1
         last[b] = on
     actuators = []
@@ -42,7 +45,7 @@ def model_names(source: Source) -> ModelNames:
         )
         kind = _kind(model, k) if trn in JOINTS else "tendon" if moves else "other"
         actuators.append(ActuatorName(model.actuator(k).name, moves[0] if moves else "", kind, moves))
-    return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied)
+    return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied, tuple(ranges))
 
 
 def _kind(model, k: int) -> str:

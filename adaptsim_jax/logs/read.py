@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs import lerobot, ros
+from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
@@ -91,7 +91,7 @@ def _names_of(path: str) -> tuple[Source, ModelNames]:
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
-    trials = read_raw(Path(meta.data) if meta.data else source, meta)
+    trials = read_raw(Path(meta.data) if meta.data else source, meta, names.joints if names else ())
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 
@@ -107,11 +107,18 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
     )
 
 
-def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files."""
+def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawTrial]:
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. joints: the model's."""
     if data.is_dir() and lerobot.is_lerobot(data):
-        return _renamed(lerobot.read_lerobot(data), meta)
+        trials = _renamed(lerobot.read_lerobot(data), meta)
+        lerobot.check_named(data, trials[0], joints)
+        return trials
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    folder = data if data.is_dir() else data.parent
+    commands = command_files.declared(meta.commands, folder, meta.path)
+    files = [path for path in files if path not in commands.values()]
+    if not commands and data.is_dir():
+        command_files.check_suspected(files)
     bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
     if not files and not bags:
         if data.is_dir():
@@ -120,8 +127,16 @@ def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
             f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
         )
     # in a folder of both, [columns] speaks of the tables
-    recorded = [ros.read_bag(path, meta.ros) for path in bags]
-    trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
+    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()))
+    recorded = [ros.read_bag(path, wanted) for path in bags]
+    tables = [
+        command_files.with_commands(trial, commands, meta.columns, meta.ignore)
+        for trial in read_files(files, meta.columns, meta.ignore, tuple(commands.values()))
+    ]
+    if files and not data.is_dir() and not commands:
+        told = command_files.beside(data, table_files(folder))
+        tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
+    trials = tables + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
     return [
         replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t

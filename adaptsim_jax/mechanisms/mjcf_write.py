@@ -1,15 +1,16 @@
 """A user's model file with other numbers in it: fitted inertias, friction, gains. URDF in gives MJCF out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inertial_about, inverse
-from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_source, read_spec, rotation_of
+from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_source, read_spec, rotation_of, without_shapes
 
 LEAST_MOMENT = 1e-9  # kg m^2
 
@@ -31,8 +32,21 @@ class Changes:
 
 
 def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
-    """The model file as MJCF text with `changes` in it. Raises BadInput where MuJoCo refuses the result."""
+    """The model file as MJCF text with `changes` in it; without its shapes where their meshes are not there, as it was read.
+
+    Raises BadInput where MuJoCo refuses the result.
+    """
+    try:
+        return _mended(mechanism, changes)
+    except BadInput:
+        told = "written without shapes, sensors and keys: the meshes that this file names could not be read"
+        return _mended(mechanism, replace(changes, comments=[*changes.comments, told]), shapes=False)
+
+
+def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
     spec, _ = read_spec(mechanism.path)
+    if not shapes:
+        without_shapes(spec)
     if changes.inertial is not None:
         _put_inertias(spec, mechanism, np.asarray(changes.inertial))
     tree = mechanism.tree

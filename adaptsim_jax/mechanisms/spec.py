@@ -31,7 +31,7 @@ def read_source(path: str | os.PathLike) -> Source:
     """
     spec, kind, urdf = _parsed(path)
     where = str(path)
-    _without_shapes(spec)
+    without_shapes(spec)
     model = compiled(where, spec)
     if not model.njnt:
         raise BadInput(f"{where}: has no joint, so that nothing moves; give a model with hinges or slides")
@@ -116,7 +116,7 @@ def _name(element: Any) -> str:
     return element.name or f"number {element.id + 1}"
 
 
-def _without_shapes(spec: mujoco.MjSpec) -> None:
+def without_shapes(spec: mujoco.MjSpec) -> None:
     """Remove what only contact and drawing need, with the files it would be read from."""
     from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     wrapped = bool(spec.tendons)  # a tendon may run over geoms

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 
 Array = Any
 
@@ -29,13 +29,13 @@ QUANTITIES = (
 """`near`: one over a camera's height; `lean_x`, `lean_y`: the point under it over its height. All 0: a far camera that looks down."""
 
 
-def effects(trial: str, origin: str, rises: bool) -> tuple[TrialEffect, ...]:
+def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
     """The effects on tracks of a `trial`, in a frame about `origin`; rises: whether heights vary.
 
     A late start of the arm shifts all of a track in time, as a latency does: no trial tells them apart, only the arm's own log.
     """
     seen = f"any {trial}"
-    make = lambda name, quantities, physics, **more: TrialEffect(name, "measurement", quantities, physics, seen, **more)
+    make = lambda name, quantities, physics, **more: Candidate(name, "measurement", quantities, physics, seen, **more)
     return (
         make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
         make("camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"),

@@ -8,13 +8,13 @@ import pytest
 
 from adaptsim_jax import cli
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.criteria import Criteria
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.held_out import over_floor
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.attribution.select import Selection, declared, select_shorter
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import read_report
 from tests.attribution.pendulum import record, record_bristles
 from tests.generators.mechanism_worlds import write_world

@@ -10,13 +10,13 @@ import pytest
 from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.catalogue import sensor_delay
 from adaptsim_jax.attribution.drive_effects import drive_play
-from adaptsim_jax.attribution.held_out import sign_flip
 from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, Problem, beginnings
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.diagnosis.paired import sign_flip
 from adaptsim_jax.effects.base import unit_at
 
 ROD = np.array([0.6, 0.0, 0.0, -0.09, 0.02, 0.0, 0.0, 0.02, 0.0, 1e-4])

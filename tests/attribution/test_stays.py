@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.held_out import Test as Paired
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.stays import steadiness, why_not
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.paired import Test as Paired
 
 DT = 0.005  # s
 GOOD = Paired(0.4, 0.0001, 6, 6, 24)

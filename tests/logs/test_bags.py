@@ -285,7 +285,7 @@ def test_a_bag_without_joint_states(tmp_path):
 
 
 def test_without_the_library_the_mend_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     (tmp_path / "run.mcap").write_bytes(b"x")
     with pytest.raises(BadInput, match=r"needs rosbags; run: pip install 'adaptsim_jax\[ros\]'"):
         ros.read_bag(tmp_path / "run.mcap", {})

@@ -2,7 +2,7 @@
 
 import math
 
-from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.tasks.toss.body import Body
 
 DECLARED = ("friction", "log_time", "damping")
@@ -53,7 +53,7 @@ def quantities(body: Body) -> tuple[Quantity, ...]:
     )
 
 
-_E = TrialEffect
+_E = Candidate
 EFFECTS = (
     _E("speed_friction", "contact", ("speed_friction",), "friction grows or falls with speed", "fast and slow slides",
        absorbed=("friction",)),
@@ -83,6 +83,6 @@ EFFECTS = (
 """A clock that is off and another gravity are the same toss: rigid motion under Coulomb friction has no time of its own."""
 
 
-def effects(body: Body) -> tuple[TrialEffect, ...]:
+def effects(body: Body) -> tuple[Candidate, ...]:
     """The effects that this body can have: shapes without a size cannot be scaled."""
     return tuple(e for e in EFFECTS if body.sized or e.name != "body_size")

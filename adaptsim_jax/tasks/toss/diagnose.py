@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials import report as parts
-from adaptsim_jax.attribution.trials.problem import TrialProblem
-from adaptsim_jax.attribution.trials.select import TrialModel, TrialSelection, select
 from adaptsim_jax.core import config
 from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.diagnosis import rows as parts
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
+from adaptsim_jax.diagnosis.select import Model, Selection, select
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
 from adaptsim_jax.tasks.toss.flight import Flight, free_flight
@@ -81,12 +81,12 @@ def diagnose(
     return report
 
 
-def fitted(problem: TrialProblem, model: TrialModel) -> dict[str, float]:
+def fitted(problem: Problem, model: Model) -> dict[str, float]:
     """Values of all quantities by name."""
     return {q.name: float(v) for q, v in zip(problem.quantities, model.fit.values, strict=True)}
 
 
-def model_table(found: TrialSelection, values: dict[str, float]) -> dict[str, Any]:
+def model_table(found: Selection, values: dict[str, float]) -> dict[str, Any]:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     return {
         "schema": 1,
@@ -101,7 +101,7 @@ def model_table(found: TrialSelection, values: dict[str, float]) -> dict[str, An
     }
 
 
-def beside(found: TrialSelection, values: dict[str, float]) -> list[str]:
+def beside(found: Selection, values: dict[str, float]) -> list[str]:
     """What was named and MJCF cannot hold, a line each."""
     return [
         f"not in this file: {n.effect.name} ({', '.join(f'{q} = {values[q]:.4g}' for q in n.effect.quantities)})"
@@ -110,13 +110,13 @@ def beside(found: TrialSelection, values: dict[str, float]) -> list[str]:
     ]
 
 
-def left(follow: Follow, model: TrialModel) -> np.ndarray:
+def left(follow: Follow, model: Model) -> np.ndarray:
     """What each window leaves over the noise `[W]`, its toss predicted with what the others say."""
     return np.sqrt(np.square(follow.of(model.fit.vectors)[1]).sum((1, 2)) / follow.windows.free)
 
 
 def reported(
-    tossed: Tossed, problem: TrialProblem, follow: Follow, found: TrialSelection, criteria: Criteria
+    tossed: Tossed, problem: Problem, follow: Follow, found: Selection, criteria: Criteria
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     over = {"before": left(follow, found.null), "after": left(follow, found.final)}
@@ -161,7 +161,7 @@ def reported(
     return report, evidence
 
 
-def message(found: TrialSelection, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
+def message(found: Selection, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
     """What was found, in a few sentences."""
     size = lambda k: f"{1e3 * error[k]:.3g}"
     floors = {k: float(np.median(v)) for k, v in over.items()}
@@ -185,7 +185,7 @@ def message(found: TrialSelection, over, error: dict[str, Any], whole, flown: Fl
     return text
 
 
-def _next(found: TrialSelection) -> dict[str, Any] | None:
+def _next(found: Selection) -> dict[str, Any] | None:
     """What to measure by itself where names cannot be told apart."""
     for n in found.named:
         rivals = [a.name for a, _ in n.alternatives] + [s.partition("@")[0] for s in n.effect.same]

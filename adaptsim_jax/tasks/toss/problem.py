@@ -1,4 +1,4 @@
-"""Tosses as a `TrialProblem`: windows simulated from starts that are fitted inside, less what was seen, over its noise.
+"""Tosses as a `Problem`: windows simulated from starts that are fitted inside, less what was seen, over its noise.
 
 The start of each window is its own twelve numbers. They are eliminated: `residuals` are those of the best start (steps with the
 Jacobian at an anchor, the start that fits the declared model), `columns` are without what a start would take up (Kaufman's variable
@@ -15,8 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from adaptsim_jax.attribution.trials.fit import declared_fit
-from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.diagnosis.fit import declared_fit
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.catalogue import DECLARED, effects, quantities
 from adaptsim_jax.tasks.toss.read import Tossed
@@ -111,7 +111,7 @@ def flat(z: np.ndarray) -> np.ndarray:
     return z.reshape(len(z), -1)
 
 
-def prepare(tossed: Tossed, considered: Sequence[TrialEffect] | None = None) -> tuple[TrialProblem, "Follow"]:
+def prepare(tossed: Tossed, considered: Sequence[Candidate] | None = None) -> tuple[Problem, "Follow"]:
     """The problem of a recording, weighed by what its declared model leaves, and how its windows are followed."""
     windows, q = cut(tossed), quantities(tossed.body)
     known = effects(tossed.body) if considered is None else tuple(considered)
@@ -135,7 +135,7 @@ def begun(tossed: Tossed, windows: Windows, points: np.ndarray) -> np.ndarray:
     return points[int(np.argmin(np.log1p(left).mean(1)))]
 
 
-def posed(follow: "Follow", known: tuple[TrialEffect, ...], weight: np.ndarray) -> TrialProblem:
+def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) -> Problem:
     """The problem with windows' mean squares in units of `weight [W]`."""
     tossed, windows = follow.tossed, follow.windows
     toss, count, trials = windows.toss, len(windows.toss), len(tossed.names)
@@ -183,7 +183,7 @@ def posed(follow: "Follow", known: tuple[TrialEffect, ...], weight: np.ndarray) 
 
     counts = np.zeros(trials)
     np.add.at(counts, toss, windows.free)
-    return TrialProblem(
+    return Problem(
         quantities(tossed.body), DECLARED, known, residuals, columns, counts, tossed.names, follow.values[None],
         lambda points: np.zeros(len(points)), channels=6, begun=1,
     )  # fmt: skip

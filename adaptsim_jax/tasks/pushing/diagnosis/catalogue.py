@@ -3,7 +3,7 @@
 import itertools
 import math
 
-from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 
@@ -57,7 +57,7 @@ PLACES = tuple(
     {"other_x": x, "other_y": y}
     for x, y in itertools.product((0.68, 0.78, 0.88, 0.98), (-0.14, -0.07, 0.0, 0.07, 0.14))
 )
-_E = TrialEffect
+_E = Candidate
 EFFECTS = (
     _E(
         "speed_scale",
@@ -191,7 +191,7 @@ EFFECTS = (
 )
 
 
-def effects_of(yaw: bool) -> tuple[TrialEffect, ...]:
+def effects_of(yaw: bool) -> tuple[Candidate, ...]:
     """The effects of tracks with a measured yaw or without: places alone hardly show that a bottle turns at a patch's edge."""
     return tuple(e for e in EFFECTS if yaw or e.name != "turning")
 

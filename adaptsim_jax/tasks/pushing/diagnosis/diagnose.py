@@ -6,15 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials import report as trials
-from adaptsim_jax.attribution.trials.fit import fitted
-from adaptsim_jax.attribution.trials.problem import TrialProblem
-from adaptsim_jax.attribution.trials.report import Seen
-from adaptsim_jax.attribution.trials.select import TrialNamed, TrialSelection, select
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis import rows as trials
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.fit import fitted
+from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.diagnosis.rows import Seen
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
+from adaptsim_jax.diagnosis.select import Named, Selection, select
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
 from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
@@ -57,7 +57,7 @@ def diagnose(
 
 
 def reported(
-    pushed: Pushed, problem: TrialProblem, found: TrialSelection, criteria: Criteria
+    pushed: Pushed, problem: Problem, found: Selection, criteria: Criteria
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     p = pushed
@@ -94,7 +94,7 @@ def reported(
     return report, evidence
 
 
-def _mirrored(pushed: Pushed, problem: TrialProblem, found: TrialSelection, worst: float, criteria: Criteria) -> str:
+def _mirrored(pushed: Pushed, problem: Problem, found: Selection, worst: float, criteria: Criteria) -> str:
     """A sentence where a bottle that turns would be followed far better if it turned the other way."""
     if pushed.yaw is None or worst <= criteria.explained:
         return ""
@@ -111,7 +111,7 @@ def _mirrored(pushed: Pushed, problem: TrialProblem, found: TrialSelection, wors
     )
 
 
-def _effect(problem: TrialProblem, found: TrialSelection, n: TrialNamed) -> dict[str, Any]:
+def _effect(problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
     row = trials.effect_row(problem, found, n)
     if n.effect.name == "grain":
         values = (float(found.final.fit.values[problem.index[q]]) for q in n.effect.quantities)
@@ -119,7 +119,7 @@ def _effect(problem: TrialProblem, found: TrialSelection, n: TrialNamed) -> dict
     return row
 
 
-def model_table(pushed: Pushed, problem: TrialProblem, found: TrialSelection) -> dict[str, Any]:
+def model_table(pushed: Pushed, problem: Problem, found: Selection) -> dict[str, Any]:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     value = lambda name: float(found.final.fit.values[problem.index[name]])
     return {

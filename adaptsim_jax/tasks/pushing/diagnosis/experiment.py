@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.trials.select import TrialSelection
+from adaptsim_jax.diagnosis.select import Selection
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.diagnosis.problem import simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
@@ -14,7 +14,7 @@ SPEEDS, ANGLES, PUSHES = 5, 13, 3
 APART = 3.0  # times the camera's noise, between members, of a push worth making
 
 
-def telling(pushed: Pushed, found: TrialSelection) -> dict[str, Any] | None:
+def telling(pushed: Pushed, found: Selection) -> dict[str, Any] | None:
     """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid tells them apart.
 
     None where nothing that was named has look-alikes.

@@ -1,4 +1,4 @@
-"""Pushes as a `TrialProblem`: what a camera would see of each slide, less what it saw, over its noise."""
+"""Pushes as a `Problem`: what a camera would see of each slide, less what it saw, over its noise."""
 
 import itertools
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.tasks.camera_effects import happened, turned, viewed
 from adaptsim_jax.tasks.pushing import model, slide
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import DECLARED, EFFECTS, QUANTITIES, physical
@@ -92,9 +92,9 @@ def prepare(
     pushed: Pushed,
     options: PushOptions,
     coefficients: PlanarCoefficients,
-    effects: Sequence[TrialEffect] = EFFECTS,
+    effects: Sequence[Candidate] = EFFECTS,
     step: float = slide.STEP,
-) -> TrialProblem:
+) -> Problem:
     """The problem of a recording, simulated up to its last row."""
     last = np.ceil((float(pushed.time.max()) + MARGIN) / 0.05) * 0.05
     options = PushOptions(**{**options.__dict__, "duration": float(np.round(max(last, model.PUSH_ENDS), 3))})
@@ -132,7 +132,7 @@ def prepare(
         r = free(weight * (places - out.reshape(len(rows), *places.shape)))
         return np.square(r).reshape(len(rows), -1).sum(1)
 
-    problem = TrialProblem(
+    problem = Problem(
         QUANTITIES,
         DECLARED,
         tuple(effects),

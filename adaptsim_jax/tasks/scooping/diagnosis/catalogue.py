@@ -1,6 +1,6 @@
 """What a scoop may lack beside its declared parameters: each effect with its quantities, units, bounds, physics and excitation."""
 
-from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect
+from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 
@@ -34,7 +34,7 @@ QUANTITIES = (
 )
 CAMERA = ("start_y", "shift_z", *(q.name for q in camera_effects.QUANTITIES))
 """Quantities that no simulation depends on."""
-_E = TrialEffect
+_E = Candidate
 _ALL = ("mu", "log_e", "h")
 EFFECTS = (
     _E(

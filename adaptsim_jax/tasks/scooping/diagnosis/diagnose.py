@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials import report as trials
-from adaptsim_jax.attribution.trials.report import Seen
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.diagnosis import rows as trials
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rows import Seen
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.tasks.scooping.diagnosis.experiment import telling

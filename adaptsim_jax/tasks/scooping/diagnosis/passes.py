@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials.fit import TrialFit, mean_square
-from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
-from adaptsim_jax.attribution.trials.report import left_by_fit
-from adaptsim_jax.attribution.trials.select import (
-    TrialModel,
-    TrialNamed,
-    TrialScore,
-    TrialSelection,
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.fit import Fit, mean_square
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.rows import left_by_fit
+from adaptsim_jax.diagnosis.select import (
+    Model,
+    Named,
+    Score,
+    Selection,
     added,
     beats,
     finished,
@@ -43,15 +43,15 @@ OMEGA = SHAPES[:2]
 """The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in one plane a box moves so much like
 a cylinder that it would take up a pitch or a clearance: it has to be declared."""
 Say = Callable[[str], None]
-Owned = Callable[[tuple[TrialEffect, ...], np.ndarray], TrialModel]
+Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
 
 
 @dataclass(frozen=True)
 class Found:
     """The selection, its problem, the shape, the rows' scales `[T, R, C]`, and tracks as simulated, `before` and `after`."""
 
-    selection: TrialSelection
-    problem: TrialProblem
+    selection: Selection
+    problem: Problem
     shape: str
     scale: np.ndarray
     tracks: dict[str, np.ndarray]
@@ -67,14 +67,14 @@ class _Base:
     held: np.ndarray
 
 
-def effects_of(scooped: Scooped) -> tuple[TrialEffect, ...]:
+def effects_of(scooped: Scooped) -> tuple[Candidate, ...]:
     """The candidates of a recording: a shift in height only where it was seen, another height or shape only where one was declared."""
     seen = scooped.places.shape[-1] > 2
     own = tuple(replace(e, quantities=SHIFTS) if seen and e.name == "camera_shift" else e for e in EFFECTS)
     return (*own, *[HEIGHT] * (scooped.height is not None), *[SHAPE] * (scooped.shape is not None))
 
 
-def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Criteria, say: Say) -> Found:
+def diagnosed(scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, say: Say) -> Found:
     """What the selection finds: with the declared shape, or with the likeliest where none was declared or another holds out."""
     quantities = quantities_of(scooped)
     declared = ("mu", "log_e", "h") if scooped.height is None else ("mu", "log_e")
@@ -99,8 +99,8 @@ def diagnosed(scooped: Scooped, effects: tuple[TrialEffect, ...], criteria: Crit
     test = paired(*_alike(scooped, found, rival))
     if test.gain < criteria.size or test.p > criteria.confidence:
         return found
-    named = TrialNamed(SHAPE, paired(own.held, bases[0].held), np.inf, ())
-    score = TrialScore(SHAPE, {}, max(1.0 - bases[0].loss / own.loss, 0.0), test.p)
+    named = Named(SHAPE, paired(own.held, bases[0].held), np.inf, ())
+    score = Score(SHAPE, {}, max(1.0 - bases[0].loss / own.loss, 0.0), test.p)
     selection = replace(
         rival.selection,
         null=found.selection.null,
@@ -183,7 +183,7 @@ def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities
     neutral = np.array([q.neutral for q in quantities])
     made: dict[tuple[bool, ...], Emulator] = {}
 
-    def fit(effects: tuple[TrialEffect, ...], values: np.ndarray) -> TrialModel:
+    def fit(effects: tuple[Candidate, ...], values: np.ndarray) -> Model:
         free = {*declared, *(q for e in effects for q in e.quantities)}
         drawn = np.array([quantities[i].name in free for i in OWN])
         far = lambda to: np.max(drawn * np.abs(values[OWN] - to.centre) / to.width) > 1.0
@@ -205,7 +205,7 @@ def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities
     return fit, made
 
 
-def _narrowed(shape: str, model: TrialModel, neutral: np.ndarray, declared) -> np.ndarray:
+def _narrowed(shape: str, model: Model, neutral: np.ndarray, declared) -> np.ndarray:
     """Widths `[O]` of draws about a fitted model: of the declared values by how well they are known, of others by their size."""
     least = widths(shape)
     width = np.maximum(least, 0.6 * np.abs(model.fit.values - neutral)[OWN])
@@ -216,7 +216,7 @@ def _narrowed(shape: str, model: TrialModel, neutral: np.ndarray, declared) -> n
 
 
 def _judged(
-    scooped: Scooped, shape: str, scale, problem, found: TrialSelection, criteria: Criteria, own: Owned, say: Say
+    scooped: Scooped, shape: str, scale, problem, found: Selection, criteria: Criteria, own: Owned, say: Say
 ) -> Found:
     """What the emulator names, tested once more by the engine: each beside the others, then against what may do as well in its place.
 
@@ -224,18 +224,18 @@ def _judged(
     """
     say("by the engine")
     whole = replace(problem, quantities=quantities_of(scooped))
-    known: dict[frozenset[str], tuple[TrialModel, np.ndarray]] = {}
+    known: dict[frozenset[str], tuple[Model, np.ndarray]] = {}
     refused = dict(found.refused)
 
-    def fit(effects, values) -> TrialModel:
+    def fit(effects, values) -> Model:
         key = frozenset(e.name for e in effects)
         if key not in known:
             model = own(tuple(effects), values) if found.named else found.null
             judged, tracks = _simulated(scooped, shape, scale, problem, model.fit)
-            known[key] = TrialModel(tuple(effects), judged), tracks
+            known[key] = Model(tuple(effects), judged), tracks
         return known[key][0]
 
-    def told(model: TrialModel, named: list[TrialNamed]) -> Found:
+    def told(model: Model, named: list[Named]) -> Found:
         tracks = {k: known[frozenset(e.name for e in m.added)][1] for k, m in (("before", null), ("after", model))}
         selection = replace(found, null=null, final=model, named=tuple(named), refused=refused)
         return Found(selection, whole, shape, scale, tracks)
@@ -245,7 +245,7 @@ def _judged(
     model = fit(emulated.added, emulated.fit.values)
     for turn in range(PASSES):
         model, emulated, rows = _holding(problem, model, emulated, null, fit, criteria, refused)
-        named: list[TrialNamed] = []
+        named: list[Named] = []
         for e, rough, less, test in rows:
             tries = [(*added(problem, rough, s, 2 * criteria.glance), s) for s in likely(problem, emulated, rough, e)]
             rivals = [
@@ -254,7 +254,7 @@ def _judged(
             ]
             better = None
             for rival in rivals:
-                better = rival if beats(rival[2], better[2] if better else model, criteria) else better
+                better = rival if beats(problem, rival[2], better[2] if better else model, criteria) else better
             if better and turn < PASSES - 1:
                 model, emulated = better[2], finished(problem, (*rough.added, better[0]), better[1], criteria.rounds)
                 break
@@ -263,13 +263,13 @@ def _judged(
                 worse = paired(m.fit.held, model.fit.held)
                 if worse.gain < criteria.gap or worse.p > criteria.confidence:
                     alike.append((o, m))
-            named.append(TrialNamed(e, test, steadiness(problem, model, e), tuple(alike)))
+            named.append(Named(e, test, steadiness(problem, model, e), tuple(alike)))
         else:
             break
     return told(model, named)
 
 
-def _holding(problem: TrialProblem, model: TrialModel, emulated: TrialModel, null, fit, criteria: Criteria, refused):
+def _holding(problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, refused):
     """The model of the effects that hold out beside the others by the engine, as emulated, and for each the models without it."""
     while True:
         rows = []
@@ -284,7 +284,7 @@ def _holding(problem: TrialProblem, model: TrialModel, emulated: TrialModel, nul
         refused[e.name] = f"dropped by the engine: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
 
 
-def _simulated(scooped: Scooped, shape: str, scale, problem, fit: TrialFit) -> tuple[TrialFit, np.ndarray]:
+def _simulated(scooped: Scooped, shape: str, scale, problem, fit: Fit) -> tuple[Fit, np.ndarray]:
     """A fit with its left-out errors by the engine, not the emulator; and these tracks."""
     tracks = expected(scooped, shape, fit.vectors)
     left = lambda out: np.asarray(softened(scale * (scooped.places - out))).reshape(len(scooped.names), -1)

@@ -1,4 +1,4 @@
-"""Scoops as a `TrialProblem` over their emulator: what a camera would see of each, less what it saw, over what can be told beforehand.
+"""Scoops as a `Problem` over their emulator: what a camera would see of each, less what it saw, over what can be told beforehand.
 
 A row's scale is the camera's noise and what the scoop strays by about its emulator; rows where it strays too far are left out.
 What then still departs (a piece that went the other way at the lip) counts by its root, as in Huber's estimate: one scoop must not
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
+from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import QUANTITIES
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, REACH, Emulator, predicted
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
@@ -63,11 +63,11 @@ def _columns(values, basis, *rest):
 def prepare(
     scooped: Scooped,
     emulator: Emulator,
-    effects: Sequence[TrialEffect],
+    effects: Sequence[Candidate],
     declared: tuple[str, ...],
     quantities: tuple[Quantity, ...],
     start: np.ndarray,
-) -> TrialProblem:
+) -> Problem:
     """The problem of a recording with pieces of one shape, around the emulator's centre; start `[P]`: of the declared fit.
 
     Declared values stay within the emulator's reach: what is lacking would drive them to where it knows nothing.
@@ -96,7 +96,7 @@ def prepare(
         wide[: len(basis)] = basis
         return np.asarray(_columns(single(values), single(wide), *rest), float)[..., : len(basis)]
 
-    return TrialProblem(
+    return Problem(
         quantities,
         declared,
         tuple(effects),

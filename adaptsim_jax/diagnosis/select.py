@@ -4,16 +4,15 @@ The rules are those of `attribution.select`; trials are independent and short, s
 is the residual's own, times the length over which residuals within a trial hang together.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.held_out import Test, sign_flip
-from adaptsim_jax.attribution.trials.fit import (
-    TrialFit,
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.fit import (
+    Fit,
     completed,
     declared_fit,
     fitted,
@@ -21,57 +20,61 @@ from adaptsim_jax.attribution.trials.fit import (
     mean_square,
     settled,
 )
-from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
+from adaptsim_jax.diagnosis.paired import Test, sign_flip
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 
 LAGS = 40  # rows over which residuals are asked whether they hang together
 CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to the end
 
 
 @dataclass(frozen=True)
-class TrialScore:
+class Score:
     """gain: share of the loss that one step would take off, shape by shape the best; p: of the F test, not yet corrected."""
 
-    effect: TrialEffect
+    effect: Candidate
     shape: dict[str, float]
     gain: float
     p: float
 
 
 @dataclass(frozen=True)
-class TrialModel:
+class Model:
     """Effects in the model and its fit."""
 
-    added: tuple[TrialEffect, ...]
-    fit: TrialFit
+    added: tuple[Candidate, ...]
+    fit: Fit
 
 
 @dataclass(frozen=True)
-class TrialNamed:
+class Named:
     """An effect that holds out beside all others; alternatives: effects that do as well in its place, and the models with them."""
 
-    effect: TrialEffect
+    effect: Candidate
     test: Test
     steady: float
-    alternatives: tuple[tuple[TrialEffect, TrialModel], ...]
+    alternatives: tuple[tuple[Candidate, Model], ...]
 
 
 @dataclass(frozen=True)
-class TrialSelection:
-    null: TrialModel
-    final: TrialModel
-    named: tuple[TrialNamed, ...]
-    scores: tuple[TrialScore, ...]
+class Selection:
+    null: Model
+    final: Model
+    named: tuple[Named, ...]
+    scores: tuple[Score, ...]
     refused: dict[str, str]
 
 
-def paired(without: np.ndarray, with_: np.ndarray) -> Test:
-    """Whether the second model predicts trials better: mean squares `[T]` of each."""
+def paired(without: np.ndarray, with_: np.ndarray, problem: Problem | None = None) -> Test:
+    """Whether the second model predicts trials better: mean squares `[T]` of each. Logarithms of the ratio are averaged over the
+    problem's folds, and over its blocks for the test; over trials where it has none."""
     usual = 0.1 * np.median(without)
-    d = np.log((without + usual) / (with_ + usual))
-    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d), len(d))
+    ratio = np.log((without + usual) / (with_ + usual))
+    mean = lambda unit: ratio if unit is None else np.bincount(unit, ratio) / np.bincount(unit)
+    d, parts = (mean(None), mean(None)) if problem is None else (mean(problem.fold), mean(problem.block))
+    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts))
 
 
-def together(problem: TrialProblem, residual: np.ndarray) -> float:
+def together(problem: Problem, residual: np.ndarray) -> float:
     """Rows over which residuals hang together: the sum of their autocorrelation while it is above the noise, at least 1."""
     r = residual.reshape(len(residual), -1, problem.channels)
     power = float(np.square(r).sum())
@@ -84,7 +87,7 @@ def together(problem: TrialProblem, residual: np.ndarray) -> float:
     return total
 
 
-def scored(problem: TrialProblem, base: TrialModel) -> list[TrialScore]:
+def scored(problem: Problem, base: Model) -> list[Score]:
     """Every candidate that is not in the model, the best of its shapes, likeliest first."""
     fit = base.fit
     flat = lambda c: c.reshape(-1, c.shape[-1])
@@ -116,50 +119,55 @@ def scored(problem: TrialProblem, base: TrialModel) -> list[TrialScore]:
             ratio = (gain / k) / (tau * max(fit.loss - gain, 1e-9) / max(n - len(fit.free) - k, 1.0))
             p = float(min(1.0, len(e.shapes) * stats.f.sf(ratio, k, rest)))
             if best is None or gain > best.gain * fit.loss:
-                best = TrialScore(e, dict(shape), gain / max(fit.loss, 1e-12), p)
+                best = Score(e, dict(shape), gain / max(fit.loss, 1e-12), p)
         if best is not None:
             out.append(best)
     return sorted(out, key=lambda s: (s.p, -s.gain))
 
 
-def _whole(problem: TrialProblem, fit: TrialFit, values: np.ndarray) -> np.ndarray:
+def _whole(problem: Problem, fit: Fit, values: np.ndarray) -> np.ndarray:
     """What `values [P]` simulate beside a fit, `[T R, 1]`."""
     return (fit.residual - problem.residuals(np.tile(values, (len(problem.trials), 1)))).reshape(-1, 1)
 
 
-def begun(problem: TrialProblem, values: np.ndarray, score: TrialScore) -> np.ndarray:
+def begun(problem: Problem, values: np.ndarray, score: Score) -> np.ndarray:
+    return begun_at(problem, values, score.shape)
+
+
+def begun_at(problem: Problem, values: np.ndarray, shape: Mapping[str, float]) -> np.ndarray:
+    """Values `[P]` with those of a shape put in."""
     values = values.copy()
-    for name, value in score.shape.items():
+    for name, value in shape.items():
         values[problem.index[name]] = value
     return values
 
 
-def added(problem: TrialProblem, base: TrialModel, score: TrialScore, rounds: int) -> tuple[np.ndarray, float]:
+def added(problem: Problem, base: Model, score: Score, rounds: int) -> tuple[np.ndarray, float]:
     """The base with a candidate, fitted for so many rounds."""
     names = (*base.fit.free, *[q for q in score.effect.quantities if q not in base.fit.free])
     return fitted(problem, names, begun(problem, base.fit.values, score), rounds)
 
 
-def finished(problem: TrialProblem, effects, values, rounds: int) -> TrialModel:
+def finished(problem: Problem, effects, values, rounds: int) -> Model:
     names = list(problem.declared)
     for e in effects:
         names += [q for q in e.quantities if q not in names]
-    return TrialModel(tuple(effects), completed(problem, names, settled(problem, names, values, rounds)[0]))
+    return Model(tuple(effects), completed(problem, names, settled(problem, names, values, rounds)[0]))
 
 
-def without(problem: TrialProblem, model: TrialModel, gone: TrialEffect, rounds: int) -> TrialModel:
+def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
     values = model.fit.values.copy()
     values[problem.at(gone.quantities)] = problem.neutral[problem.at(gone.quantities)]
     return finished(problem, [e for e in model.added if e is not gone], values, rounds)
 
 
-def spread(model: TrialModel) -> np.ndarray:
+def spread(model: Model) -> np.ndarray:
     """Standard errors `[P]` by the jackknife over trials."""
-    v = model.fit.vectors
+    v = np.unique(model.fit.vectors, axis=0)  # trials of one fold have the same
     return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
 
 
-def steadiness(problem: TrialProblem, model: TrialModel, e: TrialEffect) -> float:
+def steadiness(problem: Problem, model: Model, e: Candidate) -> float:
     """Size over scatter of the effect's steadiest quantity that is not a place, where there is another."""
     at = problem.at([q for q in e.quantities if all(q not in s for s in e.shapes)] or e.quantities)
     size = np.abs(model.fit.values[at] - problem.neutral[at])
@@ -167,11 +175,11 @@ def steadiness(problem: TrialProblem, model: TrialModel, e: TrialEffect) -> floa
 
 
 def select(
-    problem: TrialProblem, criteria: Criteria, say: Callable[[str], None] = lambda note: None, alike: bool = True
-) -> TrialSelection:
+    problem: Problem, criteria: Criteria, say: Callable[[str], None] = lambda note: None, alike: bool = True
+) -> Selection:
     """Forward, then each beside the others, then against its look-alikes (not with `alike` false)."""
     say("declared model")
-    base = null = TrialModel((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
+    base = null = Model((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
     opening = scores = scored(problem, base)
     refused: dict[str, str] = {}
     while len(base.added) < criteria.most_effects and not quiet(problem, base, criteria):
@@ -183,10 +191,10 @@ def select(
     final, named, bare = _judged(problem, base, criteria, refused, say, alike)
     # a declared fit reached by way of an effect may lie in a better minimum than the first
     null = min((null, *bare), key=lambda m: m.fit.loss)
-    return TrialSelection(null, final, named, tuple(opening), refused)
+    return Selection(null, final, named, tuple(opening), refused)
 
 
-def _forward(problem, base: TrialModel, scores, criteria: Criteria, refused, say) -> TrialModel | None:
+def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> Model | None:
     family = max(len(scores), 1)
     hopeful = sorted((s for s in scores if s.p * family < criteria.alpha), key=lambda s: -s.gain)
     tries = []
@@ -197,11 +205,11 @@ def _forward(problem, base: TrialModel, scores, criteria: Criteria, refused, say
     best = None
     for values, _, s in tries[: criteria.tried // 2]:
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
-        test = paired(base.fit.held, model.fit.held)
-        if test.gain < criteria.size or test.p > _level(criteria, test.folds):
+        test = paired(base.fit.held, model.fit.held, problem)
+        if test.gain < criteria.size or test.p > _level(criteria, test.parts):
             refused[s.effect.name] = f"held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
             continue
-        if best is None or beats(model, best, criteria):
+        if best is None or beats(problem, model, best, criteria):
             best = model
     return best
 
@@ -211,22 +219,22 @@ def _level(criteria: Criteria, folds: int, family: int = 1) -> float:
     return max(criteria.confidence / family, 1.01 * 2.0**-folds)
 
 
-def beats(model: TrialModel, other: TrialModel, criteria: Criteria) -> bool:
+def beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
     """Whether a model is to be taken instead of another: the one with fewer quantities, unless the larger holds out better; among
     equals the better."""
     if len(model.fit.free) == len(other.fit.free):
-        return paired(other.fit.held, model.fit.held).gain > 0.0
+        return paired(other.fit.held, model.fit.held, problem).gain > 0.0
     small, large = sorted((other, model), key=lambda m: len(m.fit.free))
-    test = paired(small.fit.held, large.fit.held)
+    test = paired(small.fit.held, large.fit.held, problem)
     return (large if test.gain > criteria.size and test.p < criteria.confidence else small) is model
 
 
-def quiet(problem: TrialProblem, model: TrialModel, criteria: Criteria) -> bool:
+def quiet(problem: Problem, model: Model, criteria: Criteria) -> bool:
     """Whether a model leaves no more than the noise, so that it lacks nothing."""
     return model.fit.loss < criteria.quiet**2 * problem.counts.sum()
 
 
-def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria: Criteria) -> float:
+def beyond(problem: Problem, less: Model, model: Model, criteria: Criteria) -> float:
     """Share that an effect takes off of the squared error beyond the noise that `less`, the model without it, leaves: of the sum or of
     the median over trials, the larger. 1 where the model leaves next to nothing, and where this is not asked.
 
@@ -240,7 +248,7 @@ def beyond(problem: TrialProblem, less: TrialModel, model: TrialModel, criteria:
     return max(share(less.fit.loss, model.fit.loss, noise), share(middle(less), middle(model), 1.0))
 
 
-def _judged(problem, model: TrialModel, criteria: Criteria, refused, say, alike: bool):
+def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool):
     """The model of what holds out, its effects as named, and the declared models that it was compared with."""
     bare = []
     while True:
@@ -249,11 +257,11 @@ def _judged(problem, model: TrialModel, criteria: Criteria, refused, say, alike:
             say(f"without {e.name.replace('_', ' ')}")
             less = without(problem, model, e, 2 * criteria.rounds)
             bare += [less] * (not less.added)
-            tests.append((e, less, paired(less.fit.held, model.fit.held), steadiness(problem, model, e)))
+            tests.append((e, less, paired(less.fit.held, model.fit.held, problem), steadiness(problem, model, e)))
         failing = []
         for rank, (e, less, test, steady) in enumerate(sorted(tests, key=lambda t: t[2].p)):
             if (
-                test.p > _level(criteria, test.folds, len(tests) - rank)
+                test.p > _level(criteria, test.parts, len(tests) - rank)
                 or test.gain < criteria.size
                 or steady < criteria.steady
                 or quiet(problem, less, criteria)
@@ -269,19 +277,19 @@ def _judged(problem, model: TrialModel, criteria: Criteria, refused, say, alike:
         )
         model = less
     named = tuple(
-        TrialNamed(e, test, steady, _look_alikes(problem, model, less, e, criteria, say) if alike else ())
+        Named(e, test, steady, _look_alikes(problem, model, less, e, criteria, say) if alike else ())
         for e, less, test, steady in tests
     )
     return model, named, bare
 
 
-def likely(problem: TrialProblem, model: TrialModel, less: TrialModel, e: TrialEffect) -> list[TrialScore]:
+def likely(problem: Problem, model: Model, less: Model, e: Candidate) -> list[Score]:
     """Effects that may do as well as `e`, which `less` lacks: one step in its place takes off a tenth of what it does."""
     least = 0.1 * (1.0 - model.fit.loss / less.fit.loss)
     return [s for s in scored(problem, less) if s.effect not in (e, *model.added) and s.gain >= least]
 
 
-def _look_alikes(problem, model: TrialModel, less: TrialModel, e: TrialEffect, criteria: Criteria, say):
+def _look_alikes(problem, model: Model, less: Model, e: Candidate, criteria: Criteria, say):
     """Effects that do as well in the place of `e`, with their models."""
     found = []
     for s in likely(problem, model, less, e):
@@ -290,7 +298,7 @@ def _look_alikes(problem, model: TrialModel, less: TrialModel, e: TrialEffect, c
         if loss > CLOSE * model.fit.loss:
             continue
         other = finished(problem, (*less.added, s.effect), values, 2 * criteria.rounds)
-        test = paired(other.fit.held, model.fit.held)
+        test = paired(other.fit.held, model.fit.held, problem)
         if test.gain < criteria.gap or test.p > criteria.confidence:
             found.append((s.effect, other))
     return tuple(found)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.trials.problem import TrialProblem
+from adaptsim_jax.diagnosis.problem import Problem
 
 DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 ENOUGH = 1e-4  # of the loss; a round that gains less ends the fit
@@ -14,7 +14,7 @@ GROUPS = 4  # of starts that the declared fit may begin from, one after the othe
 
 
 @dataclass(frozen=True)
-class TrialFit:
+class Fit:
     """values `[P]`; free: names of what was fitted; residual `[T, R]`; columns `[T, R, K]` in steps of each quantity's scale; loss:
     sum of squares; held: mean square `[T]` of each trial, predicted by the others; vectors `[T, P]`: with what."""
 
@@ -27,12 +27,12 @@ class TrialFit:
     vectors: np.ndarray
 
 
-def mean_square(problem: TrialProblem, residual: np.ndarray) -> np.ndarray:
+def mean_square(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """Mean square `[T]` of residuals `[T, R]`."""
     return np.square(residual).sum(1) / np.maximum(problem.counts, 1)
 
 
-def jacobian(problem: TrialProblem, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def jacobian(problem: Problem, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Columns `[T, R, K]` of `names`, each in steps of its scale."""
     at = problem.at(names)
     basis = np.zeros((len(at), len(problem.quantities)))
@@ -40,7 +40,7 @@ def jacobian(problem: TrialProblem, values: np.ndarray, names: Sequence[str]) ->
     return problem.columns(values, basis)
 
 
-def fitted(problem: TrialProblem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
+def fitted(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
     """`names` fitted from `values [P]` for at most so many rounds: values and the loss."""
     values, loss = values.copy(), np.inf
     for _ in range(rounds):
@@ -56,7 +56,7 @@ def fitted(problem: TrialProblem, names: Sequence[str], values: np.ndarray, roun
     return values, loss
 
 
-def settled(problem: TrialProblem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
+def settled(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
     """As `fitted`; where structure is left, also from beside in each of `problem.again`, the best two of them to the end.
 
     A push that runs along a patch's edge makes minima a few millimetres from each other, and an effect would be judged by its own.
@@ -89,7 +89,7 @@ def _stepped(problem, names, values, residual, columns, loss):
     return None
 
 
-def bounded(problem: TrialProblem, names, values, hess, slope, more: float = 0.0) -> np.ndarray:
+def bounded(problem: Problem, names, values, hess, slope, more: float = 0.0) -> np.ndarray:
     """Gauss and Newton's step with priors, what would leave its bounds held at them; `values [P]` after it."""
     at = problem.at(names)
     q = [problem.quantities[i] for i in at]
@@ -115,7 +115,7 @@ def bounded(problem: TrialProblem, names, values, hess, slope, more: float = 0.0
     return moved
 
 
-def completed(problem: TrialProblem, names: Sequence[str], values: np.ndarray) -> TrialFit:
+def completed(problem: Problem, names: Sequence[str], values: np.ndarray) -> Fit:
     """A fit with its linearisation, and each trial simulated with what the others say (one step from the whole fit)."""
     count = len(problem.trials)
     residual = problem.residuals(np.tile(values, (count, 1)))
@@ -123,15 +123,18 @@ def completed(problem: TrialProblem, names: Sequence[str], values: np.ndarray) -
     hess = np.einsum("trk,trl->tkl", columns, columns)
     slope = np.einsum("trk,tr->tk", columns, residual)
     whole = bounded(problem, names, values, hess.sum(0), slope.sum(0))
-    out = [bounded(problem, names, values, hess.sum(0) - h, slope.sum(0) - s) for h, s in zip(hess, slope, strict=True)]
+    fold = np.arange(count) if problem.fold is None else problem.fold
+    inside = [fold == k for k in range(fold.max() + 1)]
+    less = lambda z, mine: z.sum(0) - z[mine].sum(0)
+    out = np.array([bounded(problem, names, values, less(hess, mine), less(slope, mine)) for mine in inside])
     low, high = (np.array([getattr(q, end) for q in problem.quantities]) for end in ("low", "high"))
-    vectors = np.clip(values + np.array(out) - whole, low, high)
+    vectors = np.clip(values + out[fold] - whole, low, high)
     held = mean_square(problem, problem.residuals(vectors))
     loss = float(np.square(residual).sum())
-    return TrialFit(values, tuple(names), residual, columns, loss, held, vectors)
+    return Fit(values, tuple(names), residual, columns, loss, held, vectors)
 
 
-def declared_fit(problem: TrialProblem, rounds: int, noise: float = np.inf) -> TrialFit:
+def declared_fit(problem: Problem, rounds: int, noise: float = np.inf) -> Fit:
     """The declared quantities fitted from the best few of `problem.starts`, and from more of them while more than `noise` (mean
     square) is left: a bad minimum looks like an effect."""
     score = problem.scan or (

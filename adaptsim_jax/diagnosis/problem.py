@@ -21,7 +21,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class TrialEffect:
+class Candidate:
     """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at where nothing acts until another
     moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done, `apart` what
     does. seen: what excites it. absorbed: declared quantities that may take it up."""
@@ -38,7 +38,7 @@ class TrialEffect:
 
 
 @dataclass(frozen=True)
-class TrialProblem:
+class Problem:
     """A recording of T trials against a model of P quantities.
 
     residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
@@ -46,12 +46,14 @@ class TrialProblem:
     counts: measured numbers of each trial `[T]`. channels: coordinates of a row, of which `R` is a multiple. starts: points `[S, P]`
     from which the declared fit may begin; begun: from how many of them, the best, it does; again: declared quantities beside whose
     values a fit is begun again where it leaves structure, for there are minima close by. What each trial has of its own (where it
-    started) is the task's: it fits it inside of `residuals`, and takes out of `columns` what it would take up.
+    started) is the task's: it fits it
+    inside of `residuals`, and takes out of `columns` what it would take up. fold `[T]`: trials that are left out together (each by
+    itself where None); block `[T]`: trials that stand together in a paired test (likewise).
     """
 
     quantities: tuple[Quantity, ...]
     declared: tuple[str, ...]
-    effects: tuple[TrialEffect, ...]
+    effects: tuple[Candidate, ...]
     residuals: Callable[[np.ndarray], np.ndarray]
     columns: Callable[[np.ndarray, np.ndarray], np.ndarray]
     counts: np.ndarray
@@ -64,6 +66,8 @@ class TrialProblem:
     channels: int = 2
     begun: int = 4
     again: tuple[str, ...] = ()
+    fold: np.ndarray | None = None
+    block: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "index", {q.name: i for i, q in enumerate(self.quantities)})
@@ -76,5 +80,5 @@ class TrialProblem:
         """Places of quantities by name."""
         return np.array([self.index[n] for n in names], int)
 
-    def effect(self, name: str) -> TrialEffect:
+    def effect(self, name: str) -> Candidate:
         return next(e for e in self.effects if e.name == name)

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials.problem import TrialEffect, TrialProblem
-from adaptsim_jax.attribution.trials.select import TrialModel, TrialNamed, TrialSelection, spread
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.diagnosis.select import Model, Named, Selection, spread
 from adaptsim_jax.effects.base import NINETY
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
@@ -64,7 +64,7 @@ def stepping(progress: Callable[[float, float, str], None] | None, done: float) 
     return step
 
 
-def check_exclude(exclude: tuple[str, ...], effects: tuple[TrialEffect, ...], trial: str) -> tuple[TrialEffect, ...]:
+def check_exclude(exclude: tuple[str, ...], effects: tuple[Candidate, ...], trial: str) -> tuple[Candidate, ...]:
     """`effects` without those excluded. Raises BadInput where a name is none of them."""
     known = {e.name for e in effects}
     for name in exclude:
@@ -73,12 +73,12 @@ def check_exclude(exclude: tuple[str, ...], effects: tuple[TrialEffect, ...], tr
     return tuple(e for e in effects if e.name not in exclude)
 
 
-def over_floor(model: TrialModel) -> float:
+def over_floor(model: Model) -> float:
     """Left-out error over the noise floor, median over trials."""
     return float(np.median(np.sqrt(model.fit.held)))
 
 
-def left_by_fit(problem: TrialProblem, model: TrialModel) -> float:
+def left_by_fit(problem: Problem, model: Model) -> float:
     """What the whole fit leaves over the noise floor, all trials together.
 
     A trial that alone shows something (where a patch ends) is predicted badly by the others though the model is right; a model that
@@ -87,7 +87,7 @@ def left_by_fit(problem: TrialProblem, model: TrialModel) -> float:
     return float(np.sqrt(model.fit.loss / problem.counts.sum()))
 
 
-def verdict(named: tuple[TrialNamed, ...], over: float, criteria: Criteria) -> str:
+def verdict(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
     """The kind of the verdict by the larger of both errors over the noise floor."""
     if not named:
         return "within_noise" if over <= criteria.explained else "structured_unattributed"
@@ -101,7 +101,7 @@ def words(name: str) -> str:
     return name.partition("@")[0].replace("_", " ")
 
 
-def told(named: Sequence[TrialNamed], what: str) -> str:
+def told(named: Sequence[Named], what: str) -> str:
     """What is named and how it was tested, one sentence; what: the trials in words."""
     lines = [
         f"{words(n.effect.name)} holds out in {n.test.better} of {n.test.folds} {what} "
@@ -112,7 +112,7 @@ def told(named: Sequence[TrialNamed], what: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def message(seen: Seen, found: TrialSelection, over: float, worst: float) -> str:
+def message(seen: Seen, found: Selection, over: float, worst: float) -> str:
     """What was found, in a few sentences."""
     size = lambda m: f"{1e3 * seen.noise * over_floor(m):.3g}"
     if not found.named:
@@ -127,7 +127,7 @@ def message(seen: Seen, found: TrialSelection, over: float, worst: float) -> str
     return f"{told(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
 
 
-def _standing_out(seen: Seen, model: TrialModel) -> str:
+def _standing_out(seen: Seen, model: Model) -> str:
     """A sentence on a few trials that are predicted far worse than the others."""
     error = np.sqrt(model.fit.held)
     odd = np.flatnonzero(error > APART * np.median(error))
@@ -140,14 +140,14 @@ def _standing_out(seen: Seen, model: TrialModel) -> str:
     return f" {which} with up to {times:.0f} times the error of the others: {asked} --without {','.join(names)}"
 
 
-def interval(problem: TrialProblem, model: TrialModel, name: str) -> tuple[float, float, float]:
+def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, float]:
     """Value of a quantity and its 90 % interval by the jackknife."""
     i = problem.index[name]
     value, width = float(model.fit.values[i]), NINETY * float(spread(model)[i])
     return value, value - width, value + width
 
 
-def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed, **more: Any) -> dict[str, Any]:
+def effect_row(problem: Problem, found: Selection, n: Named, **more: Any) -> dict[str, Any]:
     """A row of `effects`; more: keys beside."""
     e, numbers = n.effect, {}
     for name in e.quantities:
@@ -169,7 +169,7 @@ def effect_row(problem: TrialProblem, found: TrialSelection, n: TrialNamed, **mo
     }
 
 
-def same_rows(found: TrialSelection, trial: str) -> list[str]:
+def same_rows(found: Selection, trial: str) -> list[str]:
     """A sentence for each pair of names that no trial tells apart."""
     return [
         f"{words(n.effect.name)} or {words(s)}: no {trial} tells them apart, only {n.effect.apart}."
@@ -215,7 +215,7 @@ def error_rows(
     }
 
 
-def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T, R, C]` m, of left-out trials."""
     held = {"before": found.null.fit.held, "after": found.final.fit.held}
     size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
@@ -231,7 +231,7 @@ def error_table(seen: Seen, found: TrialSelection, tracks: Mapping[str, np.ndarr
     return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
 
 
-def candidate_rows(found: TrialSelection) -> list[dict[str, Any]]:
+def candidate_rows(found: Selection) -> list[dict[str, Any]]:
     """Every candidate, what the first score test said of it, and what became of it."""
     names = {n.effect.name for n in found.named}
     alike = {a.name for n in found.named for a, _ in n.alternatives}
@@ -256,9 +256,7 @@ def candidate_rows(found: TrialSelection) -> list[dict[str, Any]]:
     return rows
 
 
-def declared_rows(
-    problem: TrialProblem, model: TrialModel, logs: Mapping[str, tuple[str, str]] = LOGS
-) -> dict[str, Any]:
+def declared_rows(problem: Problem, model: Model, logs: Mapping[str, tuple[str, str]] = LOGS) -> dict[str, Any]:
     """Declared quantities as fitted. logs: name and unit of what is fitted as a logarithm to the base of ten."""
     out = {}
     for name in problem.declared:

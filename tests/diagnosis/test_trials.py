@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.criteria import Criteria
-from adaptsim_jax.attribution.trials.fit import fitted, settled
-from adaptsim_jax.attribution.trials.problem import Quantity, TrialEffect, TrialProblem
-from adaptsim_jax.attribution.trials.report import Seen, _standing_out, error_table, finished, message, over_floor
-from adaptsim_jax.attribution.trials.select import select
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.fit import fitted, settled
+from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
+from adaptsim_jax.diagnosis.rows import Seen, _standing_out, error_table, finished, message, over_floor
 from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
+from adaptsim_jax.diagnosis.select import select
 
 TRIALS, ROWS = 14, 60
 
@@ -26,8 +26,8 @@ def problem(truth, seed=0, trials=TRIALS):
     basis = np.concatenate([basis, basis[..., 1:2] * 2.0], -1)
     seen = basis @ np.array(truth) + rng.standard_normal((trials, ROWS))
     quantity = lambda n: Quantity(n, "", 0.0, -5.0, 5.0, 0.1, 10.0)
-    effect = lambda n: TrialEffect(n, "force", (n,), "a column", "any trial")
-    return TrialProblem(
+    effect = lambda n: Candidate(n, "force", (n,), "a column", "any trial")
+    return Problem(
         tuple(map(quantity, "abcd")), ("a",), tuple(map(effect, "bcd")),
         lambda values: seen - np.einsum("trk,tk->tr", basis, values), lambda values, b: basis @ b.T,
         np.full(trials, float(ROWS)), tuple(map(str, range(trials))), np.zeros((1, 4)),
@@ -83,7 +83,7 @@ def test_a_fit_that_leaves_structure_is_begun_again_from_beside():
     """Two minima, of which the nearer is the worse."""
     wells = lambda a: np.stack([10.0 * (a**2 - 1.0), 2.0 * (a - 1.0)], 1)
     slopes = lambda values, basis: np.tile(np.array([20.0 * values[0], 2.0])[:, None] * basis[:, 0], (TRIALS, 1, 1))
-    two = TrialProblem(
+    two = Problem(
         (Quantity("a", "", 0.0, -5.0, 5.0, 1.8, 100.0),), ("a",), (), lambda values: -wells(values[:, 0]), slopes,
         np.full(TRIALS, 2.0), tuple(map(str, range(TRIALS))), np.zeros((1, 1)),
     )  # fmt: skip

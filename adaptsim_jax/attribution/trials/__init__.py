@@ -1,1 +1,0 @@
-"""Effects of any task of short independent trials: fits, tests and selection over functions `values -> residuals` of trials."""
