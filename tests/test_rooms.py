@@ -40,7 +40,7 @@ WITHIN = {
     ),
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",
-        "rows", "simulated",
+        "yardstick", "rows", "simulated",
     ),
     "environments": (
         "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",

@@ -12,6 +12,7 @@ from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_fl
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.paths import run
+from adaptsim_jax.attribution.power import power_rows
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
@@ -51,6 +52,7 @@ def reported(
         message(problem, found, before, after, over, odd, int(far.sum()), criteria), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
+        power=power_rows(problem, found.last, criteria),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=doubts(problem, found), remaining=remaining,

@@ -42,6 +42,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="numbers of the model to fit by the simulator mujoco first: joint:NAME.damping, body:NAME.mass, geom:NAME.friction[0], "
         "actuator:NAME.kp, option.gravity[0], command.delay; NAME may be a pattern",
     )
+    parser.add_argument(
+        "--yardstick",
+        choices=("stretches", "whole", "torque", "all"),
+        help="which beside the stretches: whole trials, the torque along the motion, or all (default: torque; of a machine that "
+        "follows commands, all)",
+    )
     parser.add_argument("--json", action="store_true", help="print all of it as JSON")
     parser.add_argument("--out", metavar="DIR", help="folder for replay.json and replay.png")
 
@@ -67,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
         compile_flags.small_steps()
     if args.fit:
         return _fit(args)
-    found = replay_files(args.model, args.data, args.horizon, args.simulator)
+    asked = {None: None, "all": ("stretches", "whole", "torque")}.get(args.yardstick, ("stretches", args.yardstick))
+    found = replay_files(args.model, args.data, args.horizon, asked, args.simulator)
     told = {"model": args.model, "data": args.data, **found.told()}
     if args.out is not None:
         from adaptsim_jax.report.replay_figure import save
@@ -130,10 +137,14 @@ def _print(told: dict) -> None:
     console = Console()
     title = f"error over {told['horizon']:g} s, {told['stretches']} stretches"
     box = HEAVY_HEAD if console.is_terminal else None  # a program or a file gets columns without a frame
-    table = Table("", "median", "rms", "ran away", title=title, box=box, title_justify="left")
+    table = Table(
+        "", "median", "rms", "straight line", "still", "skill", "ran away", title=title, box=box, title_justify="left"
+    )
     size = lambda row, unit: (
         quantity(row["median"], unit, 4),
         quantity(row["rms"], unit, 4, like=row["median"]),
+        *(quantity(row[k], unit, 3) if k in row else "" for k in ("straight_line", "hold_still")),
+        f"{row['skill']:.2f}" if row.get("skill") is not None else "",
         f"{100 * row['ran_away']:.0f} %",
     )
     table.add_row("all", *size(told, told["unit"]))
@@ -142,5 +153,26 @@ def _print(told: dict) -> None:
     for name, row in told["trials"].items():
         table.add_row(f"trial {name}", *size(row, told["unit"]))
     console.print(table)
+    for name, measure in told["yardsticks"].items():
+        if name != "stretches":
+            console.print(_measured(name, measure, box))
+    if told["predicts_nothing"]:
+        print("This model predicts nothing: by no yardstick does it do better than what needs no model.")
     for note in told["notes"]:
         print(f"note: {note}")
+
+
+def _measured(name: str, measure: dict, box):
+    """The table of a yardstick, by joint."""
+    from rich.table import Table
+
+    from adaptsim_jax.report.diagnosis_format import quantity
+
+    torque = name == "torque"
+    keys = ("missing", "torque", "constant") if torque else ("error", "straight_line", "hold_still")
+    words = ("missing", "torque", "about its mean") if torque else ("error", "straight line", "still")
+    what = "torque along the measured motion" if torque else f"whole trials, {measure['span_s']:.3g} s"
+    table = Table("", *words, "skill", title=f"{what}: skill {measure['skill']:.2f}", box=box, title_justify="left")
+    for joint, row in measure["joints"].items():
+        table.add_row(joint, *(quantity(row[k], row["unit"], 3) for k in keys), f"{row['skill']:.2f}")
+    return table
