@@ -9,6 +9,7 @@ import numpy as np
 from adaptsim_jax.attribution.commands_told import check_commands
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.pace import amperes, check_pace
+from adaptsim_jax.attribution.problem import drive_force
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
@@ -23,6 +24,7 @@ from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.equations import regressor
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -105,9 +107,9 @@ def channels(machine: Machine) -> Channels:
 
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
     """`[T, n]` at the joints, by the declared law of the actuators."""
-    gain, bias, angle, speed, low, high = machine.actuator
-    inner = gain * u + bias + angle * q + (0.0 if v is None else speed * v)
-    return machine.gear * np.clip(inner, low, high)
+    force = drive_force(machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u)
+    held_up = compensation(machine.tree, q.T)
+    return force if held_up is None else force + np.asarray(held_up).T
 
 
 @cache

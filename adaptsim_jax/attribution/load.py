@@ -3,14 +3,17 @@
 from pathlib import Path
 
 from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution.choice import base_moves
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.pendulum import pendulum_machine
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.read import read_with_model
 from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.mechanisms.mjcf import Mechanism
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:
@@ -22,16 +25,26 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
         raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
     if declared_task(data) != "pendulum":
         if model is None or Path(model).suffix.lower() != ".toml":
-            return machine(*read_with_model(data, model))
+            return _joined(*read_with_model(data, model))
         given = config.read(Path(model))
         beside = given.get("model")
         if given.get("task") != "mechanism" or not isinstance(beside, str):
             raise BadInput(
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"
             )
-        made = machine(*read_with_model(data, Path(model).parent / beside))
+        made = _joined(*read_with_model(data, Path(model).parent / beside))
         return model_toml.applied(given, str(model), made)
     if model is None:
         raise BadInput(f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml of it")
     recording = read_recording(data)
     return pendulum_machine(usable(recording, audit(recording)), model)
+
+
+def _joined(mechanism: Mechanism, log: Log) -> Machine:
+    """See `machine`. Raises BadInput where the base moves, which a tree of joints has not."""
+    if base_moves(log):
+        raise BadInput(
+            f"{log.path}: the base moves, which a tree of joints has not; simulate it by MuJoCo (adaptsim replay, --fit), or ignore "
+            "base_x .. base_qz where it stood still"
+        )
+    return machine(mechanism, log)

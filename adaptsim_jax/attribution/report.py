@@ -56,7 +56,7 @@ def reported(
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=doubts(problem, found), remaining=remaining,
-        notes=[*log.notes, *machine.mechanism.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
+        notes=[*log.notes, *machine.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
                *early_commands(problem, found),
                *shorter(found, criteria, horizon)],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}

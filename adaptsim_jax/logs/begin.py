@@ -92,9 +92,9 @@ def _model_names(model: Path | None) -> ModelNames | None:
     if model is None:
         return None
     from adaptsim_jax.logs.model_names import model_names
-    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+    from adaptsim_jax.mechanisms.spec import read_source
 
-    return model_names(read_mechanism(model))
+    return model_names(read_source(model))
 
 
 def _only_model(data: Path) -> Path | None:

@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import finite_without_turns
-from adaptsim_jax.logs.columns import Role, role
+from adaptsim_jax.logs.columns import BASE, Role, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import column_unit
@@ -30,7 +30,7 @@ class Columns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
 
     `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
-    `scaled`: joints whose angles are declared in a scale that is no unit of angle.
+    `scaled`: joints whose angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of a free base.
     """
 
     raw: RawTrial
@@ -40,6 +40,7 @@ class Columns:
     turns: bool
     written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     scaled: dict[int, bool] = field(default_factory=dict)
+    base: np.ndarray | None = None
 
     def stacked(self, stem: str, n: int) -> np.ndarray:
         """`[T, n]` of a quantity, NaN for joints without."""
@@ -64,12 +65,10 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     written: dict[tuple[str, int], np.ndarray] = {}
     scaled: dict[int, bool] = {}
     for name, found in roles.items():
-        if found.stem in ("time", "trial"):
+        if found.stem in ("time", "trial", "base"):
             continue
         if found.stem == "ctrl":
-            ctrl[_place(found, zero_based)] = (
-                trial.columns[name]
-            )
+            ctrl[_place(found, zero_based)] = trial.columns[name]
             continue
         j = _joint(trial, name, found, names, zero_based)
         if (found.stem, j) in taken:
@@ -97,7 +96,14 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     turns |= any(not np.array_equal(targets[j], u, equal_nan=True) for j, u in by_joint.get("target", {}).items())
     time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
     return Columns(
-        trial, time, by_joint | {"q": whole} | ({"target": targets} if targets else {}), ctrl, turns, written, scaled
+        trial,
+        time,
+        by_joint | {"q": whole} | ({"target": targets} if targets else {}),
+        ctrl,
+        turns,
+        written,
+        scaled,
+        _base(trial, roles),
     )
 
 
@@ -106,6 +112,30 @@ def _place(found: Role, zero_based: bool) -> int | str:
     if isinstance(found.joint, str):
         return found.joint
     return (found.joint - (not zero_based)) if found.joint is not None else 0
+
+
+def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
+    """`[T, 7]` m and a unit quaternion whose sign does not jump. Raises `BadInput` where a column of them is missing."""
+    named = {str(found.joint): name for name, found in roles.items() if found.stem == "base"}
+    if not named:
+        return None
+    if missing := [name for name in BASE if name not in named]:
+        raise BadInput(
+            f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or ignore all of them"
+        )
+    pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
+    size = np.linalg.norm(pose[:, 3:], axis=1)
+    if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
+        raise BadInput(
+            f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length {size[bad[0]]:.3g}; write unit "
+            "quaternions"
+        )
+    pose[:, 3:] /= size[:, None]
+    flips = np.cumprod(
+        np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)) + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0)
+    )
+    pose[1:, 3:] *= flips[:, None]
+    return pose
 
 
 def _zero_based(roles: Iterable[Role]) -> bool:

@@ -15,8 +15,9 @@ from adaptsim_jax.logs.log_units import Unit, check_unit
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
 TEXT_KEYS = ("name", "description", "note", "source", "license")
-TABLES = ("columns", "units", "angles", "commands", "known", "fit", "noise", "trials", "ros")
-KEYS = ("task", "model", "data", "input", "ignore", *TABLES, *TEXT_KEYS)
+TABLES = ("columns", "units", "angles", "hold", "commands", "known", "fit", "noise", "trials", "ros")
+KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
+SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
 COMMAND_KEYS = ("rate", "within")
 TRIAL_KEYS = ("exclude", "group", "payload", "commands")
@@ -35,7 +36,9 @@ class LogMeta:
     the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
     standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
     `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
-    or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data that holds its commands.
+    or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data that holds its commands;
+    `hold`: joint -> rad or m that it is held at (None: where the log or the file has it); `simulator`: tree or mujoco, None: by what
+    the model needs.
     """
 
     path: str = ""
@@ -55,6 +58,8 @@ class LogMeta:
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
     ros: Mapping[str, str] = field(default_factory=dict)
+    hold: Mapping[str, float | None] = field(default_factory=dict)
+    simulator: str | None = None
     rate: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
     commands: Mapping[str, str] = field(default_factory=dict)
@@ -80,6 +85,10 @@ def read_log_meta(path: str | Path) -> LogMeta:
             _text(path, key, raw[key])
     if "input" in raw and raw["input"] not in INPUTS:
         raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
+    if "simulator" in raw and raw["simulator"] not in SIMULATORS:
+        raise BadInput(
+            f"{path}: simulator = {brief(raw['simulator'])} is unknown; {suggest(str(raw['simulator']), SIMULATORS)}"
+        )
     angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
     commands = _known_keys(path, "commands", tables["commands"], COMMAND_KEYS)
     trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
@@ -105,6 +114,10 @@ def read_log_meta(path: str | Path) -> LogMeta:
         ros=_ros(path, tables["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
+        hold={
+            key: None if value is True else _number(path, f"hold.{key}", value) for key, value in tables["hold"].items()
+        },
+        simulator=raw.get("simulator"),
     )
 
 
@@ -199,12 +212,12 @@ def _noise(path: Path, table: dict) -> dict[str, float]:
     return out
 
 
-def _groups(path: Path, value: Any, key: str = "group", example: str = 'group = {trial_00 = "loaded"}') -> dict[str, str]:
+def _groups(
+    path: Path, value: Any, key: str = "group", example: str = 'group = {trial_00 = "loaded"}'
+) -> dict[str, str]:
     """Trial (or pattern) -> group, from `{trial = "group"}` or `{group = ["trial", ...]}`."""
     if not isinstance(value, dict):
-        raise BadInput(
-            f"{path}: trials.{key} must be a table, not {brief(value)}; write {example}"
-        )
+        raise BadInput(f"{path}: trials.{key} must be a table, not {brief(value)}; write {example}")
     out: dict[str, str] = {}
     for name, item in value.items():
         if isinstance(item, list):

@@ -15,6 +15,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
+from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
 from adaptsim_jax.logs.model_names import model_names
@@ -22,6 +23,7 @@ from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 
 if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.mjcf import Mechanism
+    from adaptsim_jax.mechanisms.spec import Source
 
 META = "meta.toml"
 
@@ -49,13 +51,29 @@ def read_with_model(
     source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
 ) -> tuple[Mechanism, Log]:
     """A log and the mechanism that it is of: `model` (a path, MJCF or URDF), else the one that meta.toml names."""
+    return joined(*read_source_and_log(source, model, meta))
+
+
+def read_source_and_log(
+    source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
+) -> tuple[Source, Log]:
+    """The same with the model file as it is, and the log of all its joints."""
     source, meta, notes = _declared(source, meta)
     path = str(model) if model is not None else meta.model
     if path is None:
         where = meta.path or source
         raise BadInput(f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by --model')
-    mechanism, names = _names_of(path)
-    return mechanism, _read(source, names, meta, notes)
+    file, names = _names_of(path)
+    return file, _read(source, names, meta, notes)
+
+
+def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
+    """The mechanism that moves in a log of a model, and the log of its coordinates."""
+    from adaptsim_jax.mechanisms.mjcf import mechanism_of  # loads JAX
+
+    hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
+    mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    return mechanism, followed(log, mechanism)
 
 
 def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Path, LogMeta, tuple[str, ...]]:
@@ -65,11 +83,11 @@ def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Pa
     return source, *_meta(source, meta)
 
 
-def _names_of(path: str) -> tuple[Mechanism, ModelNames]:
-    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+def _names_of(path: str) -> tuple[Source, ModelNames]:
+    from adaptsim_jax.mechanisms.spec import read_source
 
-    mechanism = read_mechanism(path)
-    return mechanism, model_names(mechanism)
+    source = read_source(path)
+    return source, model_names(source)
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
