@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import without
+from adaptsim_jax.attribution.backward import without as without_simulated
+from adaptsim_jax.attribution.equation.models import Said, without
 from adaptsim_jax.attribution.held_out import Model, attempted, modelled, refit
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT
@@ -31,14 +32,18 @@ DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
 """Dry friction that MJCF does not know: a constant level is the nearest that it has."""
 
 
-def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> Model:
+def holdable(
+    machine: Machine, problem: Problem, found: Selection, criteria: Criteria, by_torque: Said | None = None
+) -> Model:
     """The final model, refitted without what the model file cannot hold; in its place stands a look-alike from its class, and Coulomb
-    friction for other dry friction."""
+    friction for other dry friction. by_torque: refitted to the balance of torques where that has judged."""
+    if by_torque is not None:
+        return _held_by_torque(machine, problem, found, by_torque)
     model = found.final
     alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
         if not _holds(machine, model, c):
-            model = without(problem, model, c, replace(criteria, apart=1.0))  # fitted to the end in any case
+            model = without_simulated(problem, model, c, replace(criteria, apart=1.0))  # fitted to the end in any case
             level = lambda k, c=c: (
                 c.effect in DRY and k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"
             )
@@ -49,6 +54,19 @@ def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Cri
                 fitted = refit(problem, vector, starts, c.joints, criteria.rounds, model.fit.weights)
                 model = modelled(problem, (*model.added, row.candidate), fitted, model.fit.weights)
     return model
+
+
+def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: Said) -> Model:
+    model = found.final
+    gone = [c for c in model.added if not _holds(machine, model, c)]
+    if not gone:
+        return model
+    there = {(c.effect, j) for c in model.added for j in c.joints}
+    dry = {j for c in gone if c.effect in DRY for j in c.joints if ("coulomb", j) not in there}
+    level = [c for c in candidates(problem, said.null, found.reach) if c.effect == "coulomb" and c.sharing == "joint"]
+    rest = without(problem, said, gone, [c for c in level if c.joints[0] in dry])
+    fit = replace(model.fit, vector=rest.final)
+    return replace(model, added=rest.added, fit=fit)
 
 
 def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
