@@ -16,10 +16,11 @@ from adaptsim_jax.attribution.examine import Examined, examine, report_of
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost
+from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
+from adaptsim_jax.attribution.servo import calibrated, servo_entries, servo_notes, servo_rows, span_of
 from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.attribution.yardsticks import TORQUE
 from adaptsim_jax.core.errors import BadInput
@@ -66,13 +67,19 @@ def diagnose(
     say(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
+    declared = machine
+    machine, off = calibrated(machine, horizon)
+    horizon = span_of(machine, off, horizon) if off and yardstick is None else horizon
     folder = None if out is None else cleared(output_folder(out))
     keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
     report, evidence, whole = examined(
-        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep, yardstick=yardstick
-    )
+        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
+        narrow=lambda vector: vector.with_entries(servo_entries(off)),
+    )  # fmt: skip
     problem, found = whole.problem, whole.found
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
+    report["notes"] += servo_notes(machine, declared, off)
+    with_rows(report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread))
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
@@ -82,11 +89,22 @@ def diagnose(
     report["run"] = evidence["run"] = Run(command, began).told()
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine))
+        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
         write_all(folder, report, evidence, page or plain, {
             model_toml.FILE: model, **mjcf_files(machine, whole, criteria or Criteria())
         })  # fmt: skip
     return check(report)
+
+
+def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    """Put what had to be found before the search among the effects of a report, in place."""
+    if rows:
+        report["effects"] = [*rows, *report["effects"]]
+        remains = report["verdict"] in ("structured_unattributed", "partly_explained")
+        report["verdict"] = "partly_explained" if remains else report["verdict"]
+        report["verdict"] = "explained" if report["verdict"] == "within_noise" else report["verdict"]
+        where = ", ".join(f"{row['where']} {row['parameters']['kp']['value']:.3g}" for row in rows)
+        report["message"] = f"kp is not the file's: {where} N m/rad. {report['message']}"
 
 
 def mjcf_files(
@@ -118,6 +136,7 @@ def examined(
     catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes;
     yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at."""
     fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    fitted = (*fitted, "position_gain") if machine.servo_times else fitted
     known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
     names = {e.name for e in known}
     if strange := sorted(set(exclude) - names):

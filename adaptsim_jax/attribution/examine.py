@@ -73,7 +73,10 @@ def examine(
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         return Examined(problem, found, words, before, after, judge, why)
-    found = by_simulation(problem, null, criteria, say, keep)
+    effects = [(e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()]
+    start = null.at(_clipped(null, words.final.values[: len(null)]))
+    hint = (start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added) if words.added else None
+    found = by_simulation(problem, null, criteria, say, keep, hint)
     before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
     after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}
     return Examined(problem, found, words, before, after, judge, why)
@@ -84,9 +87,14 @@ def tells(machine: Machine) -> bool:
     return not np.any(machine.actuator[2] != 0.0) and not machine.tree.linear
 
 
-def by_simulation(problem: Problem, null: Vector, criteria: Criteria, say, keep) -> Selection:
-    """The search by simulated stretches; over their beginnings where the whole names nothing and far more than noise is left."""
-    found = select(problem, null, criteria, say, keep)
+def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
+    return np.clip(values, vector.low, vector.high)
+
+
+def by_simulation(problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None) -> Selection:
+    """The search by simulated stretches; over their beginnings where the whole names nothing and far more than noise is left. hint: as of
+    `select`."""
+    found = select(problem, null, criteria, say, keep, hint)
     if not found.named and over_floor(problem, found.final) > criteria.odd:
         found = select_shorter(problem, null, criteria, found, say)
     return found

@@ -73,6 +73,8 @@ def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
     if c.effect in HELD:
         return True
     driven = {a.joint for a in machine.mechanism.actuators} if machine.log.input_kind in COMMANDED else set()
+    if machine.gain_unknown:  # which gets a motor where it has none
+        driven |= {machine.tree.joint_names.index(name) for name in gains(machine)}
     values = [v for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
               if e.owner == c.effect and set(e.joints) <= set(c.joints)]  # fmt: skip
     late = c.effect in ("delay", "actuator_lag")
@@ -93,6 +95,11 @@ def gains(machine: Machine) -> dict[str, float]:
     names = machine.tree.joint_names if machine.gain_unknown else ()
     driven = [j for j in range(len(names)) if any(np.any(t.u[:, j]) for t in machine.tracks)]
     return {names[j]: float(machine.actuator[0, j]) for j in driven}
+
+
+def servos(machine: Machine) -> dict[str, float]:
+    """Factors on the file's kp by joint, where they had to be found."""
+    return {machine.tree.joint_names[j]: times for j, times in machine.servo_times.items()}
 
 
 def gains_told(machine: Machine) -> list[str]:
@@ -129,12 +136,24 @@ def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> C
     rest = np.where(stiff, table["preload"] / np.where(stiff, table["stiffness"], 1.0), np.asarray(tree.springref))
     joints["springref"] = by_joint(rest)
     comments = [f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}", *_lost(problem, model, named)]
-    return Changes(inertial, joints, gravity, _actuators(machine, problem, model), comments)
+    return Changes(inertial, joints, gravity, _actuators(machine, problem, model), _motors(machine, model), comments)
 
 
 def declared_changes(machine: Machine) -> Changes:
     """Those of the declared model: none, but for a gain that had to be found."""
-    return Changes(actuators={"gain": _found_gain(machine)})
+    return Changes(actuators={"gain": _found_gain(machine)}, motors=_motors(machine))
+
+
+def _motors(machine: Machine, model: Model | None = None) -> dict[str, float]:
+    """Motors [N m per V or A] of driven joints for which the file has none, where the gain had to be found."""
+    has = {a.joint for a in machine.mechanism.actuators}
+    out = {name: g for name, g in gains(machine).items() if machine.tree.joint_names.index(name) not in has}
+    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if model else ():
+        for j in e.joints if e.owner == "torque_gain" else ():
+            name = machine.tree.joint_names[j]
+            if name in out:
+                out[name] *= 1.0 + float(value)
+    return out
 
 
 def _found_gain(machine: Machine) -> dict[str, float]:
@@ -146,9 +165,13 @@ def _found_gain(machine: Machine) -> dict[str, float]:
 
 def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, float]]:
     """Changes of actuators by name, for `mjcf_write.Changes`."""
-    by_joint = {a.joint: a.name for a in machine.mechanism.actuators}
+    by_joint = {machine.tree.joint_names.index(name): name for name in _motors(machine)}
+    by_joint |= {a.joint: a.name for a in machine.mechanism.actuators}
     gains = _found_gain(machine)
     out: dict[str, dict[str, float]] = {"gain": dict(gains)}
+    for j, times in machine.servo_times.items():
+        out.setdefault("kp", {})[by_joint[j]] = times
+        out.setdefault("kv", {})[by_joint[j]] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
@@ -157,7 +180,9 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
             name = by_joint.get(j)
             if name is None:
                 continue
-            if key in ("gain", "kp"):
+            if key == "kp" and j in machine.servo_times:
+                out["kp"][name] = (1.0 + float(value)) * machine.servo_times[j]
+            elif key in ("gain", "kp"):
                 out.setdefault(key, {})[name] = (1.0 + float(value)) * (gains.get(name, 1.0) if key == "gain" else 1.0)
             elif key == "limit" and e.name == "cut":
                 out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])

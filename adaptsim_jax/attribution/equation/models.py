@@ -117,7 +117,7 @@ def model_of(problem: Problem, found: Said, vector: Vector, added: Sequence[Cand
     rows = vectors[fold]
     width = problem.groups[0].stretches.count
     rows = np.concatenate([rows, np.repeat(rows[-1:], width - len(rows), 0)])
-    seen = forecast(problem, vector, rows, ROUNDS)
+    seen = forecast(problem, vector, rows, ROUNDS, roughly=True)
     weights = weigh(problem, seen.paths)
     loss = losses(problem, seen.paths, weights)
     fit = Fit(vector, seen.starts, weights, loss, "converged", 0)
