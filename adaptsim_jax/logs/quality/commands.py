@@ -21,6 +21,8 @@ EXCHANGED = 4.0
 """Times less that each exchanged joint must leave under the other's command, in the mean."""
 KNOWN = 0.3
 """Share of the acceleration that a command may leave to be believed."""
+CUT_TRIALS, ROW = 4, 5e-3
+"""Trials, and s of a row, in which a cut is looked for."""
 POOR, CUT, APART = 0.03, 0.3, 0.7
 """A command is doubted from this share on; one cut on its way is told where it leaves this share of that, and this share of what
 a limit of force leaves."""
@@ -87,7 +89,7 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
 def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance of the angle. damping: of the servo,
     over its stiffness, s; a limit of force is another thing, and where it explains as much nothing is told."""
-    some = [one(t, joint) for t in drawn(tracks) if np.all(np.isfinite(t.q[:, joint]))]
+    some = [_thinned(one(t, joint)) for t in drawn(tracks, CUT_TRIALS) if np.all(np.isfinite(t.q[:, joint]))]
     base = unexplained(some) if some else float("nan")
     if not base > POOR:
         return None
