@@ -110,6 +110,12 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     return Cut(best, size, base, left)
 
 
+def _thinned(track: Track) -> Track:
+    """Rows of about `ROW` s: a limit is followed row by row, and acts over many."""
+    k = max(1, round(ROW / float(np.median(np.diff(track.time)))))
+    return Track(track.time[::k], track.q[::k], None if track.v is None else track.v[::k], track.tau[::k])
+
+
 def _best(
     tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float
 ) -> tuple[float, float]:
