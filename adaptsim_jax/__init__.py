@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
     from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
     from adaptsim_jax.adaptation.presets import default_config as default_config
+    from adaptsim_jax.adaptation.session import Session as Session
     from adaptsim_jax.adaptation.training import TrainConfig as TrainConfig
     from adaptsim_jax.adaptation.training import Trained as Trained
     from adaptsim_jax.adaptation.training import adapt_run as adapt_run
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.baselines.config import default_comparison as default_comparison
     from adaptsim_jax.commands.diagnose import diagnose as diagnose
     from adaptsim_jax.core.errors import BadInput as BadInput
+    from adaptsim_jax.environments.task import environment_task as environment_task
     from adaptsim_jax.space import Gaussian as Gaussian
     from adaptsim_jax.space import Parameter as Parameter
     from adaptsim_jax.space import Space as Space
@@ -34,8 +36,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "BadInput", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Space", "Task", "TaskKind",
-    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "gaussian",
+    "BadInput", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Session", "Space", "Task", "TaskKind",
+    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "environment_task", "gaussian",
     "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
 ]  # fmt: skip
 
@@ -48,6 +50,7 @@ __getattr__ = lazily(
         "Parameter": "space",
         "Phase1Config": "adaptation.phase1_config",
         "Phase1Hyper": "adaptation.phase1_config",
+        "Session": "adaptation.session",
         "Space": "space",
         "Task": "tasks.base",
         "TaskKind": "tasks.base",
@@ -58,6 +61,7 @@ __getattr__ = lazily(
         "default_comparison": "baselines.config",
         "default_config": "adaptation.presets",
         "diagnose": "commands.diagnose",
+        "environment_task": "environments.task",
         "gaussian": "space",
         "make_backend": "tasks.registry",
         "make_one_shot": "tasks.registry",
