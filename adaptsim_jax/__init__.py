@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "BadInput", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Session", "Space", "Task", "TaskKind",
-    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "environment_task", "gaussian",
-    "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
+    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "environment_task",
+    "gaussian", "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
 ]  # fmt: skip
 
 __getattr__ = lazily(

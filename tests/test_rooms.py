@@ -35,7 +35,7 @@ WITHIN = {
         "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
     ),
     "environments": (
-        "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
+        "fields", "randomise", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
         "targets", "checks", "task", "film", "kind",
     ),
     "diagnosis": ("run", "schema", "criteria", "paired", "problem", "fit", "select", "rows"),
