@@ -44,7 +44,7 @@ WITHIN = {
     ),
     "environments": (
         "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
-        "targets", "task", "film", "kind",
+        "targets", "checks", "task", "film", "kind",
     ),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",

@@ -12,16 +12,17 @@ from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import over_floor
+from adaptsim_jax.attribution.examine import Examined, examine, report_of
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost
+from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
-from adaptsim_jax.attribution.report import evidence_of, reported
-from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.report import reported
+from adaptsim_jax.attribution.servo import calibrated, servo_entries, servo_notes, servo_rows, span_of
 from adaptsim_jax.attribution.written import cleared, write_all, write_partial
+from adaptsim_jax.attribution.yardsticks import TORQUE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -50,10 +51,12 @@ def diagnose(
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
+    yardstick: str | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
     writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
-    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None.
+    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None;
+    yardstick: stretches, whole or torque, where not the one that tells most is to judge.
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
@@ -64,12 +67,19 @@ def diagnose(
     say(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
+    declared = machine
+    machine, off = calibrated(machine, horizon)
+    horizon = span_of(machine, off, horizon) if off and yardstick is None else horizon
     folder = None if out is None else cleared(output_folder(out))
     keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
-    report, evidence, problem, found = examined(
-        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep
-    )
+    report, evidence, whole = examined(
+        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
+        narrow=lambda vector: vector.with_entries(servo_entries(off)),
+    )  # fmt: skip
+    problem, found = whole.problem, whole.found
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
+    report["notes"] += servo_notes(machine, declared, off)
+    with_rows(report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread))
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
@@ -79,18 +89,31 @@ def diagnose(
     report["run"] = evidence["run"] = Run(command, began).told()
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine))
+        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
         write_all(folder, report, evidence, page or plain, {
-            model_toml.FILE: model, **mjcf_files(machine, problem, found, criteria or Criteria())
+            model_toml.FILE: model, **mjcf_files(machine, whole, criteria or Criteria())
         })  # fmt: skip
     return check(report)
 
 
+def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    """Put what had to be found before the search among the effects of a report, in place."""
+    if rows:
+        report["effects"] = [*rows, *report["effects"]]
+        remains = report["verdict"] in ("structured_unattributed", "partly_explained")
+        report["verdict"] = "partly_explained" if remains else report["verdict"]
+        report["verdict"] = "explained" if report["verdict"] == "within_noise" else report["verdict"]
+        where = ", ".join(f"{row['where']} {row['parameters']['kp']['value']:.3g}" for row in rows)
+        report["message"] = f"kp is not the file's: {where} N m/rad. {report['message']}"
+
+
 def mjcf_files(
-    machine: Machine, problem: Problem, found: Selection, criteria: Criteria
+    machine: Machine, whole: Examined, criteria: Criteria
 ) -> dict[str, Callable[[], str]]:
     """What makes the text of `declared.xml` and of `model.xml`."""
-    made = lambda: changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
+    problem, found = whole.problem, whole.found
+    by_torque = whole.said if whole.judge == TORQUE else None
+    made = lambda: changes(machine, problem, holdable(machine, problem, found, criteria, by_torque), found.final)
     return {
         model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
         MODEL: lambda: mended_mjcf(machine.mechanism, made()),
@@ -106,10 +129,14 @@ def examined(
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
     effects: Sequence[Effect] | None = None,
     keep: Callable[[dict[str, Any]], None] | None = None,
-) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
-    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept; effects: the
-    catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes."""
+    yardstick: str | None = None,
+    torques: bool = True,
+) -> tuple[dict[str, Any], dict[str, Any], Examined]:
+    """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is fitted, what is kept; effects: the
+    catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes;
+    yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at."""
     fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    fitted = (*fitted, "position_gain") if machine.servo_times else fitted
     known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
     names = {e.name for e in known}
     if strange := sorted(set(exclude) - names):
@@ -124,11 +151,9 @@ def examined(
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
         so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
-        found = select(problem, null, criteria, step, so_far)
-        if not found.named and over_floor(problem, found.final) > criteria.odd:
-            found = select_shorter(problem, null, criteria, found, step)
-    report = reported(machine, problem, found, criteria, horizon)
-    return report, evidence_of(problem, found, report), problem, found
+        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, torques)
+        report, evidence = report_of(machine, found, criteria, horizon)
+    return report, evidence, found
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:

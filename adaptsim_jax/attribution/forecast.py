@@ -13,8 +13,8 @@ import numpy as np
 from adaptsim_jax.attribution.estimate import refitted_start
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import ready, simulated, starts_of, widened
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
+from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, Weights, losses
 
@@ -33,9 +33,11 @@ class Forecast:
     paths: tuple[Path, ...]
 
 
-def forecast(problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS) -> Forecast:
-    """Simulate all stretches at a vector; rows [W, P]: other values for each stretch."""
-    starts, paths = fitted_starts(problem, vector, rows, rounds)
+def forecast(
+    problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS, roughly: bool = False
+) -> Forecast:
+    """Simulate all stretches at a vector; rows [W, P]: other values for each stretch; roughly: as of `fitted_starts`."""
+    starts, paths = fitted_starts(problem, vector, rows, rounds, roughly)
     measured, seen = observed(problem)
     out = np.zeros_like(measured)
     for group, path in zip(problem.groups, paths, strict=True):
@@ -72,9 +74,10 @@ def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fitted_starts(
-    problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS
+    problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS, roughly: bool = False
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
-    """Starts by plain least squares on the angles, from the smoothed ones, and the paths from there."""
+    """Starts by plain least squares on the angles, from the smoothed ones, and the paths from there. roughly: a path is taken to follow its
+    start as one that nothing acts on, which needs no derivatives; no step is taken that does not gain."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
     made = ready(problem, vector, rows)
@@ -86,8 +89,11 @@ def fitted_starts(
 
     best, paths = by_lane(starts)
     for _ in range(rounds):
-        lin = linear(problem, Fit(vector, starts, weights, best, "", 0), entries=())
-        moves = [refitted_start(x, r) for x, r in zip(lin.start, lin.residual, strict=True)]
+        if roughly:
+            moves = [_along_a_line(g, p, len(x)) for g, p, x in zip(problem.groups, paths, starts, strict=True)]
+        else:
+            lin = linear(problem, Fit(vector, starts, weights, best, "", 0), entries=())
+            moves = [refitted_start(x, r) for x, r in zip(lin.start, lin.residual, strict=True)]
         length, gained, fall = np.ones(width), np.zeros(width, bool), np.zeros(width)
         for _ in range(3):
             trial = tuple(x + length * d for x, d in zip(starts, moves, strict=True))
@@ -105,3 +111,18 @@ def fitted_starts(
         if np.max(fall) < 1e-4:
             break
     return starts, paths
+
+
+def _along_a_line(group: Group, path: Path, rows: int) -> np.ndarray:
+    """Change of starts [rows, W] by the straight line through what is left of the angles."""
+    n = len(group.joints)
+    left = residuals(group, path)[..., :n].transpose(1, 2, 0)  # [L+1, n, W]
+    seen = group.stretches.seen
+    time = (group.stretches.time - group.stretches.time[:1])[:, None, :] + 0.0 * left
+    total = lambda z: (z * seen).sum(0)
+    count, first, second = total(1.0 + 0.0 * left), total(time), total(time * time)
+    spread = np.maximum(count * second - first**2, 1e-12)
+    slope = (count * total(time * left) - first * total(left)) / spread
+    out = np.zeros((rows, left.shape[2]))
+    out[:n], out[n : 2 * n] = (total(left) - slope * first) / np.maximum(count, 1), slope
+    return out

@@ -40,12 +40,14 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Model:
-    """A set of effects fitted, its linearisation and its held-out prediction."""
+    """A set of effects fitted, its linearisation and its held-out prediction. hess [P, P]: the curvature, prior and all, of a model
+    that was fitted along the measured motion, and has no linearisation."""
 
     added: tuple[Candidate, ...]
     fit: Fit
     lin: Linear
     held: HeldOut
+    hess: np.ndarray | None = None
 
     @property
     def spread(self) -> np.ndarray:

@@ -34,6 +34,7 @@ class Machine:
     )  # [n] where the search for an unknown gain begins
     ties: np.ndarray | None = None
     beyond: tuple[str, ...] = ()
+    servo_times: dict[int, float] = field(default_factory=dict)  # of kp in the file, by joint, where it had to be found
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -76,6 +77,9 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
         first = _gain(mechanism.tree, tracks)
         told = {a.joint: a.gear * a.gain for a in mechanism.actuators}
         law[0] = [first if told.get(j, 1.0) == 1.0 else told[j] for j in range(n)]
+        for a in mechanism.actuators:
+            low, high = (a.gear * z for z in a.forcerange)
+            law[4:, a.joint] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
     declared = {("delay", "delay"): np.zeros(n), ("actuator_lag", "lag"): np.zeros(n)}
     if commanded:
         for a in mechanism.actuators:

@@ -91,10 +91,12 @@ def diagnose_pendulum(
                 recording, own_catalogue(recording.task, effects or ())
             )  # BadInput where it is of another rig
             machine = pendulum_machine(recording, recording.model_file, effects or ())
-        report, evidence, problem, found = examined(
+        report, evidence, whole = examined(
             machine, criteria or Criteria(), HORIZON, tuple(exclude), say,
             in_the_plane, effects, None if folder is None else lambda so_far: write_partial(folder, so_far),
+            torques=False,
         )  # fmt: skip
+        problem, found = whole.problem, whole.found
         report |= {"task": recording.task, "model": recording.model}
         rows = lambda model: {
             k: asdict(v) | {"identifiable": v.fitted} for k, v in declared_values(recording, problem, model).items()
@@ -117,7 +119,7 @@ def diagnose_pendulum(
         if folder is not None:
             write_model(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
             if recording.model != LINEAR:  # which no MJCF can say
-                files = mjcf_files(machine, problem, found, criteria or Criteria())
+                files = mjcf_files(machine, whole, criteria or Criteria())
         return _written(report, evidence, run, folder, page, files)
 
 

@@ -12,7 +12,7 @@ EXAMPLES = """
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
   adaptsim compare pendulum --out small --seeds 3 --set train.phase1.trajectories=2000
   adaptsim compare pushing --out push --seeds 2 --settings wd,ood-2 --methods sysid-bayes,learn-in-target,oracle
-  adaptsim compare env.toml --out env --seeds 3     an environment's policies, by return against target trials
+  adaptsim compare examples/env.toml --out env --seeds 3     an environment's policies, by return against target trials
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 """
 METHODS = (

@@ -16,7 +16,7 @@ EXAMPLES = """
   adaptsim train pushing --run runs/p
   adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
-  adaptsim train env.toml --run runs/e                             an environment: Playground's, gymnax's, or your own
+  adaptsim train examples/env.toml --run runs/e                    an environment: Playground's, gymnax's, or your own
   adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
 """
 

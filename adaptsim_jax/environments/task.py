@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
+from adaptsim_jax.environments.checks import check_fields, check_pure
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.fields import Field, space_of
 from adaptsim_jax.environments.gymnax import from_gymnax
@@ -214,6 +215,8 @@ def everywhere(setting: Setting, known: bool = True) -> Worlds:
 def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> Prepared:
     """Train the policy that knows E's mean, then look at what visits within Omega show. BadInput names a field that does nothing."""
     train_key, init_key, look_key = jax.random.split(key, 3)
+    check_pure(setting.play, np.array([f.nominal for f in setting.play.fields]))
+    check_fields(setting.space.names, shaken(setting))
     learned = None
     if setting.config.policy != "planned":
         learned = setting.trainer.init(init_key)
@@ -233,6 +236,27 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
     if not np.isfinite(features).any(1).all():
         raise BadInput("env: what policies show is not finite; mend the reward, or narrow the fields' ranges")
     return Prepared(learned, whitened(features, setting.config.components))
+
+
+def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
+    """`(u [N, D]) -> [N, K]` features of an episode under the same random actions. BadInput where its rewards are not finite."""
+    dim = setting.sim.action_dim
+    random = Acting(lambda policy: (), lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory))
+
+    @jax.jit
+    @jax.vmap
+    def run(u):
+        return visit(jax.random.key(0), setting.play, random, (), setting.space.physical(u), 1)
+
+    def seen(u):
+        found = run(u)
+        if not np.isfinite(np.asarray(found.score)).all():
+            bad = int(np.flatnonzero(~np.isfinite(np.asarray(found.score)))[0])
+            at = dict(zip(setting.space.names, np.asarray(setting.space.physical(u[bad])).round(4).tolist(), strict=True))
+            raise BadInput(f"env: the return is not finite under random actions at {at}; mend the reward, or narrow that range")
+        return np.asarray(found.features)
+
+    return seen
 
 
 def ready(setting: Setting, prepared: Prepared) -> Task:

@@ -20,14 +20,16 @@ class Changes:
     """What to put in; None, or a joint that a table does not name, stays as it is.
 
     inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss (N m), stiffness (N m/rad),
-    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, delay and
-    lag in s, limit (N m); comments: what the file cannot hold, a line each.
+    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, kv (N m s/rad), delay and
+    lag in s, limit (N m); motors {joint name: N m per unit of its command} are put in where the joint has no actuator, with the limit
+    under `limit` by the joint's name; comments: what the file cannot hold, a line each.
     """
 
     inertial: np.ndarray | None = None
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     gravity: np.ndarray | None = None
     actuators: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    motors: Mapping[str, float] = field(default_factory=dict)
     comments: Sequence[str] = ()
 
 
@@ -64,10 +66,16 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
                 _put(joint, key, value if more + now == value else max(0.0, now + more))
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
+    for joint, gear in changes.motors.items():
+        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.gear = [gear, *[0.0] * 5]
+        if joint in changes.actuators.get("limit", {}):
+            _put_actuator(motor, "limit", changes.actuators["limit"][joint] / gear, 0.0)
     step = float(spec.option.timestep)
     for actuator in spec.actuators:
         for key, table in changes.actuators.items():
-            if actuator.name in table:
+            if actuator.name in table and actuator.name not in changes.motors:
                 _put_actuator(actuator, key, float(table[actuator.name]), step)
     compiled(mechanism.path, spec)
     return commented(spec.to_xml(), changes.comments)
@@ -94,6 +102,9 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
         bias[:2] *= value
         bias[2] *= value if key == "gain" else 1.0
         actuator.gainprm, actuator.biasprm = gain, bias
+    elif key == "kv":
+        bias[2] = -value
+        actuator.biasprm = bias
     elif key == "limit":
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-value, value]

@@ -18,7 +18,7 @@ from adaptsim_jax.report.push_render import with_text
 from adaptsim_jax.report.push_video import read_clips
 from adaptsim_jax.report.video_file import write_video
 
-WIDTH, HEIGHT = 480, 360
+WIDTH, HEIGHT, BAND = 480, 360, 36
 
 
 def main(clips: str, film: str) -> None:
@@ -31,7 +31,8 @@ def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
     """`[360, 480, 3]` uint8 frames by the model's first camera, or a free one that sees all of it."""
     mujoco: Any = importlib.import_module("mujoco")
     model = _model(mujoco, clips[0].model)
-    data, renderer = mujoco.MjData(model), mujoco.Renderer(model, HEIGHT, WIDTH)
+    data, renderer = mujoco.MjData(model), mujoco.Renderer(model, HEIGHT - BAND, WIDTH)
+    band = np.full((BAND, WIDTH, 3), 255, np.uint8)  # text shows on it whatever the scene is like
     for clip in clips:
         last = len(clip.qpos) - 1
         for row, mocap in enumerate(clip.mocap):
@@ -39,7 +40,7 @@ def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, 0 if model.ncam else -1)
             text, time = str(clip.text), f"{float(clip.dt) * row:.2f} s"
-            yield from [with_text(renderer.render(), text, time)] * (HOLD if row == last else 1)
+            yield from [with_text(np.concatenate([band, renderer.render()]), text, time)] * (HOLD if row == last else 1)
 
 
 def _model(mujoco: Any, raw: np.ndarray) -> Any:

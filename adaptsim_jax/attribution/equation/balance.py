@@ -147,7 +147,8 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, sign):
 def effect_force(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
     """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it."""
     if effect.inertia:
-        return -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()})) * balance.acceleration
+        with jax.enable_x64(True):
+            return -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()})) * balance.acceleration
     at = {k: np.asarray(z, float)[:, None] for k, z in p.items()}
     b = balance
     tau, pull = actuator_force(b, values)

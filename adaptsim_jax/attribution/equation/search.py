@@ -13,7 +13,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import Table, balanced
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums, compared, rows_of, solved
-from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
+from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates, shape_entries
 from adaptsim_jax.effects.base import Reach
@@ -28,7 +28,8 @@ SLOWEST = 0.15  # of a joint's usual speed: what sets in below is not told from 
 WORTH = 0.03  # of a joint's torque, root mean square: an effect of less is not worth a name
 DISCOVERY = 0.05  # share of false ones among what like drives have (Benjamini and Hochberg, 1995)
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
-TRUSTED_GAIN = 0.3  # prior's standard deviation of a gain of torques that are told in N m
+TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
+"""Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
 ROUNDS = 8
 LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
 """Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
@@ -69,6 +70,7 @@ class Witness:
     rows: Rows
     base: Solved = field(repr=False)
     whole: Solved = field(repr=False)
+    state: "_State" = field(repr=False)
 
 
 class _State:
@@ -121,8 +123,7 @@ class _State:
 
 
 def witness(
-    problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, exclude: Sequence[str] = (),
-    commanded: bool = False,
+    problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, commanded: bool = False
 ) -> Witness:
     """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
     which may be late at each joint, and no measured torque."""
@@ -131,7 +132,7 @@ def witness(
     joints = set(balance.group.joints)
     every = [
         _trusted(c) for c in candidates(problem, null, reach)
-        if set(c.joints) <= joints and c.effect not in exclude and balanced(problem.effect(c.effect))
+        if set(c.joints) <= joints and balanced(problem.effect(c.effect))
         and c.shaped().get("speed", np.inf) > SLOWEST * max(reach.speed[j] for j in c.joints)
         and (commanded or not (c.sharing == "joint" and problem.effect(c.effect).place == "command"))
     ]  # fmt: skip
@@ -151,14 +152,22 @@ def witness(
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), _steady(whole, c)))
     final, errors = _exact(state, added, whole)
-    return Witness(balance, null, final, errors, tuple(added), tuple(kept), tuple(steps), state.rows, state.set_of(()), whole)
+    base = state.set_of(())
+    first = _exact(state, (), base)[0]
+    return Witness(balance, first, final, errors, tuple(added), tuple(kept), tuple(steps), state.rows, base, whole, state)
+
+
+def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
+    """With other effects, fitted as the search fits them; nothing is judged."""
+    whole = found.state.set_of(added)
+    final, errors = _exact(found.state, added, whole)
+    return replace(found, final=final, errors=errors, added=tuple(added), whole=whole)
 
 
 def _trusted(c: Candidate) -> Candidate:
-    """A gain of torques that are told in N m is within some tenths of one."""
-    if c.effect not in ("torque_gain", "encoder_scale"):
-        return c
-    return replace(c, entries=tuple(replace(e, prior=min(e.prior, TRUSTED_GAIN)) for e in c.entries))
+    """With what is known beforehand of how far such a thing is off."""
+    wide = TRUSTED.get(c.effect, np.inf)
+    return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
 def _split(c: Candidate) -> list[Candidate]:
@@ -405,24 +414,8 @@ def _cost(rows: Rows, missing: np.ndarray, vector: Vector) -> float:
     return 0.5 * (float(np.square(missing * rows.weight).sum()) + prior)
 
 
-def told(problem: Problem, c: Candidate) -> str:
-    """A candidate in words."""
-    return f"{c.effect}@{','.join(problem.joint_names[j] for j in c.joints)}"
-
-
 def within(vector: Vector, factor: float = FACTOR) -> Vector:
     """A vector whose bodies stay within a factor of the file's masses, lengths of gyration squared and shifts by these lengths."""
     wide = 0.5 * np.log(factor)
     entries = tuple(replace(e, low=-wide, high=wide) if e.owner == INERTIA else e for e in vector.entries)
     return Vector(entries, np.clip(vector.values, [e.low for e in entries], [e.high for e in entries]))
-
-
-def group_part(null: Vector, balance: Balance) -> Vector:
-    """The entries of a vector that act in a group."""
-    joints = set(balance.group.joints)
-    at = [i for i, e in enumerate(null.entries) if set(e.joints) <= joints]
-    return Vector(tuple(null.entries[i] for i in at), null.values[at])
-
-
-def inertial(entry: Entry) -> bool:
-    return entry.owner == INERTIA
