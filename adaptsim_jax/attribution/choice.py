@@ -11,6 +11,9 @@ from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.roles import roles
 from adaptsim_jax.mechanisms.spec import Source
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.replay import replayed
+from adaptsim_jax.simulators.mujoco.touching import touching
 
 OWN = 1e-6
 """rad (m): of MuJoCo's median error over a sample of stretches, below which a recording is the file's own simulation."""
@@ -46,7 +49,7 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
     asked = asked or log.meta.simulator
     if asked:
         return Choice(asked, "as asked for", source, log)
-    if log.input_kind in ("voltage", "current"):
+    if log.input_kind in ("voltage", "current") or turns_of_balls(source, log):
         return Choice("tree", "", source, log)
     if why := _needs(source, log):
         return Choice("mujoco", why, source, log)
@@ -58,8 +61,6 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
 def _needs(source: Source, log: Log) -> str:
     """What a tree of joints cannot do of a file over a recording, in words; '' where it can do all."""
     from adaptsim_jax.mechanisms.mjcf import mechanism_of
-    from adaptsim_jax.simulators.mujoco.build import stepped
-    from adaptsim_jax.simulators.mujoco.touching import touching
 
     if base_moves(log):
         return "its base moves"
@@ -80,6 +81,4 @@ def base_moves(log: Log) -> bool:
 
 def _own(source: Source, log: Log, horizon: float) -> bool:
     """Whether MuJoCo at the file's own step makes the recording, to `OWN`."""
-    from adaptsim_jax.simulators.mujoco.replay import replayed
-
     return float(np.median(replayed(source, log, horizon, SAMPLE).error)) < OWN

@@ -225,7 +225,7 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
 
 
 def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, kept: Sequence[int]) -> LogTrial:
-    raw, n, at = columns.raw, len(names.joints), np.asarray(kept)
+    raw, n, at = columns.raw, len(names.joints), np.asarray(kept, int)
     here = columns.by_joint.get("q", {})
     for j in kept:
         if not np.isfinite(here[j]).any():

@@ -35,6 +35,12 @@ class Stepped:
         return replace(self, model=model)
 
 
+def turns_of_balls(source: Source, log: Log) -> list[str]:
+    """Angles of a log that are one of a ball joint's three turns, which MuJoCo's own coordinates have not."""
+    single = {source.model.joint(k).name for k in range(source.model.njnt)}
+    return [name for name in log.joint_names if name not in single]
+
+
 def stepped(source: Source, log: Log) -> Stepped:
     """The model of a file for a log of it. Raises BadInput where MuJoCo refuses it."""
     spec, _ = read_spec(source.path)
@@ -67,12 +73,11 @@ def stepped(source: Source, log: Log) -> Stepped:
     free = next((int(model.jnt_qposadr[k]) for k in range(model.njnt) if model.jnt_type[k] == FREE), -1)
     if logged and free < 0:
         notes.append("base_x .. base_qz are not used: the model's base cannot move")
-    angle = [at[name] for name in log.joint_names if name in at]
-    if len(angle) < len(log.joint_names):
-        lacks = next(name for name in log.joint_names if name not in at)
+    if turns := turns_of_balls(source, log):
         raise BadInput(
-            f"{source.path}: '{lacks}' is one turn of a ball joint, which the mujoco simulator does not read; hold the ball"
+            f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco does not read; take tree"
         )
+    angle = [at[name] for name in log.joint_names]
     return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes))
 
 
