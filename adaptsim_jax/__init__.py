@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from adaptsim_jax.baselines.config import default_comparison as default_comparison
     from adaptsim_jax.commands.diagnose import diagnose as diagnose
     from adaptsim_jax.core.errors import BadInput as BadInput
+    from adaptsim_jax.diagnosis.problem import Candidate as Candidate
+    from adaptsim_jax.diagnosis.problem import Quantity as Quantity
+    from adaptsim_jax.diagnosis.simulated import diagnose_simulator as diagnose_simulator
+    from adaptsim_jax.diagnosis.simulator import Channel as Channel
+    from adaptsim_jax.diagnosis.simulator import Simulator as Simulator
+    from adaptsim_jax.diagnosis.simulator import Stretches as Stretches
     from adaptsim_jax.environments.task import environment_task as environment_task
     from adaptsim_jax.space import Gaussian as Gaussian
     from adaptsim_jax.space import Parameter as Parameter
@@ -36,15 +42,22 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "BadInput", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Session", "Space", "Task", "TaskKind",
-    "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison", "default_config", "diagnose", "environment_task",
-    "gaussian", "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
+    "BadInput", "Candidate", "Channel", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Quantity", "Session",
+    "Simulator", "Space", "Stretches", "Task", "TaskKind", "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison",
+    "default_config", "diagnose", "diagnose_simulator", "environment_task", "gaussian",
+    "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
 ]  # fmt: skip
 
 __getattr__ = lazily(
     __name__,
     {
         "BadInput": "core.errors",
+        "Candidate": "diagnosis.problem",
+        "Channel": "diagnosis.simulator",
+        "Quantity": "diagnosis.problem",
+        "Simulator": "diagnosis.simulator",
+        "Stretches": "diagnosis.simulator",
+        "diagnose_simulator": "diagnosis.simulated",
         "EngineKind": "tasks.engine",
         "Gaussian": "space",
         "Parameter": "space",

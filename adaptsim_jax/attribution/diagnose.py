@@ -12,17 +12,20 @@ from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import over_floor
+from adaptsim_jax.attribution.equation.search import FACTOR
+from adaptsim_jax.attribution.examine import Examined, examine, report_of
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost
+from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
-from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.servo import calibrated, servo_entries, servo_notes, servo_rows, span_of
+from adaptsim_jax.attribution.written import cleared, write_all, write_partial
+from adaptsim_jax.attribution.yardsticks import TORQUE
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
@@ -34,7 +37,6 @@ Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
-OTHERS = ("leading.toml", "next_experiment.csv")  # of an earlier run of another kind into the same folder
 
 
 def diagnose(
@@ -50,10 +52,12 @@ def diagnose(
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
+    yardstick: str | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
     writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
-    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None.
+    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None;
+    yardstick: stretches, whole or torque, where not the one that tells most is to judge.
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
@@ -64,9 +68,19 @@ def diagnose(
     say(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     machine = scaled(machine, horizon)
-    folder = None if out is None else output_folder(out)
-    report, evidence, problem, found = examined(machine, criteria or Criteria(), horizon, exclude, say, effects=effects)
+    declared = machine
+    machine, off = calibrated(machine, horizon)
+    horizon = span_of(machine, off, horizon) if off and yardstick is None else horizon
+    folder = None if out is None else cleared(output_folder(out))
+    keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
+    report, evidence, whole = examined(
+        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
+        narrow=lambda vector: vector.with_entries(servo_entries(off)),
+    )  # fmt: skip
+    problem, found = whole.problem, whole.found
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
+    report["notes"] += servo_notes(machine, declared, off)
+    with_rows(report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread))
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
@@ -74,22 +88,37 @@ def diagnose(
     ]
     command = command_of(data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared)
     report["run"] = evidence["run"] = Run(command, began).told()
-    report = check(report)
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        write_mjcf(folder, machine, problem, found, criteria or Criteria())
-        write_bytes(folder / model_toml.FILE, model_toml.text_of(problem, found.final, told, gains(machine)).encode())
-        (page or plain)(folder, report, evidence)
-    return report
+        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
+        write_all(folder, report, evidence, page or plain, {
+            model_toml.FILE: model, **mjcf_files(machine, whole, criteria or Criteria())
+        })  # fmt: skip
+    return check(report)
 
 
-def write_mjcf(folder: Path, machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> None:
-    """`declared.xml` and `model.xml` into the folder; what an earlier run of another kind left there goes."""
-    for name in (*OTHERS, MODEL):
-        (folder / name).unlink(missing_ok=True)
-    made = changes(machine, problem, holdable(machine, problem, found, criteria), found.final)
-    write_bytes(folder / model_toml.DECLARED, mended_mjcf(machine.mechanism, declared_changes(machine)).encode())
-    write_bytes(folder / MODEL, mended_mjcf(machine.mechanism, made).encode())
+def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+    """Put what had to be found before the search among the effects of a report, in place."""
+    if rows:
+        report["effects"] = [*rows, *report["effects"]]
+        remains = report["verdict"] in ("structured_unattributed", "partly_explained")
+        report["verdict"] = "partly_explained" if remains else report["verdict"]
+        report["verdict"] = "explained" if report["verdict"] == "within_noise" else report["verdict"]
+        where = ", ".join(f"{row['where']} {row['parameters']['kp']['value']:.3g}" for row in rows)
+        report["message"] = f"kp is not the file's: {where} N m/rad. {report['message']}"
+
+
+def mjcf_files(
+    machine: Machine, whole: Examined, criteria: Criteria
+) -> dict[str, Callable[[], str]]:
+    """What makes the text of `declared.xml` and of `model.xml`."""
+    problem, found = whole.problem, whole.found
+    by_torque = whole.said if whole.judge == TORQUE else None
+    made = lambda: changes(machine, problem, holdable(machine, problem, found, criteria, by_torque), found.final)
+    return {
+        model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
+        MODEL: lambda: mended_mjcf(machine.mechanism, made()),
+    }
 
 
 def examined(
@@ -100,10 +129,15 @@ def examined(
     say: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
     effects: Sequence[Effect] | None = None,
-) -> tuple[dict[str, Any], dict[str, Any], Problem, Selection]:
-    """Report, evidence for its page, problem and search of a machine. narrow: of the vector that is fitted, what is kept; effects: the
-    catalogue, ours where None (of another, what is always fitted is ours)."""
+    keep: Callable[[dict[str, Any]], None] | None = None,
+    yardstick: str | None = None,
+    torques: bool = True,
+) -> tuple[dict[str, Any], dict[str, Any], Examined]:
+    """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is fitted, what is kept; effects: the
+    catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes;
+    yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at."""
     fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    fitted = (*fitted, "position_gain") if machine.servo_times else fitted
     known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
     names = {e.name for e in known}
     if strange := sorted(set(exclude) - names):
@@ -111,16 +145,24 @@ def examined(
     chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
     problem = prepare(
         machine.tree, machine.tracks, chosen, machine.actuator, machine.gear, horizon, declared=machine.declared,
-        look_back=LOOK_BACK,
+        look_back=LOOK_BACK, ties=machine.ties,
     )  # fmt: skip
     step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows
     say(0.05, 1.0, "declared model")
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
-        found = select(problem, null, criteria, step)
-        if not found.named and over_floor(problem, found.final) > criteria.odd:
-            found = select_shorter(problem, null, criteria, found, step)
-    return *reported(machine, problem, found, criteria, horizon), problem, found
+        so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
+        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor_of(machine.log.meta) if torques else None)
+        report, evidence = report_of(machine, found, criteria, horizon)
+    return report, evidence, found
+
+
+def factor_of(meta: Any) -> float:
+    """Within which masses and moments are taken to be those of the model file, along the measured motion. Raises BadInput."""
+    factor = meta.fit.get("factor", FACTOR)
+    if isinstance(factor, bool) or not isinstance(factor, (int, float)) or not 1.0 < factor <= 1e3:
+        raise BadInput(f"{meta.path}: [fit] factor = {factor!r} must be a number above 1, as 3")
+    return float(factor)
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:
@@ -142,10 +184,11 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
     """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says otherwise, and the gain of volts."""
     meta = machine.log.meta
     for table, key in (("fit", k) for k in meta.fit):
-        if key not in ("inertias", "damping"):
+        if key not in ("inertias", "damping", "factor"):
             raise BadInput(
-                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names)"
+                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names), or factor"
             )
+    factor_of(meta)
     inertia, damping = meta.fit.get("inertias", True), meta.fit.get("damping", True)
     vector = nuisances(problem, inertia=bool(inertia), damping=bool(damping))
     tree = machine.tree

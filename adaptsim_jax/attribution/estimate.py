@@ -57,6 +57,8 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
     except np.linalg.LinAlgError:
         return np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
+    except ValueError:  # not finite: a simulation ran away beyond all numbers, and says nothing of where to go
+        return np.zeros_like(right)
 
 
 def start_steps(lin: Linear, step: np.ndarray) -> list[np.ndarray]:

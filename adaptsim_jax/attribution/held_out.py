@@ -14,16 +14,16 @@ from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_
 from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold, unchanged
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
-from adaptsim_jax.attribution.problem import Problem, blocks_of
+from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.folds import BLOCKS, blocks_of
 from adaptsim_jax.diagnosis.paired import Test, sign_flip
 from adaptsim_jax.effects.base import Effect, Reach
 
 ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothing
-BLOCKS = 24  # of consecutive stretches, about, whose losses a paired test compares
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,14 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Model:
-    """A set of effects fitted, its linearisation and its held-out prediction."""
+    """A set of effects fitted, its linearisation and its held-out prediction. hess [P, P]: the curvature, prior and all, of a model
+    that was fitted along the measured motion, and has no linearisation."""
 
     added: tuple[Candidate, ...]
     fit: Fit
     lin: Linear
     held: HeldOut
+    hess: np.ndarray | None = None
 
     @property
     def spread(self) -> np.ndarray:

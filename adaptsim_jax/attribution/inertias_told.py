@@ -112,7 +112,9 @@ def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
 def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Covariance [P, P] of the vector by data and prior together, and the prior's standard deviations [P] (0 where it has none)."""
     lin, vector = model.lin, model.fit.vector
-    hess = normal(problem, lin.residual, lin.start, lin.shared).hess.sum(0) + np.diag(vector.precision)
+    hess = model.hess
+    if hess is None:
+        hess = normal(problem, lin.residual, lin.start, lin.shared).hess.sum(0) + np.diag(vector.precision)
     size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
     scaled = hess / size / size[:, None]
     left = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / size / size[:, None]

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import without
+from adaptsim_jax.attribution.backward import without as without_simulated
+from adaptsim_jax.attribution.equation.models import Said, without
 from adaptsim_jax.attribution.held_out import Model, attempted, modelled, refit
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT
@@ -31,14 +32,18 @@ DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
 """Dry friction that MJCF does not know: a constant level is the nearest that it has."""
 
 
-def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Criteria) -> Model:
+def holdable(
+    machine: Machine, problem: Problem, found: Selection, criteria: Criteria, by_torque: Said | None = None
+) -> Model:
     """The final model, refitted without what the model file cannot hold; in its place stands a look-alike from its class, and Coulomb
-    friction for other dry friction."""
+    friction for other dry friction. by_torque: refitted to the balance of torques where that has judged."""
+    if by_torque is not None:
+        return _held_by_torque(machine, problem, found, by_torque)
     model = found.final
     alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
         if not _holds(machine, model, c):
-            model = without(problem, model, c, replace(criteria, apart=1.0))  # fitted to the end in any case
+            model = without_simulated(problem, model, c, replace(criteria, apart=1.0))  # fitted to the end in any case
             level = lambda k, c=c: (
                 c.effect in DRY and k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"
             )
@@ -51,10 +56,25 @@ def holdable(machine: Machine, problem: Problem, found: Selection, criteria: Cri
     return model
 
 
+def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: Said) -> Model:
+    model = found.final
+    gone = [c for c in model.added if not _holds(machine, model, c)]
+    if not gone:
+        return model
+    there = {(c.effect, j) for c in model.added for j in c.joints}
+    dry = {j for c in gone if c.effect in DRY for j in c.joints if ("coulomb", j) not in there}
+    level = [c for c in candidates(problem, said.null, found.reach) if c.effect == "coulomb" and c.sharing == "joint"]
+    rest = without(problem, said, gone, [c for c in level if c.joints[0] in dry])
+    fit = replace(model.fit, vector=rest.final)
+    return replace(model, added=rest.added, fit=fit)
+
+
 def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
     if c.effect in HELD:
         return True
     driven = {a.joint for a in machine.mechanism.actuators} if machine.log.input_kind in COMMANDED else set()
+    if machine.gain_unknown:  # which gets a motor where it has none
+        driven |= {machine.tree.joint_names.index(name) for name in gains(machine)}
     values = [v for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
               if e.owner == c.effect and set(e.joints) <= set(c.joints)]  # fmt: skip
     late = c.effect in ("delay", "actuator_lag")
@@ -75,6 +95,11 @@ def gains(machine: Machine) -> dict[str, float]:
     names = machine.tree.joint_names if machine.gain_unknown else ()
     driven = [j for j in range(len(names)) if any(np.any(t.u[:, j]) for t in machine.tracks)]
     return {names[j]: float(machine.actuator[0, j]) for j in driven}
+
+
+def servos(machine: Machine) -> dict[str, float]:
+    """Factors on the file's kp by joint, where they had to be found."""
+    return {machine.tree.joint_names[j]: times for j, times in machine.servo_times.items()}
 
 
 def gains_told(machine: Machine) -> list[str]:
@@ -111,12 +136,24 @@ def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> C
     rest = np.where(stiff, table["preload"] / np.where(stiff, table["stiffness"], 1.0), np.asarray(tree.springref))
     joints["springref"] = by_joint(rest)
     comments = [f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}", *_lost(problem, model, named)]
-    return Changes(inertial, joints, gravity, _actuators(machine, problem, model), comments)
+    return Changes(inertial, joints, gravity, _actuators(machine, problem, model), _motors(machine, model), comments)
 
 
 def declared_changes(machine: Machine) -> Changes:
     """Those of the declared model: none, but for a gain that had to be found."""
-    return Changes(actuators={"gain": _found_gain(machine)})
+    return Changes(actuators={"gain": _found_gain(machine)}, motors=_motors(machine))
+
+
+def _motors(machine: Machine, model: Model | None = None) -> dict[str, float]:
+    """Motors [N m per V or A] of driven joints for which the file has none, where the gain had to be found."""
+    has = {a.joint for a in machine.mechanism.actuators}
+    out = {name: g for name, g in gains(machine).items() if machine.tree.joint_names.index(name) not in has}
+    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if model else ():
+        for j in e.joints if e.owner == "torque_gain" else ():
+            name = machine.tree.joint_names[j]
+            if name in out:
+                out[name] *= 1.0 + float(value)
+    return out
 
 
 def _found_gain(machine: Machine) -> dict[str, float]:
@@ -128,23 +165,32 @@ def _found_gain(machine: Machine) -> dict[str, float]:
 
 def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, float]]:
     """Changes of actuators by name, for `mjcf_write.Changes`."""
-    by_joint = {a.joint: a.name for a in machine.mechanism.actuators}
+    by_joint: dict[int, list[str]] = {}
+    for a in machine.mechanism.actuators:
+        by_joint.setdefault(a.joint, []).append(a.name)
+    for name in _motors(machine):  # a motor that is added goes by its joint's name
+        by_joint.setdefault(machine.tree.joint_names.index(name), []).append(name)
     gains = _found_gain(machine)
     out: dict[str, dict[str, float]] = {"gain": dict(gains)}
+    for j, times in machine.servo_times.items():
+        for name in by_joint[j]:
+            out.setdefault("kp", {})[name] = times
+            out.setdefault("kv", {})[name] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         key = ACTUATED.get(e.owner)
         for j in e.joints if key else ():
-            name = by_joint.get(j)
-            if name is None:
-                continue
-            if key in ("gain", "kp"):
-                out.setdefault(key, {})[name] = (1.0 + float(value)) * (gains.get(name, 1.0) if key == "gain" else 1.0)
-            elif key == "limit" and e.name == "cut":
-                out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
-            elif key in ("delay", "lag") and e.name == key and value > 0.0:
-                out.setdefault(key, {})[name] = float(value)
+            for name in by_joint.get(j, ()):
+                if key == "kp" and j in machine.servo_times:
+                    out["kp"][name] = (1.0 + float(value)) * machine.servo_times[j]
+                elif key in ("gain", "kp"):
+                    found = gains.get(name, 1.0) if key == "gain" else 1.0
+                    out.setdefault(key, {})[name] = (1.0 + float(value)) * found
+                elif key == "limit" and e.name == "cut":
+                    out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
+                elif key in ("delay", "lag") and e.name == key and value > 0.0:
+                    out.setdefault(key, {})[name] = float(value)
     return out
 
 

@@ -30,15 +30,23 @@ from adaptsim_jax.core.errors import BadInput
 FILE, DECLARED = "model.toml", "declared.xml"
 
 
-def text_of(problem: Problem, model: Model, told: Mapping[str, Any], gains: Mapping[str, float] | None = None) -> str:
-    """The TOML text. told: of its provenance; gains: torque over volts or amperes by joint, where that had to be found."""
+def text_of(
+    problem: Problem,
+    model: Model,
+    told: Mapping[str, Any],
+    gains: Mapping[str, float] | None = None,
+    servos: Mapping[str, float] | None = None,
+) -> str:
+    """The TOML text. told: of its provenance; gains: torque over volts or amperes by joint, where that had to be found; servos: factors on
+    the file's kp by joint, likewise (the damping of such a servo is the joint's own)."""
     parts = ["# A model fitted by `adaptsim diagnose`; `adaptsim replay model.toml DATA` simulates all of it."]
     parts.append(config.dumps({"schema": 1, "task": "mechanism", "model": DECLARED}))
     inertial = {}
     for g in problem.groups:
         values = values_of(problem, g, model.fit.vector).inertial[..., 0]
         inertial |= {problem.joint_names[j]: [float(z) for z in values[k]] for k, j in enumerate(g.joints)}
-    parts.append(config.dumps({"inertial": inertial} | ({"gain": dict(gains)} if gains else {})))
+    found = ({"gain": dict(gains)} if gains else {}) | ({"servo": dict(servos)} if servos else {})
+    parts.append(config.dumps({"inertial": inertial} | found))
     by: dict[tuple[str, int], dict[str, Any]] = {}
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         if e.owner != INERTIA:
@@ -70,6 +78,11 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
                 f"{path}: gain.{name} must be a number of a joint of its model; {config.suggest(name, joints)}"
             )
         law[0, joints.index(name)] = value
+    for name, times in given.get("servo", {}).items():
+        if name not in joints or not isinstance(times, (int, float)):
+            raise BadInput(f"{path}: servo.{name} must be a factor on the kp of a joint; {config.suggest(name, joints)}")
+        law[:3, joints.index(name)] *= times
+        law[3, joints.index(name)] = 0.0
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
     for k, row in enumerate(given.get("effects", [])):
         name, joint = row.get("name"), row.get("joint")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import HORIZON, MODEL, OTHERS, Page, Progress, examined, write_mjcf
+from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, mjcf_files
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
     LINEAR,
@@ -22,6 +22,7 @@ from adaptsim_jax.attribution.pendulum import (
     own_catalogue,
     pendulum_machine,
 )
+from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -74,12 +75,12 @@ def diagnose_pendulum(
     recording = without_trials(read, without)
     checked = audit(recording)
     run = Run(command_of(recording.path, out=out, exclude=exclude, without=without, as_declared=as_declared), began)
-    folder = None if out is None else output_folder(out)
+    folder = None if out is None else cleared(output_folder(out))
     if checked.fault:
         data_told = {"trials": len(recording.trials), "samples": _samples(recording), "held_out_trials": 0}
         report = new_report(recording.task, recording.model, "data_fault", checked.message, data_told)
         told = {"warnings": checked.warnings, "notes": [*recording.notes, *checked.limits]}
-        return _written(report | told, {"audit": checked.rows}, run, folder, page)
+        return _written(report | told, {"audit": checked.rows}, run, folder, page, {})
     recording = masked(usable(recording, checked), checked)
     checked = checked if as_declared else replace(checked, findings=checked.findings + check_conventions(recording))
     with TemporaryDirectory() as spare:
@@ -90,10 +91,12 @@ def diagnose_pendulum(
                 recording, own_catalogue(recording.task, effects or ())
             )  # BadInput where it is of another rig
             machine = pendulum_machine(recording, recording.model_file, effects or ())
-        report, evidence, problem, found = examined(
+        report, evidence, whole = examined(
             machine, criteria or Criteria(), HORIZON, tuple(exclude), say,
-            in_the_plane, effects,
+            in_the_plane, effects, None if folder is None else lambda so_far: write_partial(folder, so_far),
+            torques=False,
         )  # fmt: skip
+        problem, found = whole.problem, whole.found
         report |= {"task": recording.task, "model": recording.model}
         rows = lambda model: {
             k: asdict(v) | {"identifiable": v.fitted} for k, v in declared_values(recording, problem, model).items()
@@ -112,11 +115,12 @@ def diagnose_pendulum(
         report["notes"] += lost
         if reward is not None and found.named and (worth := reward(null, file)):
             report["task_reward"] = worth
+        files = {}
         if folder is not None:
-            if recording.model != LINEAR:  # which no MJCF can say
-                write_mjcf(folder, machine, problem, found, criteria or Criteria())
             write_model(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
-    return _written(report, evidence, run, folder, page)
+            if recording.model != LINEAR:  # which no MJCF can say
+                files = mjcf_files(machine, whole, criteria or Criteria())
+        return _written(report, evidence, run, folder, page, files)
 
 
 def first_parameters(recording: Recording, checked: Audit) -> np.ndarray:
@@ -144,12 +148,9 @@ def _samples(recording: Recording) -> int:
     return sum(len(t.time) for t in recording.trials)
 
 
-def _written(report, evidence, run: Run, folder: Path | None, page: Page | None) -> dict[str, Any]:
+def _written(report, evidence, run: Run, folder: Path | None, page: Page | None, files) -> dict[str, Any]:
     """With how it was run, checked, and written where a folder is given."""
     report["run"] = evidence["run"] = run.told()
-    report = check(report)
     if folder is not None:
-        for name in (*OTHERS, *((MODEL, DECLARED, "model.toml") if report["verdict"] == "data_fault" else ())):
-            (folder / name).unlink(missing_ok=True)
-        (page or plain)(folder, report, evidence)
-    return report
+        write_all(folder, report, evidence, page or plain, files)
+    return check(report)

@@ -1,37 +1,47 @@
-"""The yardstick: any model simulated over recordings, from starts fitted to each stretch by plain least squares.
-
-No weighting of an estimator enters: the start of a stretch is the one from which the simulated angles come nearest to the measured
-ones, each radian (or metre) counting alike. The error is the root mean square over a stretch, joint by joint.
+"""The yardstick: any model over recordings, simulated (`forecast.py`) and in the torque along the measured motion, beside what needs no
+model (`yardsticks.py`). The error is the root mean square over a stretch, joint by joint.
 """
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path as File
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.choice import Choice, choose
 from adaptsim_jax.attribution.conventions import check_conventions
-from adaptsim_jax.attribution.estimate import refitted_start
-from adaptsim_jax.attribution.linear import linear
+from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.forecast import forecast, without_a_model
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import ready, run, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import Problem, prepare
-from adaptsim_jax.attribution.weights import Fit, Weights, losses
+from adaptsim_jax.attribution.yardsticks import (
+    NAMES,
+    STRETCHES,
+    TORQUE,
+    WHOLE,
+    Measure,
+    of_simulation,
+    of_torque,
+    predicts_nothing,
+)
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
+from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
 FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
-ROUNDS = 6
 
 
 @dataclass(frozen=True)
 class Replay:
     """error [W, n] rad or m by stretch and joint; trial [W]; measured and simulated angles [W, L+1, n]; time [W, L+1] s;
-    notes: what the reader says of the recording, and what its motion contradicts of the declared columns."""
+    notes: what the reader says of the recording, and what its motion contradicts of the declared columns; line, still [W, n]: what a
+    straight line and holding still leave; measures: the yardsticks (`yardsticks.py`)."""
 
     joint_names: tuple[str, ...]
     kinds: tuple[str, ...]
@@ -44,6 +54,9 @@ class Replay:
     seen: np.ndarray
     horizon: float
     notes: tuple[str, ...] = ()
+    line: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    still: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    measures: Mapping[str, Measure | None] = field(default_factory=dict)
 
     def told(self) -> dict[str, Any]:
         """What `--json` prints."""
@@ -52,15 +65,29 @@ class Replay:
         pool = self.error[:, main]
         unit = lambda j: "rad" if self.kinds[j] == "hinge" else "m"
         some = lambda e: {"median": _median(e), "rms": _rms(e), "ran_away": float(np.mean(e > FAR))}
+        beside = lambda j: {
+            "straight_line": _median(self.line[:, j]), "hold_still": _median(self.still[:, j]),
+            "skill": skill_of(self.error[:, j], self.line[:, j], self.still[:, j]),
+        }  # fmt: skip
         return {
-            **some(pool), "unit": unit(main[0]), "horizon": self.horizon, "stretches": len(self.error),
-            "joints": {name: some(self.error[:, j]) | {"unit": unit(j)} for j, name in enumerate(self.joint_names)},
+            **some(pool), "unit": unit(main[0]), **beside(main), "horizon": self.horizon, "stretches": len(self.error),
+            "joints": {
+                name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j) for j, name in enumerate(self.joint_names)
+            },
+            "yardsticks": {name: m.told() for name, m in self.measures.items() if m is not None},
+            "predicts_nothing": predicts_nothing(self.measures),
             "trials": {
                 name: some(self.error[self.trial == k][:, main])
                 for k, name in enumerate(self.trial_names) if np.any(self.trial == k)
             },
             "notes": list(self.notes),
         }  # fmt: skip
+
+
+def skill_of(error: np.ndarray, line: np.ndarray, still: np.ndarray) -> float | None:
+    """1 - error / the better of a straight line and holding still, of medians; None where nothing moved."""
+    base = min(_median(line), _median(still))
+    return 1.0 - _median(error) / base if base > 0 else None
 
 
 def _median(e: np.ndarray) -> float:
@@ -71,8 +98,11 @@ def _rms(e: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(e)))) if e.size else float("nan")
 
 
-def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None) -> Replay:
-    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values, or the file's."""
+def replay(
+    machine: Machine, horizon: float = 0.5, vector: Vector | None = None, asked: Sequence[str] = (STRETCHES,)
+) -> Replay:
+    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values, or the file's; asked: which
+    yardsticks, beside the simulated stretches."""
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     problem = prepare(
@@ -84,67 +114,90 @@ def replay(machine: Machine, horizon: float = 0.5, vector: Vector | None = None)
         min(span, longest),
         100_000,
         machine.declared,
+        ties=machine.ties,
     )
     vector = vector if vector is not None else Vector((), np.zeros(0))
-    return replayed(problem, vector, span)
+    found = replayed(problem, vector, span)
+    measures = dict(found.measures)
+    if WHOLE in asked and horizon:
+        whole = replay(machine, 0.0, vector)
+        measures[WHOLE] = dataclasses.replace(whole.measures[STRETCHES], name=WHOLE)
+    if TORQUE in asked:
+        measures[TORQUE] = of_torque(problem, balances(problem, machine.tracks), vector)
+    return dataclasses.replace(found, measures=measures)
 
 
 def replayed(problem: Problem, vector: Vector, horizon: float) -> Replay:
     """Of a prepared problem at the values of `vector`."""
-    starts = fitted_starts(problem, vector)
-    paths = run(problem, vector, starts)
-    count, n = len(problem.fold), problem.joints
-    s = problem.groups[0].stretches
-    rows = s.rows + 1
-    out = {k: np.zeros((count, rows, n)) for k in ("measured", "simulated", "seen")}
-    for group, path in zip(problem.groups, paths, strict=True):
-        own, m = list(group.joints), len(group.joints)
-        g = group.stretches
-        swap = lambda z: z.transpose(2, 0, 1)[:count]
-        out["measured"][..., own], out["seen"][..., own] = swap(g.q), swap(g.seen)
-        out["simulated"][..., own] = np.clip(np.nan_to_num(swap(path.sensed[:, :m]), nan=1e6), -1e6, 1e6)
-    off = (out["measured"] - out["simulated"]) * out["seen"]
-    error = np.sqrt(np.square(off).sum(1) / np.maximum(out["seen"].sum(1), 1))
+    found = forecast(problem, vector)
+    s, count = problem.groups[0].stretches, len(problem.fold)
+    line, still = without_a_model(problem)
     return Replay(
-        problem.joint_names, problem.kinds, s.names, s.trial[:count], error, s.time.T[:count], out["measured"], out["simulated"],
-        out["seen"], horizon,
+        problem.joint_names, problem.kinds, s.names, s.trial[:count], found.error, s.time.T[:count], found.measured,
+        found.simulated, found.seen, horizon, (), line, still, {STRETCHES: of_simulation(problem, found.error, STRETCHES, horizon)},
     )  # fmt: skip
 
 
-def fitted_starts(problem: Problem, vector: Vector, rounds: int = ROUNDS) -> tuple[np.ndarray, ...]:
-    """Starts by plain least squares on the angles, from the smoothed ones."""
-    n, width = problem.joints, problem.groups[0].stretches.count
-    weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
-    made = ready(problem, vector)
-    starts = widened(made, starts_of(problem))
-    by_lane = lambda starts: losses(problem, simulated(made, starts), weights)
-    best = by_lane(starts)
-    bare = Vector((), np.zeros(0))
-    for _ in range(rounds):
-        lin = linear(problem, Fit(vector, starts, weights, best, "", 0), entries=bare.entries)
-        moves = [refitted_start(x, r) for x, r in zip(lin.start, lin.residual, strict=True)]
-        length = np.ones(width)
-        gained = np.zeros(width, bool)
-        for _ in range(3):
-            trial = tuple(x + length * d for x, d in zip(starts, moves, strict=True))
-            loss = by_lane(trial)
-            good = (loss < best) & ~gained
-            starts = tuple(np.where(good, a, b) for a, b in zip(trial, starts, strict=True))
-            fall = np.where(good, 1.0 - loss / np.maximum(best, 1e-300), 0.0)
-            best = np.where(good, loss, best)
-            gained |= good
-            if gained.all():
-                break
-            length = np.where(gained, 0.0, 0.3 * length)
-        if np.max(fall) < 1e-4:
-            break
-    return starts
-
-
-def replay_files(model: str | File | None, data: str | File, horizon: float = 0.5) -> Replay:
-    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs."""
+def replay_files(
+    model: str | File | None,
+    data: str | File,
+    horizon: float = 0.5,
+    asked: Sequence[str] | None = None,
+    simulator: str | None = None,
+) -> Replay:
+    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs. asked: yardsticks; where None, whole
+    trials are among them only of a machine that follows commands; simulator: tree or mujoco, None: see `choice`."""
+    choice = choose(data, model, simulator, horizon)
+    if choice.simulator == "mujoco":
+        return by_mujoco(choice, horizon)
     machine = load(data, model)
-    return dataclasses.replace(replay(machine, horizon), notes=(*machine.log.notes, *suspected(machine)))
+    if asked is None:
+        asked = NAMES if follows(machine) else (STRETCHES, TORQUE)
+    return dataclasses.replace(
+        replay(machine, horizon, asked=asked), notes=(*machine.log.notes, *machine.notes, *suspected(machine))
+    )
+
+
+def follows(machine: Machine) -> bool:
+    """Whether its actuators are told where to be."""
+    return bool(np.any(machine.actuator[2] != 0.0))
+
+
+def by_mujoco(choice: Choice, horizon: float) -> Replay:
+    """A model file over a recording by MuJoCo itself; a base that moves is told beside the joints."""
+    source, log = choice.source, choice.log
+    if source is None or log is None:
+        raise ValueError("a choice of mujoco has read its files")
+    found = mujoco_replayed(source, log, horizon)
+    told = (f"simulated by MuJoCo at the file's own step: {choice.why}",)
+    s, model, names = found.stretches, found.made.model, log.joint_names
+    slides = {model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    kinds, n, error = tuple("slide" if name in slides else "hinge" for name in names), len(names), found.error
+    measured, seen, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
+    if found.base is not None:
+        base = np.median(found.base, 0)
+        told = (*told, f"the base errs by {base[0]:.3g} m and {base[1]:.3g} rad (medians over stretches)")
+    if s.count < found.total:
+        told = (*told, f"{s.count} of {found.total} stretches, evenly spread")
+    if not n and found.base is not None:  # nothing but a body that flies
+        names, kinds, error = ("base, place", "base, turn"), ("slide", "hinge"), found.base
+        measured = simulated = seen = np.zeros((*s.time.shape, 2))
+    line, still = lines_of(s.time, measured, seen)
+    return Replay(
+        names, kinds, s.names, s.trial, error, s.time, measured, simulated, seen, horizon,
+        (*told, *log.notes, *source.notes, *found.made.notes), line, still,
+    )  # fmt: skip
+
+
+def lines_of(time: np.ndarray, measured: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen, rms."""
+    count = np.maximum(seen.sum(1), 1)
+    mean = lambda z: (z * seen).sum(1) / count
+    off = measured - mean(measured)[:, None]
+    t = time[..., None] - mean(np.broadcast_to(time[..., None], measured.shape))[:, None]
+    slope = mean(t * off) / np.maximum(mean(t * t), 1e-12)
+    rms = lambda z: np.sqrt(mean(z * z))
+    return rms(off - slope[:, None] * t), rms(off)
 
 
 def suspected(machine: Machine) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
-from adaptsim_jax.attribution.paths import run
+from adaptsim_jax.attribution.power import power_rows
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
@@ -26,8 +26,8 @@ def _numbers(error: np.ndarray) -> float:
 
 def reported(
     machine: Machine, problem: Problem, found: Selection, criteria: Criteria, horizon: float
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The report, and the arrays behind its page."""
+) -> dict[str, Any]:
+    """The report."""
     before, after = held_error(problem, found.null), held_error(problem, found.final)
     noise = problem.floor[: problem.joints]
     floor = float(np.median(noise))
@@ -46,24 +46,27 @@ def reported(
     }  # fmt: skip
     after_rows = _declared(machine, problem, found.final)
     fixed = inertias_told.sentence(problem, found.final, after_rows)
-    report = new_report(
+    return new_report(
         "mechanism", Path(machine.mechanism.path).name, kind,
         message(problem, found, before, after, over, odd, int(far.sum()), criteria), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
+        power=power_rows(problem, found.last, criteria),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=doubts(problem, found), remaining=remaining,
-        notes=[*log.notes, *machine.mechanism.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
+        notes=[*log.notes, *machine.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
                *early_commands(problem, found),
                *shorter(found, criteria, horizon)],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
                 for m in (*found.stages, found.final)],
     )  # fmt: skip
-    evidence = {"held_out": _held_out(problem, found), "audit": [
-        {"severity": "info", "where": "", "message": note} for note in report["notes"]
-    ]}  # fmt: skip
-    return report, evidence
+
+
+def evidence_of(problem: Problem, found: Selection, report: Mapping[str, Any]) -> dict[str, Any]:
+    """The arrays behind the page of a report."""
+    notes = [{"severity": "info", "where": "", "message": note} for note in report["notes"]]
+    return {"held_out": _held_out(problem, found), "audit": notes}
 
 
 def _odd(problem: Problem, found: Selection, far: np.ndarray, criteria: Criteria) -> list[tuple[str, str, float]]:
@@ -198,8 +201,8 @@ def _numbers_of(model: Model) -> list[tuple[Entry, dict[str, Any]]]:
 
 
 def _held_out(problem: Problem, found: Selection) -> list[Mapping[str, Any]]:
-    """Measured and simulated angles, trial by trial, stretches one after the other."""
-    pair = [run(problem, m.fit.vector, m.fit.starts) for m in (found.null, found.final)]
+    """Measured angles and those predicted of left-out folds, trial by trial, stretches one after the other."""
+    pair = [m.held.paths for m in (found.null, found.final)]
     s = problem.groups[0].stretches
     out = []
     for k, name in enumerate(s.names):

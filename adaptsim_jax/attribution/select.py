@@ -26,6 +26,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import eased
+from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
@@ -50,9 +51,15 @@ class Selection:
 
 
 def select(
-    problem: Problem, null: Vector, criteria: Criteria, say: Callable[[str], None] = lambda note: None
+    problem: Problem,
+    null: Vector,
+    criteria: Criteria,
+    say: Callable[[str], None] = lambda note: None,
+    keep: "Callable[[Selection], None]" = lambda found: None,
+    hint: tuple[Vector, tuple[Candidate, ...]] | None = None,
 ) -> Selection:
-    """Forward, then each effect beside the others, then against its look-alikes."""
+    """Forward, then each effect beside the others, then against its look-alikes. keep: told of what is found, as it goes; hint: values and
+    effects to go on from (of another witness), if they predict left-out folds better than the declared model."""
     base = first = declared(problem, null, criteria)
     say("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
@@ -61,6 +68,12 @@ def select(
     scores, forms = (scored(problem, base, reach, laws) for laws in (True, False))
     opening = sorted(scores + forms, key=lambda s: -s.held_out)
     family = max(len(opening), 1)
+    if hint is not None and (better := _hinted(problem, base, hint, criteria, trace)):
+        base = better
+        stages.append(base)
+        scores = scored(problem, base, reach, True)
+    so_far = lambda: Selection(first, base, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
+    keep(so_far())
     while len(base.added) < criteria.most_effects:
         better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
@@ -71,9 +84,21 @@ def select(
             break
         base = better
         stages.append(base)
+        keep(so_far())
         scores = scored(problem, base, reach, True)
     final, named = judged(problem, base, reach, criteria, trace, say)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
+
+
+def _hinted(problem: Problem, base: Model, hint, criteria: Criteria, trace: list[Step]) -> Model | None:
+    """What another witness has found, fitted; None where it does not predict better than the base."""
+    vector, added = hint
+    model = modelled(problem, added, fit(problem, vector, rounds=ROUNDS))
+    test = paired(problem, base.held.loss, losses(problem, model.held.paths, base.fit.weights))
+    if test.gain <= criteria.size or test.p > criteria.confidence:
+        return None
+    trace += [Step("added", c, None, test, "by the torque along the motion") for c in added]
+    return model
 
 
 def declared(problem: Problem, null: Vector, criteria: Criteria) -> Model:

@@ -13,6 +13,8 @@ EXAMPLES = """
   adaptsim replay out/model.toml logs/validation --json   the mended model on other data
   adaptsim replay out/model.xml logs/robot --horizon 0    every trial in one go
   adaptsim replay robot.urdf run.mcap --out replay        with a figure of measured against simulated
+  adaptsim replay robot.xml logs/robot --simulator mujoco    by MuJoCo itself, at the file's own step
+  adaptsim replay robot.xml logs/robot --fit body:tool.mass 'geom:*foot*.friction[0]'    these numbers fitted by MuJoCo
 """
 
 
@@ -25,6 +27,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=0.5,
         metavar="S",
         help="length of the stretches; 0: whole trials (default 0.5)",
+    )
+    parser.add_argument(
+        "--simulator",
+        choices=("tree", "mujoco"),
+        help="tree: joints on a base that stands still; mujoco: whatever MuJoCo compiles, at the file's own step (default: tree "
+        "where it can, mujoco where it must)",
+    )
+    parser.add_argument(
+        "--fit",
+        nargs="+",
+        metavar="NAME",
+        default=[],
+        help="numbers of the model to fit by the simulator mujoco first: joint:NAME.damping, body:NAME.mass, geom:NAME.friction[0], "
+        "actuator:NAME.kp, option.gravity[0], command.delay; NAME may be a pattern",
+    )
+    parser.add_argument(
+        "--yardstick",
+        choices=("stretches", "whole", "torque", "all"),
+        help="which beside the stretches: whole trials, the torque along the motion, or all (default: torque; of a machine that "
+        "follows commands, all)",
     )
     parser.add_argument("--json", action="store_true", help="print all of it as JSON")
     parser.add_argument("--out", metavar="DIR", help="folder for replay.json and replay.png")
@@ -49,7 +71,10 @@ def run(args: argparse.Namespace) -> int:
 
     if "jax" not in sys.modules:
         compile_flags.small_steps()
-    found = replay_files(args.model, args.data, args.horizon)
+    if args.fit:
+        return _fit(args)
+    asked = {None: None, "all": ("stretches", "whole", "torque")}.get(args.yardstick, ("stretches", args.yardstick))
+    found = replay_files(args.model, args.data, args.horizon, asked, args.simulator)
     told = {"model": args.model, "data": args.data, **found.told()}
     if args.out is not None:
         from adaptsim_jax.report.replay_figure import save
@@ -70,6 +95,38 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _fit(args: argparse.Namespace) -> int:
+    """Fit numbers of the model by MuJoCo and print them with what they leave."""
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.files import output_folder, write_json
+    from adaptsim_jax.logs.read import read_source_and_log
+    from adaptsim_jax.simulators.mujoco.fit import fit
+
+    if args.simulator == "tree":
+        raise BadInput("--fit fits by the simulator mujoco; leave --simulator tree out, or run adaptsim diagnose")
+    source, log = read_source_and_log(args.data, args.model)
+    found = fit(source, log, args.fit, args.horizon or 0.5)
+    told = {
+        "model": args.model,
+        "data": args.data,
+        "fitted": found.told(),
+        "before": found.before,
+        "after": found.after,
+        "code": found.code,
+    }
+    if args.out is not None:
+        write_json(output_folder(args.out) / "fitted.json", told)
+    if args.json:
+        print(json.dumps(told, indent=2))
+        return 0
+    for name, row in told["fitted"].items():
+        print(f"{name} = {row['value']:.6g} [{row['low']:.6g}, {row['high']:.6g}] (file {row['file']:.6g})")
+    print(
+        f"residuals, weighted: {found.before:.4g} with the file's numbers, {found.after:.4g} with these ({found.code})"
+    )
+    return 0
+
+
 def _print(told: dict) -> None:
     from rich.box import HEAVY_HEAD
     from rich.console import Console
@@ -80,10 +137,14 @@ def _print(told: dict) -> None:
     console = Console()
     title = f"error over {told['horizon']:g} s, {told['stretches']} stretches"
     box = HEAVY_HEAD if console.is_terminal else None  # a program or a file gets columns without a frame
-    table = Table("", "median", "rms", "ran away", title=title, box=box, title_justify="left")
+    table = Table(
+        "", "median", "rms", "straight line", "still", "skill", "ran away", title=title, box=box, title_justify="left"
+    )
     size = lambda row, unit: (
         quantity(row["median"], unit, 4),
         quantity(row["rms"], unit, 4, like=row["median"]),
+        *(quantity(row[k], unit, 3) if k in row else "" for k in ("straight_line", "hold_still")),
+        f"{row['skill']:.2f}" if row.get("skill") is not None else "",
         f"{100 * row['ran_away']:.0f} %",
     )
     table.add_row("all", *size(told, told["unit"]))
@@ -92,5 +153,26 @@ def _print(told: dict) -> None:
     for name, row in told["trials"].items():
         table.add_row(f"trial {name}", *size(row, told["unit"]))
     console.print(table)
+    for name, measure in told["yardsticks"].items():
+        if name != "stretches":
+            console.print(_measured(name, measure, box))
+    if told["predicts_nothing"]:
+        print("This model predicts nothing: by no yardstick does it do better than what needs no model.")
     for note in told["notes"]:
         print(f"note: {note}")
+
+
+def _measured(name: str, measure: dict, box):
+    """The table of a yardstick, by joint."""
+    from rich.table import Table
+
+    from adaptsim_jax.report.diagnosis_format import quantity
+
+    torque = name == "torque"
+    keys = ("missing", "torque", "constant") if torque else ("error", "straight_line", "hold_still")
+    words = ("missing", "torque", "about its mean") if torque else ("error", "straight line", "still")
+    what = "torque along the measured motion" if torque else f"whole trials, {measure['span_s']:.3g} s"
+    table = Table("", *words, "skill", title=f"{what}: skill {measure['skill']:.2f}", box=box, title_justify="left")
+    for joint, row in measure["joints"].items():
+        table.add_row(joint, *(quantity(row[k], row["unit"], 3) for k in keys), f"{row['skill']:.2f}")
+    return table

@@ -123,9 +123,12 @@ def completed(problem: Problem, names: Sequence[str], values: np.ndarray) -> Fit
     hess = np.einsum("trk,trl->tkl", columns, columns)
     slope = np.einsum("trk,tr->tk", columns, residual)
     whole = bounded(problem, names, values, hess.sum(0), slope.sum(0))
-    out = [bounded(problem, names, values, hess.sum(0) - h, slope.sum(0) - s) for h, s in zip(hess, slope, strict=True)]
+    fold = np.arange(count) if problem.fold is None else problem.fold
+    inside = [fold == k for k in range(fold.max() + 1)]
+    less = lambda z, mine: z.sum(0) - z[mine].sum(0)
+    out = np.array([bounded(problem, names, values, less(hess, mine), less(slope, mine)) for mine in inside])
     low, high = (np.array([getattr(q, end) for q in problem.quantities]) for end in ("low", "high"))
-    vectors = np.clip(values + np.array(out) - whole, low, high)
+    vectors = np.clip(values + out[fold] - whole, low, high)
     held = mean_square(problem, problem.residuals(vectors))
     loss = float(np.square(residual).sum())
     return Fit(values, tuple(names), residual, columns, loss, held, vectors)

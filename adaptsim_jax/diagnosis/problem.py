@@ -46,7 +46,9 @@ class Problem:
     counts: measured numbers of each trial `[T]`. channels: coordinates of a row, of which `R` is a multiple. starts: points `[S, P]`
     from which the declared fit may begin; begun: from how many of them, the best, it does; again: declared quantities beside whose
     values a fit is begun again where it leaves structure, for there are minima close by. What each trial has of its own (where it
-    started) is the task's: it fits it inside of `residuals`, and takes out of `columns` what it would take up.
+    started) is the task's: it fits it
+    inside of `residuals`, and takes out of `columns` what it would take up. fold `[T]`: trials that are left out together (each by
+    itself where None); block `[T]`: trials that stand together in a paired test (likewise).
     """
 
     quantities: tuple[Quantity, ...]
@@ -64,6 +66,8 @@ class Problem:
     channels: int = 2
     begun: int = 4
     again: tuple[str, ...] = ()
+    fold: np.ndarray | None = None
+    block: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "index", {q.name: i for i, q in enumerate(self.quantities)})

@@ -4,7 +4,7 @@ The rules are those of `attribution.select`; trials are independent and short, s
 is the residual's own, times the length over which residuals within a trial hang together.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,11 +64,14 @@ class Selection:
     refused: dict[str, str]
 
 
-def paired(without: np.ndarray, with_: np.ndarray) -> Test:
-    """Whether the second model predicts trials better: mean squares `[T]` of each."""
+def paired(without: np.ndarray, with_: np.ndarray, problem: Problem | None = None) -> Test:
+    """Whether the second model predicts trials better: mean squares `[T]` of each. Logarithms of the ratio are averaged over the
+    problem's folds, and over its blocks for the test; over trials where it has none."""
     usual = 0.1 * np.median(without)
-    d = np.log((without + usual) / (with_ + usual))
-    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(d), int((d > 0).sum()), len(d), len(d))
+    ratio = np.log((without + usual) / (with_ + usual))
+    mean = lambda unit: ratio if unit is None else np.bincount(unit, ratio) / np.bincount(unit)
+    d, parts = (mean(None), mean(None)) if problem is None else (mean(problem.fold), mean(problem.block))
+    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts))
 
 
 def together(problem: Problem, residual: np.ndarray) -> float:
@@ -128,8 +131,13 @@ def _whole(problem: Problem, fit: Fit, values: np.ndarray) -> np.ndarray:
 
 
 def begun(problem: Problem, values: np.ndarray, score: Score) -> np.ndarray:
+    return begun_at(problem, values, score.shape)
+
+
+def begun_at(problem: Problem, values: np.ndarray, shape: Mapping[str, float]) -> np.ndarray:
+    """Values `[P]` with those of a shape put in."""
     values = values.copy()
-    for name, value in score.shape.items():
+    for name, value in shape.items():
         values[problem.index[name]] = value
     return values
 
@@ -155,7 +163,7 @@ def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Mod
 
 def spread(model: Model) -> np.ndarray:
     """Standard errors `[P]` by the jackknife over trials."""
-    v = model.fit.vectors
+    v = np.unique(model.fit.vectors, axis=0)  # trials of one fold have the same
     return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
 
 
@@ -197,11 +205,11 @@ def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> 
     best = None
     for values, _, s in tries[: criteria.tried // 2]:
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
-        test = paired(base.fit.held, model.fit.held)
-        if test.gain < criteria.size or test.p > _level(criteria, test.folds):
+        test = paired(base.fit.held, model.fit.held, problem)
+        if test.gain < criteria.size or test.p > _level(criteria, test.parts):
             refused[s.effect.name] = f"held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
             continue
-        if best is None or beats(model, best, criteria):
+        if best is None or beats(problem, model, best, criteria):
             best = model
     return best
 
@@ -211,13 +219,13 @@ def _level(criteria: Criteria, folds: int, family: int = 1) -> float:
     return max(criteria.confidence / family, 1.01 * 2.0**-folds)
 
 
-def beats(model: Model, other: Model, criteria: Criteria) -> bool:
+def beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
     """Whether a model is to be taken instead of another: the one with fewer quantities, unless the larger holds out better; among
     equals the better."""
     if len(model.fit.free) == len(other.fit.free):
-        return paired(other.fit.held, model.fit.held).gain > 0.0
+        return paired(other.fit.held, model.fit.held, problem).gain > 0.0
     small, large = sorted((other, model), key=lambda m: len(m.fit.free))
-    test = paired(small.fit.held, large.fit.held)
+    test = paired(small.fit.held, large.fit.held, problem)
     return (large if test.gain > criteria.size and test.p < criteria.confidence else small) is model
 
 
@@ -249,11 +257,11 @@ def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool
             say(f"without {e.name.replace('_', ' ')}")
             less = without(problem, model, e, 2 * criteria.rounds)
             bare += [less] * (not less.added)
-            tests.append((e, less, paired(less.fit.held, model.fit.held), steadiness(problem, model, e)))
+            tests.append((e, less, paired(less.fit.held, model.fit.held, problem), steadiness(problem, model, e)))
         failing = []
         for rank, (e, less, test, steady) in enumerate(sorted(tests, key=lambda t: t[2].p)):
             if (
-                test.p > _level(criteria, test.folds, len(tests) - rank)
+                test.p > _level(criteria, test.parts, len(tests) - rank)
                 or test.gain < criteria.size
                 or steady < criteria.steady
                 or quiet(problem, less, criteria)
@@ -290,7 +298,7 @@ def _look_alikes(problem, model: Model, less: Model, e: Candidate, criteria: Cri
         if loss > CLOSE * model.fit.loss:
             continue
         other = finished(problem, (*less.added, s.effect), values, 2 * criteria.rounds)
-        test = paired(other.fit.held, model.fit.held)
+        test = paired(other.fit.held, model.fit.held, problem)
         if test.gain < criteria.gap or test.p > criteria.confidence:
             found.append((s.effect, other))
     return tuple(found)

@@ -1,15 +1,16 @@
 """A user's model file with other numbers in it: fitted inertias, friction, gains. URDF in gives MJCF out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inverse
-from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_spec
+from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inertial_about, inverse
+from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_source, read_spec, rotation_of, without_shapes
 
 LEAST_MOMENT = 1e-9  # kg m^2
 
@@ -19,33 +20,62 @@ class Changes:
     """What to put in; None, or a joint that a table does not name, stays as it is.
 
     inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss (N m), stiffness (N m/rad),
-    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, delay and
-    lag in s, limit (N m); comments: what the file cannot hold, a line each.
+    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, kv (N m s/rad), delay and
+    lag in s, limit (N m); motors {joint name: N m per unit of its command} are put in where the joint has no actuator, with the limit
+    under `limit` by the joint's name; comments: what the file cannot hold, a line each.
     """
 
     inertial: np.ndarray | None = None
     joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     gravity: np.ndarray | None = None
     actuators: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    motors: Mapping[str, float] = field(default_factory=dict)
     comments: Sequence[str] = ()
 
 
 def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
-    """The model file as MJCF text with `changes` in it. Raises BadInput where MuJoCo refuses the result."""
+    """The model file as MJCF text with `changes` in it; without its shapes where their meshes are not there, as it was read.
+
+    Raises BadInput where MuJoCo refuses the result.
+    """
+    try:
+        return _mended(mechanism, changes)
+    except BadInput:
+        told = "written without shapes, sensors and keys: the meshes that this file names could not be read"
+        return _mended(mechanism, replace(changes, comments=[*changes.comments, told]), shapes=False)
+
+
+def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
     spec, _ = read_spec(mechanism.path)
+    if not shapes:
+        without_shapes(spec)
     if changes.inertial is not None:
         _put_inertias(spec, mechanism, np.asarray(changes.inertial))
+    tree = mechanism.tree
     for joint in spec.joints:
         for key, table in changes.joints.items():
-            if joint.name in table:
-                turns = key == "springref" and joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-                _put(joint, key, float(np.rad2deg(table[joint.name]) if turns else table[joint.name]))
+            if joint.name not in table:
+                continue
+            value = float(table[joint.name])
+            if key == "springref":
+                turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+                _put(joint, key, float(np.rad2deg(value)) if turns else value)
+            elif joint.name in tree.joint_names:  # what followers, tendons and actuators add stays with them
+                more = value - float(np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)])
+                now = float(np.ravel(getattr(joint, key))[0])
+                _put(joint, key, value if more + now == value else max(0.0, now + more))
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
+    for joint, gear in changes.motors.items():
+        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        motor.gear = [gear, *[0.0] * 5]
+        if joint in changes.actuators.get("limit", {}):
+            _put_actuator(motor, "limit", changes.actuators["limit"][joint] / gear, 0.0)
     step = float(spec.option.timestep)
     for actuator in spec.actuators:
         for key, table in changes.actuators.items():
-            if actuator.name in table:
+            if actuator.name in table and actuator.name not in changes.motors:
                 _put_actuator(actuator, key, float(table[actuator.name]), step)
     compiled(mechanism.path, spec)
     return commented(spec.to_xml(), changes.comments)
@@ -72,6 +102,9 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
         bias[:2] *= value
         bias[2] *= value if key == "gain" else 1.0
         actuator.gainprm, actuator.biasprm = gain, bias
+    elif key == "kv":
+        bias[2] = -value
+        actuator.biasprm = bias
     elif key == "limit":
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-value, value]
@@ -88,19 +121,26 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
 
 
 def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
-    """Each joint's body gets what is left of its inertia once the bodies that are welded to it have theirs."""
+    """Each joint's body gets what is left of its inertia once the bodies that are part of it have theirs: those that are welded to it
+    become part of it, those behind a joint that is held keep their own."""
     tree, frames = mechanism.tree, mechanism.frames
+    kept = _kept(spec, mechanism)
     for j, name in enumerate(tree.body_names):
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
-        others = [b for b in spec.bodies if frames.carrier.get(b.name, -1) == j and b.name != name]
+        others = [
+            b for b in spec.bodies if frames.carrier.get(b.name, -1) == j and b.name not in kept and b.name != name
+        ]
+        left = inertial[j] - sum((kept[b] for b in kept if frames.carrier.get(b, -1) == j and b != name), np.zeros(10))
+        if not _possible(left):
+            continue
         for other in others:  # welded bodies become part of the one that moves them
             other.explicitinertial = True
             other.mass, other.inertia, other.fullinertia = 0.0, [0.0] * 3, [np.nan, 0, 0, 0, 0, 0]
             for geom in other.geoms:
                 geom.mass, geom.density = 0.0, 0.0
         body = next(b for b in spec.bodies if b.name == name)
-        mass, com, about = central(in_frame(inertial[j], inverse((frames.place[name], frames.rotation[name]))))
+        mass, com, about = central(in_frame(left, inverse((frames.place[name], frames.rotation[name]))))
         value, vector = np.linalg.eigh(0.5 * (about + about.T))
         value = np.maximum(value, LEAST_MOMENT)
         value[-1] = min(value[-1], value[0] + value[1])  # rounding must not break the triangle inequality
@@ -111,6 +151,38 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         body.explicitinertial = True
         body.mass, body.ipos, body.iquat, body.inertia = mass, com, quaternion, value
         body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+
+
+def _kept(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
+    """Bodies behind joints that are held, which must go on weighing something: inertial parameters [10] in their joint's frame."""
+    held = mechanism.roles.held if mechanism.roles is not None else {}
+    if not held:
+        return {}
+    model, frames = read_source(mechanism.path).model, mechanism.frames
+    behind: set[str] = set()
+    out = {}
+    for b in range(1, model.nbody):
+        name, up = model.body(b).name, model.body(int(model.body_parentid[b])).name
+        joints = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+        own = [model.joint(k).name for k in joints]
+        if any(k not in held for k in own) or not (own or up in behind):
+            continue
+        behind.add(name)
+        place, turn = frames.place[name], frames.rotation[name]
+        out[name] = inertial_about(
+            model.body_mass[b],
+            place + turn @ model.body_ipos[b],
+            turn @ rotation_of(model.body_iquat[b]),
+            model.body_inertia[b],
+        )
+    return out
+
+
+def _possible(inertial: np.ndarray) -> bool:
+    """Whether a body may have such inertial parameters."""
+    if inertial[0] <= 0.0:
+        return False
+    return bool(np.linalg.eigvalsh(central(inertial)[2]).min() > -LEAST_MOMENT)
 
 
 def commented(xml: str, comments: Sequence[str]) -> str:

@@ -9,6 +9,8 @@
                      NaN where windows join; the first trial is shown, the others fold out
     tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table, seen from above
     residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model
+    torque           [{joint, unit, time [n] s, measured, file, fitted [n]}] along the measured motion
+    friction         [{joint, unit, speed [n], missing [n], modelled [n]}] what resists, against speed
     regressor        [{name, where, x [n], y [n] N m, x_label, curve_x, curve_y, explained}], one a named effect:
                      the torque missing without it against what it follows, and the effect itself
     leftover         [{joint, variable, share (0..1), p_value}]
@@ -39,6 +41,7 @@ from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_rows as rows_of
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
+from adaptsim_jax.report import diagnosis_yardsticks as yardsticks
 
 MOST_LINES = 6
 """Warnings, and notes, that the terminal shows."""
@@ -90,6 +93,10 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "mended": mended,
         "error": error,
         "data": _data_words(report["data"]),
+        "yardsticks": yardsticks.rows(report),
+        "judged": yardsticks.why(report),
+        "torque_figures": yardsticks.torque_figures(evidence),
+        "friction_figures": yardsticks.friction_figures(evidence),
         "effects": rows_of.effect_rows(report),
         "improvement": words.improvement(error),
         "errors": _error_rows(error),
@@ -106,7 +113,6 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "quiet": report["verdict"] in ("within_noise", "underpowered"),
         "remains": any((row.get("p_value") or 0.0) < 0.05 for row in evidence.get("leftover") or []),
         "power": rows_of.power_rows(report),
-        "torque_share": all(row.get("unit") == rows_of.TORQUE_SHARE for row in report.get("power") or [{}]),
         "candidates": rows_of.candidate_rows(report),
         "most_candidates": MOST_CANDIDATES,
         "one_by_one": bool(report.get("fit_coordinates")),

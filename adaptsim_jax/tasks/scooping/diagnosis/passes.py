@@ -254,7 +254,7 @@ def _judged(
             ]
             better = None
             for rival in rivals:
-                better = rival if beats(rival[2], better[2] if better else model, criteria) else better
+                better = rival if beats(problem, rival[2], better[2] if better else model, criteria) else better
             if better and turn < PASSES - 1:
                 model, emulated = better[2], finished(problem, (*rough.added, better[0]), better[1], criteria.rounds)
                 break

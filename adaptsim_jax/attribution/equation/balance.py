@@ -1,0 +1,212 @@
+"""The balance of forces of a group of joints: what its motion takes, linear in inertial parameters, and what acts, by effect."""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse
+
+from adaptsim_jax.attribution.acting import Motion, Values, actuated
+from adaptsim_jax.attribution.equation.windows import SPAN, runs_of
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Group, Problem, values_of
+from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.mechanisms import equations
+
+GAIN = "torque_gain"
+ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
+"""Effects that change what an actuator does by what it was told."""
+LEAST_GAIN = 0.02
+SOMEWHAT = 2048  # rows that one compiled program takes
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K],
+    clear [K, n]: whether a joint moved.
+
+    q, v, a, u, sign [n, T]: the motion of all runs one after the other; clock [T] s; mean [K, T] averages over windows; runs: the rows
+    of each."""
+
+    group: Group
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    u: np.ndarray
+    sign: np.ndarray
+    clock: np.ndarray
+    runs: tuple[slice, ...]
+    mean: scipy.sparse.csr_matrix
+    regressor: np.ndarray
+    acceleration: np.ndarray
+    clear: np.ndarray
+    trial: np.ndarray
+    time: np.ndarray
+    names: tuple[str, ...]
+
+    @property
+    def joints(self) -> int:
+        return len(self.group.joints)
+
+    def averaged(self, z: np.ndarray) -> np.ndarray:
+        """Of something along the motion [n, T] its mean over windows, [K, n]."""
+        return self.mean @ np.asarray(z, float).T
+
+
+def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) -> tuple[Balance, ...]:
+    """By group of joints; none of a group whose trials hold no window."""
+    out = []
+    for group in problem.groups:
+        own = list(group.joints)
+        part = [Track(t.name, t.time, t.q[:, own], None, t.u[:, own], t.group) for t in tracks]
+        runs = runs_of(part, problem.floor[own], span)
+        if not runs:
+            continue
+        q, v, a, u, sign = (np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "sign"))
+        ends = np.cumsum([0, *(len(r.time) for r in runs)])
+        mean = scipy.sparse.block_diag([r.mean for r in runs], "csr")
+        table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
+        regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
+        out.append(
+            Balance(
+                group, q, v, a, u, sign, np.concatenate([r.time for r in runs]),
+                tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T,
+                mean @ np.concatenate([r.clear for r in runs], 1).T,
+                np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
+                tuple(t.name for t in tracks),
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _by_pieces(make, *along: np.ndarray) -> np.ndarray:
+    """`make(*pieces)` of arrays [..., T], by pieces of one length, so that a program is compiled once."""
+    out, count = [], along[0].shape[-1]
+    with jax.enable_x64(True):
+        for first in range(0, count, SOMEWHAT):
+            piece = [z[..., first : first + SOMEWHAT] for z in along]
+            own = piece[0].shape[-1]
+            full = [np.pad(z, [(0, 0)] * (z.ndim - 1) + [(0, SOMEWHAT - own)], mode="edge") for z in piece]
+            out.append(np.asarray(make(*full))[..., :own])
+    return np.concatenate(out, -1)
+
+
+@jax.jit
+def _regressed(tree, q, v, a):
+    return equations.regressor(tree, q, v, a, jnp.asarray(tree.gravity))
+
+
+@jax.jit
+def _turned(tree, inertial, way, q):
+    force = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
+    return jax.jvp(force, (q,), (way[:, None] + 0.0 * q,))[1]
+
+
+def turned(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Change of the force of gravity [K, n] as the joints turn by `way` [n]."""
+    return balance.averaged(_by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q))
+
+
+@jax.jit
+def _pulled(tree, inertial, gravity, q):
+    return equations.gravity_force(tree, inertial, q, gravity)
+
+
+def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Force of a gravity `way` [3] alone, [K, n]."""
+    return balance.averaged(_by_pieces(partial(_pulled, balance.group.model.tree, inertial, way), balance.q))
+
+
+def actuator_force(balance: Balance, values: Values, u: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Force of the actuators and the part of it that follows command and angle, [n, T], by the law of `values`. Controllers see what
+    is logged, an encoder's offset included."""
+    with jax.enable_x64(True):
+        tau, pull = _actuated(values._replace(effects={}), balance.q, balance.v, balance.u if u is None else u)
+    return np.asarray(tau) + 0.0 * balance.q, np.asarray(pull) + 0.0 * balance.q
+
+
+@jax.jit
+def _actuated(values: Values, q, v, u):
+    return actuated(values, q, v, u)
+
+
+@partial(jax.jit, static_argnames="effect")
+def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, sign):
+    gravity = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
+    answer = effect.apply(p, Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
+    if isinstance(answer, Dry):
+        return answer.force - answer.level * sign + 0.0 * q
+    return answer + 0.0 * q
+
+
+def effect_force(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it."""
+    if effect.inertia:
+        with jax.enable_x64(True):
+            return -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()})) * balance.acceleration
+    at = {k: np.asarray(z, float)[:, None] for k, z in p.items()}
+    b = balance
+    tau, pull = actuator_force(b, values)
+    make = lambda *z: _acted(b.group.model.tree, values.inertial[..., 0], effect, at, *z)
+    return b.averaged(_by_pieces(make, b.q, b.v, tau, b.clock[None], pull, b.u, b.sign))
+
+
+@partial(jax.jit, static_argnames="effect")
+def _commanded(effect: Effect, p, t, u):
+    return effect.apply(p, t[:, None, None], u.T[..., None])[..., 0].T
+
+
+def command_force(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Change of the actuators' mean force [K, n] by an effect on their command (a delay, a lag)."""
+    at = {k: np.asarray(z, float)[None, :, None] for k, z in p.items()}
+    late = balance.u.copy()
+    longest = max(run.stop - run.start for run in balance.runs)
+    with jax.enable_x64(True):
+        for run in balance.runs:
+            short = longest - (run.stop - run.start)
+            step = balance.clock[1] - balance.clock[0]
+            time = balance.clock[run.start] + step * np.arange(longest)
+            u = np.pad(balance.u[:, run], ((0, 0), (0, short)), mode="edge")
+            late[:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]
+    return balance.averaged(actuator_force(balance, values, late)[0] - actuator_force(balance, values)[0])
+
+
+def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
+    """Force that is missing [K, n]: what the motion takes less all that acts, at the values of a vector; of an actuator that does less
+    than it was told, in terms of what it was told.
+
+    Else a gain of -1 (a limit of 0) beside a body that weighs nothing would leave nothing, whatever the motion: a dead model.
+    """
+    group = balance.group
+    values = values_of(problem, group, vector)
+    n = balance.joints
+    offset = values.effects.get("encoder_offset", {}).get("offset", np.zeros((n, 1)))[:, 0]
+    inertial = values.inertial[..., 0]
+    takes = balance.regressor @ inertial.ravel()
+    if np.any(offset):  # the bodies are where their encoders do not say
+        takes = takes + turned(balance, inertial, offset)
+    gravity = values.gravity[:, 0] - np.asarray(group.model.tree.gravity)
+    if np.any(gravity):
+        takes = takes - tilting(balance, inertial, gravity)
+    acts = told = driven = balance.averaged(actuator_force(balance, values)[0])
+    for effect in group.model.effects:
+        p = {k: z[:, 0] for k, z in values.effects.get(effect.name, {}).items()}
+        on = any(np.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p)
+        if on and effect.place == "force":
+            force = effect_force(balance, values, effect, p)
+            acts = acts + force
+            driven = driven + force if effect.name in ON_TORQUE else driven
+        elif on and effect.place == "command":
+            acts = acts + command_force(balance, values, effect, p)
+    return (takes - acts) / in_proportion(told, driven)
+
+
+def in_proportion(told: np.ndarray, driven: np.ndarray) -> np.ndarray:
+    """What actuators do [K, n] over what they were told, root mean squares [n]."""
+    size = lambda z: np.sqrt(np.mean(np.square(z), 0))
+    return np.where(size(told) > 0, np.maximum(size(driven) / np.maximum(size(told), 1e-300), LEAST_GAIN), 1.0)

@@ -1,0 +1,157 @@
+"""What each parameter does to the balance of forces: a column of mean force in the windows, linear in amplitudes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.balance import (
+    GAIN,
+    LEAST_GAIN,
+    Balance,
+    actuator_force,
+    command_force,
+    effect_force,
+    residual,
+    tilting,
+    turned,
+)
+from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
+from adaptsim_jax.attribution.problem import Problem, off_value, values_of
+from adaptsim_jax.effects.base import Effect
+
+TOLD = ("encoder_offset",)
+"""Effects on what is measured of which the balance can tell; the others move time or need a path."""
+NOT_TOLD = ("presliding",)
+"""Effects on forces that have a state."""
+STEP = 0.02  # share of a value, by which it is moved for a difference
+LEAST = 1e-4
+
+
+def balanced(effect: Effect) -> bool:
+    """Whether the balance of forces can tell of an effect."""
+    if effect.place == "measurement":
+        return effect.name in TOLD
+    return effect.place in ("force", "command", "model") and effect.name not in NOT_TOLD
+
+
+class Table:
+    """Columns [K, n] of entries of a vector and of candidates, made when asked for. About the values of `vector`."""
+
+    def __init__(self, problem: Problem, balance: Balance, vector: Vector):
+        self.problem, self.balance, self.vector = problem, balance, vector
+        self.values = values_of(problem, balance.group, vector)
+        self.place = {j: k for k, j in enumerate(balance.group.joints)}
+        self.explained = 0.0  # of what is missing [K, n], by a set of columns that is fitted already
+        own = self.values.effects[GAIN]["gain"][:, 0] if GAIN in self.values.effects else np.zeros(balance.joints)
+        self.scale = np.maximum(1.0 + own, LEAST_GAIN)
+        self._made: dict = {}
+
+    def missing(self) -> np.ndarray:
+        """Force that is missing [K, n]."""
+        if "missing" not in self._made:
+            self._made["missing"] = residual(self.problem, self.balance, self.vector)
+        return self._made["missing"]
+
+    def of(self, entry: Entry, shape: Mapping[str, float] | None = None) -> np.ndarray:
+        """Column [K, n] of an entry, at the shapes of a candidate where it is one's."""
+        if entry.owner == GAIN:
+            return self._gain(entry)
+        return self._of(entry, shape) / self.scale
+
+    def _gain(self, entry: Entry) -> np.ndarray:
+        """What the motion takes of an actuator, by the model: of what was told the noise would be read as a gain."""
+        if "told" not in self._made:
+            self._made["told"] = self.balance.averaged(actuator_force(self.balance, self.values)[0])
+        needed = self._made["told"] + self.missing() - self.explained
+        return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
+
+    def _of(self, entry: Entry, shape: Mapping[str, float] | None) -> np.ndarray:
+        if entry.owner == INERTIA:
+            return self._inertia(self.place[entry.joints[0]], entry.name)
+        if entry.owner == TILT:
+            way = np.cross(np.asarray(self.balance.group.model.tree.gravity), np.eye(3)[TILTS.index(entry.name)])
+            return tilting(self.balance, self.values.inertial[..., 0], way)
+        effect = self.problem.effect(entry.owner)
+        if effect.place == "measurement":
+            way = np.isin(self.balance.group.joints, entry.joints)
+            return -turned(self.balance, self.values.inertial[..., 0], way)
+        known = next((p for p in effect.parameters if p.name == entry.name), None)
+        curved = known is None or known.off is None or effect.jump or effect.place == "command"
+        if curved and shape is None:
+            return self._difference(entry) * self.scale
+        column = self._everywhere(effect, entry.name, tuple(sorted((shape or {}).items())))
+        if effect.pair:
+            return self._paired(effect, entry, shape)
+        own = np.zeros(column.shape[1])
+        own[[self.place[j] for j in entry.joints if j in self.place]] = 1.0
+        return column * own
+
+    def stack(self, entries: Sequence[Entry], shape: Mapping[str, float] | None = None) -> np.ndarray:
+        """[K, n, E]."""
+        if not entries:
+            return np.zeros((*self.missing().shape, 0))
+        return np.stack([self.of(e, shape) for e in entries], -1)
+
+    def _inertia(self, body: int, name: str) -> np.ndarray:
+        if "slope" not in self._made:
+            eta = np.zeros((self.balance.joints, 10))
+            for e, z in zip(self.vector.entries, self.vector.values, strict=True):
+                if e.owner == INERTIA and e.joints[0] in self.place:
+                    eta[self.place[e.joints[0]], ETA.index(e.name)] = z
+            self._made["slope"] = self.balance.group.inertias.at(eta)[1]
+        part = self.balance.regressor[:, :, 10 * body : 10 * body + 10]
+        return -part @ self._made["slope"][body, :, ETA.index(name)]
+
+    def _at(self, effect: Effect, shape: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Parameters [n] of an effect as they are, those of `shape` laid over its shapes."""
+        now = self.values.effects[effect.name]
+        out = {k: np.array(z[:, 0], float) for k, z in now.items()}
+        for p in effect.shapes:
+            if p.name in shape and not self._acts(effect):
+                out[p.name][:] = shape[p.name]
+        return out
+
+    def _acts(self, effect: Effect) -> bool:
+        return any(e.owner == effect.name and e.joints[0] in self.place for e in self.vector.entries)
+
+    def _everywhere(self, effect: Effect, name: str, shape: tuple) -> np.ndarray:
+        """Change of the mean force [K, n] per unit of a parameter at every joint."""
+        key = (effect.name, name, shape)
+        if key not in self._made:
+            given = dict(shape)
+            here = self._at(effect, given)
+            size = given.get(name, 0.01) if effect.jump or effect.place == "command" else 1.0
+            away = here | {name: here[name] + size}
+            force = command_force if effect.place == "command" else effect_force
+            act = lambda p: force(self.balance, self.values, effect, p)
+            self._made[key] = (act(away) - act(here)) / size
+        return self._made[key]
+
+    def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
+        here = self._at(effect, shape or {})
+        own = np.zeros(self.balance.joints)
+        own[[self.place[j] for j in entry.joints]] = 1.0
+        act = lambda p: effect_force(self.balance, self.values, effect, p)
+        return act(here | {entry.name: here[entry.name] + own}) - act(here)
+
+    def _difference(self, entry: Entry) -> np.ndarray:
+        """Of an entry of the vector that does not act linearly."""
+        at = self.vector.index()[entry.key]
+        value = self.vector.values[at]
+        size = max(STEP * abs(value), LEAST)
+        size = -size if value + size > entry.high else size
+        moved = self.vector.values.copy()
+        moved[at] += size
+        there = residual(self.problem, self.balance, self.vector.at(moved))
+        return (self.missing() - there) / size
+
+
+def without_effect(problem: Problem, vector: Vector, keys) -> Vector:
+    """A vector with some entries at the values at which they do nothing."""
+    values = [
+        e.off if e.key in keys and e.owner in (INERTIA, TILT)
+        else off_value(problem, e.owner, e.name, e.joints[0]) if e.key in keys else z
+        for e, z in zip(vector.entries, vector.values, strict=True)
+    ]  # fmt: skip
+    return replace(vector, values=np.array(values))

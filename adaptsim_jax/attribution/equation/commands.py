@@ -1,0 +1,112 @@
+"""The gains of position servos, from where they are beside where they were told to be.
+
+A servo's force is kp (command - angle) - D speed. What it was told is exact and where it is is known well, so the command error is the
+measured side: command - angle = (forces that the motion takes, by the file's bodies) / kp + D/kp speed + friction/kp sign(speed)
++ rotor/kp acceleration. All of it is linear. Only ratios to kp show unless gravity or inertia gives the scale: kp is held where
+it is not told.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.balance import Balance, actuator_force
+from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of, means
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.diagnosis.paired import sign_flip
+
+TOLD = 2.5  # 1/kp over its standard error, from which on it is told
+LEVEL = 0.01
+TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
+
+
+@dataclass(frozen=True)
+class Servo:
+    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp itself is told, and
+    not only what is over it; error: rms of the command error [rad], and what is left of it; p of a test over blocks against the file's
+    gains."""
+
+    joint: int
+    kp: float
+    damping: float
+    coulomb: float
+    rotor: float
+    bias: float
+    scale: bool
+    error: float
+    left: float
+    p: float
+
+
+def servos(problem: Problem, balance: Balance) -> list[Servo]:
+    """Gains of the joints of a group whose actuators are told where to be."""
+    values = values_of(problem, balance.group, Vector((), np.zeros(0)))
+    law = values.actuator[:, :, 0]
+    gear = values.gear[:, 0]
+    takes = balance.regressor @ values.inertial[..., 0].ravel()
+    takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
+    speed, sign = balance.averaged(balance.v), balance.averaged(balance.sign)
+    out = []
+    usual = []
+    for k, j in enumerate(balance.group.joints):
+        kp = -law[2, k] * gear[k] ** 2
+        if kp <= 0.0:
+            continue
+        target = law[0, k] * gear[k] * balance.u[k] / kp  # of the angle, by what the file says of the command's unit
+        error = balance.mean @ (target - balance.q[k])
+        columns = np.stack([takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(error))], 1)
+        out.append((k, int(j), error, columns, kp, -law[3, k] * gear[k] ** 2))
+    found = []
+    for k, j, error, columns, kp, kv in out:
+        x, spread, left = _regressed(balance, error, columns, balance.clear[:, k])
+        scale = x[0] > TOLD * spread[0] and 1.0 / x[0] < 1e5
+        if scale:
+            usual.append(1.0 / x[0])
+        file = error - (takes[:, k] + kv * speed[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]) / kp
+        p = _better(balance, file, left)
+        found.append((k, j, x, scale, float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(left**2))), p))
+    like = float(np.median(usual)) if usual else None
+    made = []
+    for k, j, x, scale, size, left, p in found:
+        kp = 1.0 / x[0] if scale else like if like is not None else -law[2, k] * gear[k] ** 2
+        made.append(
+            Servo(j, kp, max(kp * x[1], 0.0), max(kp * x[2], 0.0), max(kp * x[3], 0.0), kp * x[4], bool(scale), size, left, p)
+        )
+    return made
+
+
+def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.ndarray):
+    """Coefficients, their standard errors by a jackknife over folds, and what is left of each fold by the others' coefficients."""
+    weight = np.sqrt(np.maximum(clear, 0.03))
+    fold = folds_of(balance.trial, balance.time)
+    size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
+    solve = lambda some: np.linalg.lstsq((columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6)[0] / size
+    whole = solve(np.ones(len(y), bool))
+    each, left = [], np.zeros_like(y)
+    for f in np.unique(fold):
+        each.append(solve(fold != f))
+        left[fold == f] = y[fold == f] - columns[fold == f] @ each[-1]
+    count = len(each)
+    spread = np.sqrt((count - 1) / count * np.square(np.array(each) - np.mean(each, 0)).sum(0))
+    return whole, np.maximum(spread, 1e-300), left
+
+
+def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
+    """p that blocks are not better explained."""
+    block = blocks_of(balance.trial, balance.time)
+    a, b = means(np.square(before), block), means(np.square(after), block)
+    usual = 0.1 * np.median(a)
+    return sign_flip(np.log((a + usual) / (b + usual)))
+
+
+def file_gain(balance: Balance, problem: Problem, k: int) -> float:
+    """kp of the file at a joint of a group [N m/rad]."""
+    values = values_of(problem, balance.group, Vector((), np.zeros(0)))
+    return float(-values.actuator[2, k, 0] * values.gear[k, 0] ** 2)
+
+
+def told_force(balance: Balance, problem: Problem) -> np.ndarray:
+    """Force of the actuators by the file's law [K, n]."""
+    values = values_of(problem, balance.group, Vector((), np.zeros(0)))
+    return balance.averaged(actuator_force(balance, values)[0])

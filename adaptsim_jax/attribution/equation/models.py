@@ -1,0 +1,174 @@
+"""What the balance of forces found, as models of the whole machine: fitted values, how they predict, what is named."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adaptsim_jax.attribution.backward import Named
+from adaptsim_jax.attribution.backward import Step as Told
+from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.search import FACTOR, Step, Witness, refitted, within, witness
+from adaptsim_jax.attribution.equation.solve import Compared
+from adaptsim_jax.attribution.forecast import Forecast, forecast
+from adaptsim_jax.attribution.held_out import HeldOut, Model
+from adaptsim_jax.attribution.linear import Normal
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.paths import residuals
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.score import Candidate, Score
+from adaptsim_jax.attribution.select import Selection
+from adaptsim_jax.attribution.weights import Fit, losses, weigh
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.paired import Test
+from adaptsim_jax.effects.base import Reach
+
+ROUNDS = 3  # of the starts of stretches
+
+
+@dataclass(frozen=True)
+class Said:
+    """What the balances of all groups of joints say. null, final: vectors of the whole machine; errors [P] of the final one."""
+
+    witnesses: tuple[Witness, ...]
+    null: Vector
+    final: Vector
+    errors: np.ndarray
+
+    @property
+    def added(self) -> tuple[Candidate, ...]:
+        return tuple(c for w in self.witnesses for c in w.added)
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        return tuple(
+            Named(k.candidate, test_of(k.test), k.alternatives, k.steady, k.test.p) for w in self.witnesses for k in w.kept
+        )
+
+
+def said(
+    problem: Problem,
+    balances: Sequence[Balance],
+    null: Vector,
+    reach: Reach,
+    criteria: Criteria,
+    commanded: bool,
+    factor: float = FACTOR,
+) -> Said:
+    """Search the balances of all groups. null: what is fitted whatever is named; commanded, factor: as of `witness`, `within`."""
+    own = lambda b: within(part_of(null, b), factor)
+    found = tuple(parallel_map(lambda b: witness(problem, b, own(b), reach, criteria, commanded), balances))
+    return merged(null, found)
+
+
+def merged(null: Vector, witnesses: Sequence[Witness]) -> Said:
+    """The vectors of the groups as those of the whole machine."""
+    first = null.at(_values(null, [w.null for w in witnesses]))
+    entries = [e for w in witnesses for e in w.final.entries if e.key not in null.index()]
+    final = null.with_entries(entries)
+    final = final.at(_values(final, [w.final for w in witnesses]))
+    error = {e.key: s for w in witnesses for e, s in zip(w.final.entries, w.errors, strict=True)}
+    return Said(tuple(witnesses), first, final, np.array([error.get(e.key, 0.0) for e in final.entries]))
+
+
+def _values(vector: Vector, parts: Sequence[Vector]) -> np.ndarray:
+    known = {e.key: z for v in parts for e, z in zip(v.entries, v.values, strict=True)}
+    return np.array([known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)])
+
+
+def part_of(null: Vector, balance: Balance) -> Vector:
+    """The entries of a vector that act in a group."""
+    joints = set(balance.group.joints)
+    at = [i for i, e in enumerate(null.entries) if set(e.joints) <= joints]
+    return Vector(tuple(null.entries[i] for i in at), null.values[at])
+
+
+def test_of(c: Compared) -> Test:
+    return Test(c.gain, c.p, c.better, c.folds, c.blocks)
+
+
+def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selection:
+    """As a search by simulation hands it on: models that predict stretches, effects that are named, what was tried. null: the declared
+    model."""
+    final = model_of(problem, found, found.final, found.added)
+    steps = [s for w in found.witnesses for s in w.steps]
+    opening = sorted((_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out)
+    trace = tuple(Told(s.action, s.candidate, None, s.test and test_of(s.test), s.why) for s in steps)
+    return Selection(null, final, found.named, (null,), trace, tuple(opening), (), reach)
+
+
+def _best_tried(steps: Sequence[Step]) -> list[Step]:
+    """Of each candidate the test in which it did best."""
+    best: dict[tuple, Step] = {}
+    for s in steps:
+        if s.test is not None and (s.candidate.key not in best or s.test.gain > best[s.candidate.key].test.gain):
+            best[s.candidate.key] = s
+    return list(best.values())
+
+
+def _score(step: Step, total: float) -> Score:
+    test = step.test
+    share = test.better / max(test.folds, 1)
+    return Score(step.candidate, np.zeros(0), test.gain * total, test.gain * total, test.p, share)
+
+
+def model_of(problem: Problem, found: Said, vector: Vector, added: Sequence[Candidate]) -> Model:
+    """A vector with how it simulates stretches, each from starts fitted to it, with the values of the folds that it is not in."""
+    vectors = _folded(problem, found, vector)
+    fold = np.minimum(problem.fold, len(vectors) - 1)
+    rows = vectors[fold]
+    width = problem.groups[0].stretches.count
+    rows = np.concatenate([rows, np.repeat(rows[-1:], width - len(rows), 0)])
+    seen = forecast(problem, vector, rows, ROUNDS, roughly=True)
+    weights = weigh(problem, seen.paths)
+    loss = losses(problem, seen.paths, weights)
+    fit = Fit(vector, seen.starts, weights, loss, "converged", 0)
+    return Model(tuple(added), fit, None, _held(problem, seen, loss, vectors), curvature(found, vector))
+
+
+def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
+    """Values [F, P] without each fold: of the same pieces of the trials as far as balances and stretches are cut alike."""
+    count = max(len(w.whole.by_fold) for w in found.witnesses) if found.witnesses else 1
+    out = np.repeat(vector.values[None], max(count, problem.fold.max() + 1), 0)
+    index = vector.index()
+    for w in found.witnesses:
+        solved = w.base if len(vector) == len(found.null) else w.whole
+        for i, e in enumerate(solved.entries):
+            if e.key in index:
+                off = solved.by_fold[:, i] - solved.step[i]
+                out[: len(off), index[e.key]] += off
+    return np.clip(out, vector.low, vector.high)
+
+
+def _held(problem: Problem, seen: Forecast, loss: np.ndarray, vectors: np.ndarray) -> HeldOut:
+    n = problem.joints
+    squared = np.zeros((len(loss), 2 * n))
+    for group, path in zip(problem.groups, seen.paths, strict=True):
+        r = residuals(group, path)
+        count = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
+        j = np.array(group.joints)
+        squared[:, [*j, *(n + j)]] = np.square(r).sum(1) / np.maximum(count, 1)
+    folds, size = vectors.shape
+    return HeldOut(loss, squared, vectors, Normal(np.zeros((folds, size, size)), np.zeros((folds, size))), seen.paths)
+
+
+def curvature(found: Said, vector: Vector) -> np.ndarray:
+    """Of the balance's loss by the values of a vector [P, P], with the prior."""
+    out, index = np.diag(np.maximum(vector.precision, 1e-12)), vector.index()
+    for w in found.witnesses:
+        solved = w.base if len(vector) == len(found.null) else w.whole
+        at = [(i, index[e.key]) for i, e in enumerate(solved.entries) if e.key in index]
+        here, there = [i for i, _ in at], [j for _, j in at]
+        out[np.ix_(there, there)] = solved.hess[np.ix_(here, here)]
+    return out
+
+
+def without(problem: Problem, found: Said, gone: Sequence[Candidate], instead: Sequence[Candidate]) -> Said:
+    """Refitted without some effects, with others in their place."""
+    out = []
+    for w in found.witnesses:
+        joints = set(w.balance.group.joints)
+        less = [c for c in w.added if c not in gone] + [c for c in instead if set(c.joints) <= joints]
+        out.append(w if len(less) == len(w.added) and not instead else refitted(problem, w, less))
+    return merged(replace(found.null, values=found.null.values), out)

@@ -1,0 +1,201 @@
+"""Sets of columns fitted to the missing forces, with what is known beforehand, and judged by blocks that were left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from adaptsim_jax.attribution.estimate import bounded_step
+from adaptsim_jax.diagnosis.paired import sign_flip
+from adaptsim_jax.attribution.parameters import Entry, Vector
+
+FOLDS = 8  # of recordings of fewer trials than `TRIALS`
+TRIALS = 5
+BLOCK = 0.5  # s, of which a paired test takes one difference
+MOST_BLOCKS, LEAST_BLOCKS = 60, 16
+MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
+LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
+FLOOR = 0.1  # of the usual loss of a block: one that hardly moved says little, however much it gained
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of how many neighbours say the same; less
+    where a joint hardly moves: what holds it is anything up to the level of its friction), size [n], fold and block [K]."""
+
+    missing: np.ndarray
+    weight: np.ndarray
+    size: np.ndarray
+    clear: np.ndarray
+    fold: np.ndarray
+    block: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A set of entries fitted. step [P] from the values at which its columns were made; by_fold [F, P]; loss [B, n] of left-out
+    blocks, over the squared size of what was missing; hess [P, P]."""
+
+    entries: tuple[Entry, ...]
+    columns: np.ndarray = field(repr=False)
+    step: np.ndarray
+    by_fold: np.ndarray
+    loss: np.ndarray
+    hess: np.ndarray = field(repr=False)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Standard errors [P] by the jackknife over folds, at least those of the curvature."""
+        folds = len(self.by_fold)
+        scatter = np.sqrt((folds - 1) / folds * np.square(self.by_fold - self.by_fold.mean(0)).sum(0))
+        inverse = np.linalg.pinv(self.hess, rcond=1e-12, hermitian=True)
+        return np.maximum(scatter, np.sqrt(np.maximum(np.diagonal(inverse), 0.0)))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One set against another: share of the loss that it takes off (geometric mean over blocks), p of a sign-flip test, of all joints and
+    of those concerned."""
+
+    gain: float
+    p: float
+    overall: float
+    better: int
+    folds: int
+    blocks: int
+
+
+def rows_of(missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray, clear: np.ndarray) -> Rows:
+    """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by sizes `least` [n]."""
+    clear = np.maximum(clear, LEAST_CLEAR)
+    usual = _block_means(np.square(left) * clear, trial, time) / _block_means(clear, trial, time)
+    size = np.sqrt(np.maximum(np.median(usual, 0), np.square(least) + 1e-18))
+    alike = _alike(left * np.sqrt(clear), trial, time)
+    weight = np.sqrt(clear) / (size * np.sqrt(alike))
+    return Rows(missing, weight, size, clear, folds_of(trial, time), blocks_of(trial, time))
+
+
+def _block_means(z: np.ndarray, trial, time) -> np.ndarray:
+    return means(z, blocks_of(trial, time))
+
+
+def means(z: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Means [U, ...] of z [K, ...] over the members of each unit."""
+    count = np.bincount(unit)
+    out = np.zeros((len(count), *z.shape[1:]))
+    np.add.at(out, unit, z)
+    return out / count.reshape(-1, *(1,) * (z.ndim - 1))
+
+
+def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """How many neighbouring windows say the same [n]: one and twice the sum of the autocorrelation up to its first zero."""
+    hop = float(np.median(np.diff(time)[np.diff(trial) == 0])) if len(time) > 1 else 1.0
+    most = max(1, int(MEMORY / max(hop, 1e-6)))
+    z = left - left.mean(0)
+    power = np.square(z).mean(0) + 1e-300
+    out, alive = np.ones(left.shape[1]), np.ones(left.shape[1], bool)
+    for lag in range(1, min(most, len(left) - 1)):
+        same = trial[lag:] == trial[:-lag]
+        if not same.any():
+            break
+        r = (z[lag:][same] * z[:-lag][same]).mean(0) / power
+        alive &= r > 0.05
+        out += 2.0 * np.where(alive, r, 0.0)
+    return out
+
+
+def folds_of(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Trials, or of fewer than `TRIALS` about `FOLDS` blocks."""
+    names = np.unique(trial)
+    if len(names) >= TRIALS:
+        return np.searchsorted(names, trial)
+    return _pieces(trial, FOLDS)
+
+
+def blocks_of(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Blocks of about `BLOCK` s: at least `LEAST_BLOCKS` in all, at most `MOST_BLOCKS`."""
+    hop = float(np.median(np.diff(time)[np.diff(trial) == 0])) if len(time) > 1 else 1.0
+    about = int(np.clip(len(trial) * hop / BLOCK, LEAST_BLOCKS, MOST_BLOCKS))
+    return _pieces(trial, about)
+
+
+def _pieces(trial: np.ndarray, about: int) -> np.ndarray:
+    out, at = np.zeros(len(trial), int), 0
+    for t in np.unique(trial):
+        mine = np.flatnonzero(trial == t)
+        for part in np.array_split(mine, max(1, min(len(mine) // 2 or 1, round(about * len(mine) / len(trial))))):
+            out[part], at = at, at + 1
+    return out
+
+
+class Sums:
+    """Products of blocks of columns, by fold, kept for the many sets that share them. Blocks go by names."""
+
+    def __init__(self, rows: Rows):
+        self.rows = rows
+        self.order = np.argsort(rows.fold, kind="stable")
+        counts = np.bincount(rows.fold)
+        ends = np.concatenate([[0], np.cumsum(counts)])
+        self.parts = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
+        self.y = (rows.missing * rows.weight)[self.order]
+        self.blocks: dict = {}
+        self.products: dict = {}
+
+    def add(self, name, columns: np.ndarray) -> None:
+        """A block [K, n, E]; joints of which it says nothing are left out of its products."""
+        if name not in self.blocks:
+            weighed = (columns * self.rows.weight[..., None])[self.order]
+            live = np.flatnonzero(np.any(columns, axis=(0, 2)))
+            self.blocks[name] = np.ascontiguousarray(weighed[:, live]), live, columns
+
+    def product(self, one, other) -> np.ndarray:
+        """[F, E1, E2]; with `None` for the other, the slopes [F, E1, 1]."""
+        key = (one, other)
+        if key not in self.products:
+            a, live, _ = self.blocks[one]
+            if other is None:
+                b, there = self.y[..., None], np.arange(self.y.shape[1])
+            else:
+                b, there, _ = self.blocks[other]
+            both = np.intersect1d(live, there)
+            a, b = a[:, np.searchsorted(live, both)], b[:, np.searchsorted(there, both)]
+            flat = lambda z, part: z[part].reshape(-1, z.shape[2])
+            self.products[key] = np.stack([flat(a, p).T @ flat(b, p) for p in self.parts])
+            if other is not None:
+                self.products[other, one] = np.swapaxes(self.products[key], 1, 2)
+        return self.products[key]
+
+
+def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarray) -> Solved:
+    """Fit entries at values `now` [P] by the named blocks of columns; each fold predicted by the others."""
+    vector, rows = Vector(tuple(entries), np.asarray(now, float)), sums.rows
+    hess = np.concatenate([np.concatenate([sums.product(i, j) for j in names], 2) for i in names], 1)
+    slope = np.concatenate([sums.product(i, None)[..., 0] for i in names], 1)
+    total, all_slope = hess.sum(0), slope.sum(0)
+    step = bounded_step(total, all_slope, vector, 1e-9)
+    by_fold = np.stack([bounded_step(total - h, all_slope - s, vector, 1e-9) for h, s in zip(hess, slope, strict=True)])
+    columns = np.concatenate([sums.blocks[name][2] for name in names], 2)
+    left = rows.missing.copy()
+    for f, x in enumerate(by_fold):
+        mine = rows.fold == f
+        left[mine] -= columns[mine] @ x
+    loss = means(rows.clear * np.square(left / rows.size), rows.block)
+    return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(vector.precision))
+
+
+def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Compared:
+    """The second set of entries against the first, by left-out blocks; joints: the local numbers of those concerned."""
+    own = list(joints)
+    ratio = lambda some: _ratio(without.loss[:, some].mean(1), with_.loss[:, some].mean(1))
+    d = ratio(own)
+    fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(d))])
+    by_fold = means(d, np.unique(fold, return_inverse=True)[1])
+    return Compared(
+        1.0 - float(np.exp(-d.mean())), sign_flip(d), 1.0 - float(np.exp(-ratio(slice(None)).mean())),
+        int((by_fold > 0).sum()), len(by_fold), len(d),
+    )  # fmt: skip
+
+
+def _ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    usual = FLOOR * np.median(before)
+    return np.log((before + usual) / (after + usual))

@@ -1,0 +1,120 @@
+"""A measured motion on an even grid, and the smooth windows that its balance of forces is averaged over.
+
+Both sides of the equations of motion are weighed with the same window, so that what a filter would round off (dry friction) is
+rounded off on both. An acceleration is a difference of speeds; summed by parts it is the window's own slope times the speed, so no
+second derivative of a noisy angle is taken by itself (the weak form; Bortz, Messenger and Dukic, 2023; DIDIM's parallel filters:
+Gautier, Janot and Vandanjon, 2013).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+
+from adaptsim_jax.attribution.stretches import Track
+
+SPAN = 0.16  # s, of a window: half of its weight lies in the middle third
+LEAST_ROWS = 12  # of a window
+GRID = 4e-3  # s: faster logs are read at about this
+HOP = 0.25  # of a window, from one to the next
+CREEP = 0.02  # of a joint's usual speed, below which the direction of dry friction is not told from zero
+CLEAR = 0.1  # of the usual speed, below which a joint may be held by friction, which is then anything up to its level
+DOUBT = 3.0  # times the noise of a speed, likewise
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told over the window of a row, sign [n, T]
+    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
+
+    trial: int
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    u: np.ndarray
+    sign: np.ndarray
+    clear: np.ndarray
+    mean: scipy.sparse.csr_matrix
+    at: np.ndarray
+
+    def averaged(self, z: np.ndarray) -> np.ndarray:
+        """Of something on the grid [..., T] its mean over each window [..., K]."""
+        flat = np.asarray(z, float).reshape(-1, z.shape[-1])
+        return (self.mean @ flat.T).T.reshape(*z.shape[:-1], -1)
+
+
+def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> tuple[Run, ...]:
+    """Trials on grids, with their windows. noise [n] of the angles; span: s of a window.
+
+    Windows that lie over a gap in time, or over rows without an angle, are left out.
+    """
+    made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > LEAST_ROWS]
+    speeds = np.concatenate([np.abs(v) for *_, v, _, _ in made], 1)
+    usual = np.quantile(speeds, 0.95, axis=1)
+    out = []
+    for k, time, q, v, u, seen in made:
+        dt = time[1] - time[0]
+        mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt))
+        if not len(at):
+            continue
+        rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
+        width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
+        moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
+        out.append(Run(k, time, q, v, np.gradient(v, dt, axis=1), u, np.tanh(v / width[:, None]), moves, mean, at))
+    return tuple(out)
+
+
+def _rows(dt: float) -> int:
+    """Rows of the local fit that a speed is read from: a fifth of a window, at least five."""
+    return max(5, 2 * round(0.1 * SPAN / dt) + 1)
+
+
+def _even(track: Track) -> tuple[np.ndarray, ...]:
+    """time, q, v, u on an even grid, and where rows were read (1) or not (0)."""
+    steps = np.diff(track.time)
+    dt = float(np.median(steps))
+    time = np.arange(track.time[0], track.time[-1], dt)
+    nearest = np.clip(np.searchsorted(track.time, time), 1, len(track.time) - 1)
+    seen = (track.time[nearest] - track.time[nearest - 1] < max(5.0 * dt, 0.05)).astype(float)
+    columns = []
+    for z in track.q.T:
+        there = np.isfinite(z)
+        if there.sum() < 2:
+            columns.append(np.zeros_like(time))
+            seen[:] = 0.0
+            continue
+        columns.append(np.interp(time, track.time[there], z[there]))
+        seen *= np.interp(time, track.time, there.astype(float)) > 0.5
+    q, v = _local(np.stack(columns), dt, _rows(dt))
+    u = np.where(np.isfinite(track.u), track.u, 0.0)
+    area = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)])  # each is held to the next row
+    edges = np.append(time - 0.5 * dt, time[-1] + 0.5 * dt)
+    middle = np.stack([np.diff(np.interp(edges, track.time, z)) / dt for z in area.T], 1)
+    middle[0] = u[0]
+    some = slice(None, None, max(1, round(GRID / dt)))
+    return time[some], q[:, some], v[:, some], middle.T[:, some], seen[some]
+
+
+def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and speeds [n, T] by local quadratics over `rows` neighbours (Savitzky and Golay, 1964)."""
+    from scipy.signal import savgol_filter
+
+    rows = min(rows, (q.shape[1] - 1) // 2 * 2 + 1)
+    return savgol_filter(q, rows, 2, axis=1), savgol_filter(q, rows, 2, deriv=1, delta=dt, axis=1)
+
+
+def _windows(time: np.ndarray, seen: np.ndarray, span: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
+    """Means over windows [K, T] of (1 + cos)^2's shape, and their middles [K]."""
+    dt = time[1] - time[0]
+    wide, hop = max(4, round(span / dt)), max(1, round(HOP * span / dt))
+    shape = np.square(1.0 + np.cos(2.0 * np.pi * (np.arange(1, wide) / wide - 0.5)))
+    shape /= shape.sum()
+    begins = np.arange(0, len(time) - wide, hop)
+    whole = np.concatenate([[0.0], np.cumsum(seen)])
+    begins = begins[whole[begins + wide] - whole[begins] > wide - 0.5] if len(begins) else begins
+    rows = np.repeat(np.arange(len(begins)), wide - 1)
+    columns = (begins[:, None] + np.arange(1, wide)).ravel()
+    table = scipy.sparse.csr_matrix((np.tile(shape, len(begins)), (rows, columns)), shape=(len(begins), len(time)))
+    return table, time[begins] + 0.5 * wide * dt

@@ -1,0 +1,161 @@
+"""Which yardstick tells, and by it which effects: the balance of torques along the motion, simulation, and each as the other's witness."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
+from adaptsim_jax.attribution.equation.search import FACTOR
+from adaptsim_jax.attribution.held_out import Model, held_error, over_floor
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.report import evidence_of, reported
+from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.torque_report import bound_notes, curves, held_missing, judged_by_torque, quiet_notes
+from adaptsim_jax.attribution.yardsticks import (
+    STRETCHES,
+    TORQUE,
+    Measure,
+    headline,
+    of_simulation,
+    of_torque,
+    predicts_nothing,
+)
+from adaptsim_jax.diagnosis.criteria import Criteria
+
+NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
+CONTRADICTED = 1.05  # of the torque's missing part: what simulation names must not make more of it missing
+
+
+@dataclass(frozen=True)
+class Examined:
+    """problem, what was found, what the balance of torques says (None where it cannot), yardsticks of the declared model, fitted, and of
+    the final one, which of them judged and why."""
+
+    problem: Problem
+    found: Selection
+    said: Said | None
+    before: dict[str, Measure | None]
+    after: dict[str, Measure | None]
+    judge: str
+    why: str
+
+
+def examine(
+    machine: Machine,
+    problem: Problem,
+    null: Vector,
+    criteria: Criteria,
+    horizon: float,
+    say: Callable[[str], None],
+    keep: Callable[[Selection], None] = lambda found: None,
+    asked: str | None = None,
+    factor: float | None = FACTOR,
+) -> Examined:
+    """Judge by the yardstick that tells most of the declared model, before anything is named. null: what is fitted whatever is named;
+    asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is not looked at."""
+    told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()
+    if not told:
+        found = by_simulation(problem, null, criteria, say, keep)
+        before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
+        return Examined(problem, found, None, before, after, STRETCHES, "no torque is known along the motion")
+    say("balance of torques")
+    reach = scaled_reach(problem, *own_inertia(problem, null))
+    words = said(problem, told, null, reach, criteria, machine.log.input_kind != "torque", factor)
+    declared = model_of(problem, words, words.null, ())
+    before = _simulated(problem, declared, horizon) | {TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])}
+    judge, why = headline(before, False, asked)
+    if judge == TORQUE:
+        found = selection(problem, words, declared, reach)
+        after = _simulated(problem, found.final, horizon)
+        after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
+        return Examined(problem, found, words, before, after, judge, why)
+    effects = [(e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()]
+    start = null.at(_clipped(null, words.final.values[: len(null)]))
+    hint = (start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added) if words.added else None
+    found = by_simulation(problem, null, criteria, say, keep, hint)
+    before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
+    after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}
+    return Examined(problem, found, words, before, after, judge, why)
+
+
+def tells(machine: Machine) -> bool:
+    """Whether the torque along the motion is known, up to a gain: of a servo with gains of its own only its command is."""
+    return not np.any(machine.actuator[2] != 0.0) and not machine.tree.linear
+
+
+def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
+    return np.clip(values, vector.low, vector.high)
+
+
+def by_simulation(problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None) -> Selection:
+    """The search by simulated stretches; over their beginnings where the whole names nothing and far more than noise is left. hint: as of
+    `select`."""
+    found = select(problem, null, criteria, say, keep, hint)
+    if not found.named and over_floor(problem, found.final) > criteria.odd:
+        found = select_shorter(problem, null, criteria, found, say)
+    return found
+
+
+def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Measure | None]:
+    return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
+
+
+def report_of(machine: Machine, e: Examined, criteria: Criteria, horizon: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report, and the arrays behind its page."""
+    problem, found = e.problem, e.found
+    report = reported(machine, problem, found, criteria, horizon)
+    if e.judge == TORQUE and e.said is not None:
+        judged_by_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
+        report["notes"] += [*quiet_notes(problem, e.said), *bound_notes(problem, e.said)]
+    report["yardsticks"] = {
+        "judge": e.judge, "why": e.why,
+        **{name: {k: m.told() for k, m in ms.items() if m is not None} for name, ms in (("declared", e.before), ("mended", e.after))},
+    }  # fmt: skip
+    report["notes"] += _witnesses(e)
+    if predicts_nothing(e.after):
+        report["message"] = f"{NOTHING} {report['message']}"
+        report["yardsticks"]["predicts_nothing"] = True
+        if report["effects"]:
+            report["not_established"] += [
+                f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that predicts nothing" for row in report["effects"]
+            ]
+            report["effects"], report["verdict"] = [], "structured_unattributed"
+    evidence = evidence_of(problem, found, report)
+    if e.said is not None:
+        evidence |= curves(problem, e.said, found.final.fit.vector)
+    return report, evidence
+
+
+def _witnesses(e: Examined) -> list[str]:
+    """Where the two witnesses disagree, by numbers; and by which one it was judged."""
+    notes = [f"Judged by {_WORDS[e.judge]}: {e.why}."]
+    torque = e.before.get(TORQUE), e.after.get(TORQUE)
+    other = e.before[STRETCHES], e.after[STRETCHES]
+    if e.judge == TORQUE and e.found.named:
+        skills = other[0].skill, other[1].skill
+        if skills[1] < skills[0] - 0.05:
+            notes.append(
+                f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} without and {skills[1]:.2f} with what is named; "
+                "they tell little here."
+            )
+    elif e.found.named and torque[0] is not None and torque[1] is not None:
+        shares = [float(np.mean(m.error / np.maximum(m.still, 1e-300))) for m in torque]
+        if shares[1] > CONTRADICTED * shares[0]:
+            notes.append(
+                f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing without and {100 * shares[1]:.0f} % with "
+                "what is named."
+            )
+    return notes
+
+
+_WORDS = {
+    STRETCHES: "simulated stretches",
+    "whole": "whole simulated trials",
+    TORQUE: "the torque along the measured motion",
+}
+

@@ -1,0 +1,101 @@
+"""Position servos whose gains are not those of the model file: found along the measured motion, put into the machine, told.
+
+A file's kp of 1,000 N m/rad where the machine has 10 leaves a declared model that no search recovers from: every other effect is judged
+about it. So the gains come first, as the torque of a volt does of a drive whose constant nobody wrote down.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.commands import LEVEL, TIMES, Servo, servos
+from adaptsim_jax.attribution.forecast import without_a_model
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.problem import prepare
+
+SPANS = (0.5, 1.0, 2.0, 4.0)  # s
+WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
+
+
+def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, ...]]:
+    """With the gains of its position servos as the motion shows them, where they are far from the file's; and these servos."""
+    if not np.any(machine.actuator[2] != 0.0) or machine.tree.linear:
+        return machine, ()
+    problem = prepare(
+        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
+    )
+    found = [s for b in balances(problem, machine.tracks) for s in servos(problem, b)]
+    law, damping = machine.actuator.copy(), np.array(machine.tree.damping, float)
+    file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
+    off = [s for s in found if s.p < LEVEL and s.left < s.error and not 1 / TIMES < s.kp / file[s.joint] < TIMES]
+    for s in off:
+        times = s.kp / file[s.joint]
+        law[:3, s.joint] *= times
+        law[3, s.joint] = 0.0  # what damps is one with the joint's own friction
+        damping[s.joint] = s.damping
+    if not off:
+        return machine, ()
+    tree = replace(machine.tree, damping=damping)
+    times = {s.joint: float(s.kp / file[s.joint]) for s in off}
+    mechanism = replace(machine.mechanism, tree=tree)
+    return replace(machine, actuator=law, mechanism=mechanism, servo_times=times), tuple(off)
+
+
+def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
+    """Length of stretches [s] over which a machine that follows commands is judged: the shortest over which a straight line leaves more than
+    what the regression of its command errors left."""
+    left = np.median([s.left for s in off])
+    for span in SPANS:
+        if span < horizon:
+            continue
+        longest = min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
+        if span > 0.5 * longest:
+            break
+        problem = prepare(machine.tree, machine.tracks, (), machine.actuator, machine.gear, span)
+        horizon = span
+        if np.median(np.median(without_a_model(problem)[0], 0)) > 2.0 * left:
+            break
+    return horizon
+
+
+def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
+    """What is fitted of such gains whatever is named."""
+    return [Entry("position_gain", "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
+
+
+def servo_rows(machine: Machine, declared: Machine, off: tuple[Servo, ...], final: Vector, spread: np.ndarray) -> list[dict[str, Any]]:
+    """Rows of the report's effects: kp as fitted, with its interval, beside the file's."""
+    rows = []
+    at = {e.joints[0]: i for i, e in enumerate(final.entries) if e.owner == "position_gain"}
+    for s in off:
+        name = machine.tree.joint_names[s.joint]
+        gain, wide = (float(final.values[at[s.joint]]), float(spread[at[s.joint]])) if s.joint in at else (0.0, 0.0)
+        kp = -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2
+        file = -declared.actuator[2, s.joint] * declared.gear[s.joint] ** 2
+        ends = {"value": kp * (1 + gain), "low": kp * max(1 + gain - 1.64 * wide, 0.0), "high": kp * (1 + gain + 1.64 * wide)}
+        told = f"the position controller's stiffness; the file says {file:.4g}"
+        if not s.scale:
+            told += ". Only ratios to it are fixed by these data: no weight or inertia gives the scale at this joint"
+        rows.append({
+            "name": "position_gain", "where": name, "joints": [name], "parameters": {"kp": ends | {"unit": "N m/rad", "meaning": told}},
+            "physics": "the stiffness of the position controller is not the file's", "alternatives": [],
+            "held_out_gain": 1.0 - (s.left / s.error) ** 2, "p_value": s.p,
+        })  # fmt: skip
+    return rows
+
+
+def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> list[str]:
+    """A line on gains that are not the file's."""
+    if not off:
+        return []
+    kp = lambda m, j: -m.actuator[2, j] * m.gear[j] ** 2
+    each = ", ".join(
+        f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} (file {kp(declared, s.joint):.4g}"
+        + ("" if s.scale else "; only a ratio is told") + ")"
+        for s in off
+    )  # fmt: skip
+    return [f"kp by the command error along the motion, N m/rad, before the fit: {each}. kv of the file is in the joints' damping."]

@@ -1,0 +1,123 @@
+"""Three yardsticks of a model beside each other, each with a zero: what needs no model at all leaves as much.
+
+Stretches and whole trials are simulated, and set against a straight line and holding still; the torque along the measured motion is set
+against a torque that never changes. Skill = 1 - error / the better of these: 1 is perfect, 0 is worth nothing, below it the model is worse
+than none. Which of them tells most depends on the machine: over 0.5 s a slow arm moves along a straight line, whatever its model; a
+joint with much friction and little inertia says all in its torque; what follows commands shows over whole trials.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.balance import Balance, actuator_force, residual
+from adaptsim_jax.attribution.equation.windows import SPAN
+from adaptsim_jax.attribution.forecast import without_a_model
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Problem, values_of
+
+STRETCHES, WHOLE, TORQUE = "stretches", "whole", "torque"
+NAMES = (STRETCHES, WHOLE, TORQUE)
+TELLS = 0.35  # skill of the declared model, fitted, from which on its simulated stretches tell one model from another
+WORTH = 0.02  # skill up to which a model is worth no more than none
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One yardstick by joint: error, line, still [n] (rad, m; of torques N m, and the size of the torque), over a span [s]."""
+
+    name: str
+    span: float
+    error: np.ndarray
+    line: np.ndarray
+    still: np.ndarray
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+
+    @property
+    def skills(self) -> np.ndarray:
+        """[n]; NaN where nothing moved."""
+        base = np.minimum(self.line, self.still)
+        return np.where(base > 0, 1.0 - self.error / np.where(base > 0, base, 1.0), np.nan)
+
+    @property
+    def skill(self) -> float:
+        """Mean over joints, each at least -1: one that runs away says no more than that it does."""
+        some = self.skills[np.isfinite(self.skills)]
+        return float(np.mean(np.maximum(some, -1.0))) if len(some) else float("nan")
+
+    def told(self) -> dict[str, Any]:
+        """For a report or a program: by joint, and over all of them."""
+        words = ("error", "straight_line", "hold_still") if self.name != TORQUE else ("missing", "constant", "torque")
+        row = lambda e, a, b, s: dict(zip((*words, "skill"), map(float, (e, a, b, s)), strict=True))
+        by = {
+            name: row(*(z[j] for z in (self.error, self.line, self.still, self.skills))) | {"unit": self.units[j]}
+            for j, name in enumerate(self.joints)
+        }
+        if self.name == TORQUE:
+            for j, name in enumerate(self.joints):
+                by[name]["share"] = float(self.error[j] / max(self.still[j], 1e-300))
+        one = len(set(self.units)) == 1
+        pooled = [float(np.median(z)) if one else None for z in (self.error, self.line, self.still)]
+        return {"span_s": self.span, **dict(zip(words, pooled, strict=True)), "skill": self.skill, "joints": by}
+
+
+def of_simulation(problem: Problem, error: np.ndarray, name: str, span: float) -> Measure:
+    """Of simulated stretches or trials, medians over them of error [W, n]."""
+    line, still = without_a_model(problem)
+    middle = lambda e: np.median(e, 0)
+    units = tuple("rad" if k == "hinge" else "m" for k in problem.kinds)
+    return Measure(name, span, middle(error), middle(line), middle(still), problem.joint_names, units)
+
+
+def of_torque(
+    problem: Problem, balances: Sequence[Balance], vector: Vector, missing: Mapping[int, np.ndarray] | None = None
+) -> Measure | None:
+    """Of the torque along the measured motion at a vector; missing {balance's number: [K, n]} where it is known already."""
+    if not balances:
+        return None
+    n = problem.joints
+    error, line, still = np.zeros(n), np.zeros(n), np.zeros(n)
+    for k, b in enumerate(balances):
+        own = list(b.group.joints)
+        left = missing[k] if missing else residual(problem, b, vector)
+        size = needed(problem, b)
+        root = lambda z: np.sqrt(np.mean(np.square(z), 0))
+        error[own], still[own], line[own] = root(left), root(size), root(size - size.mean(0))
+    units = tuple("N m" if k == "hinge" else "N" for k in problem.kinds)
+    return Measure(TORQUE, SPAN, error, line, still, problem.joint_names, units)
+
+
+def needed(problem: Problem, balance: Balance) -> np.ndarray:
+    """Torque [K, n] that a model has to tell: what actuators were told; of joints without one, what the declared bodies' motion takes."""
+    values = values_of(problem, balance.group, Vector((), np.zeros(0)))
+    told = balance.averaged(actuator_force(balance, values)[0])
+    takes = balance.regressor @ values.inertial[..., 0].ravel()
+    return np.where(np.any(told != 0.0, 0), told, takes)
+
+
+def headline(measures: Mapping[str, Measure | None], follows: bool, asked: str | None = None) -> tuple[str, str]:
+    """(The yardstick by which effects are judged, why), of those of the declared model, fitted. follows: the machine is told where to be.
+
+    Chosen before anything is named. asked: the one that a person wants.
+    """
+    if asked is not None:
+        return asked, "asked for"
+    skill = {k: m.skill for k, m in measures.items() if m is not None and np.isfinite(m.skill)}
+    words = lambda k: f"{100 * skill[k]:.0f} % better than a straight line" if skill[k] > 0 else "no better than a straight line"
+    if skill.get(STRETCHES, -1.0) >= TELLS:
+        return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
+    if follows and WHOLE in skill:
+        return WHOLE, "the machine follows commands, and over short times a straight line does as well"
+    if skill.get(TORQUE, -1.0) > max(skill.get(STRETCHES, -1.0), 0.0):
+        beside = f"; simulated stretches of it are {words(STRETCHES)}" if STRETCHES in skill else ""
+        return TORQUE, f"the declared model, fitted, tells {100 * skill[TORQUE]:.0f} % of the torque along the motion{beside}"
+    return STRETCHES, "no yardstick tells much"
+
+
+def predicts_nothing(measures: Mapping[str, Measure | None]) -> bool:
+    """Whether a model is worth no more than none by every yardstick that there is."""
+    skills = [m.skill for m in measures.values() if m is not None and np.isfinite(m.skill)]
+    return bool(skills) and max(skills) < WORTH

@@ -1,0 +1,57 @@
+"""The next experiment, from predictions alone: which stretches part the look-alikes most."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.diagnosis.select import Model, Selection
+from adaptsim_jax.diagnosis.simulator import Simulator, linearise
+from adaptsim_jax.diagnosis.starts import settle, without
+
+TELLING = 3.0  # noises, over a whole stretch, from which on a difference is seen
+
+
+def telling(
+    simulator: Simulator, problem: Problem, found: Selection, proposals: Mapping[str, Simulator]
+) -> dict[str, Any] | None:
+    """Where a named effect has a look-alike: which of the proposals parts the two most, or which recorded trial does where there are
+    none; None where every name stands alone.
+
+    The distance of a stretch is that of both models' predictions over the noise, less what its own start would take up.
+    """
+    for n in found.named:
+        for rival, model in n.alternatives:
+            tried = {f"{name}": other for name, other in proposals.items()} or {"": simulator}
+            apart = {
+                (key, trial): size
+                for key, sim in tried.items()
+                for trial, size in _distances(sim, found.final, model).items()
+            }
+            (key, trial), size = max(apart.items(), key=lambda item: item[1])
+            where = f"proposal {key}" if key else f"motions like those of trial {trial}"
+            pair = f"{n.effect.name} and {rival.name}"
+            said = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
+            if size < TELLING:
+                said += " That is hardly seen: another kind of experiment is needed."
+            return {
+                "message": said,
+                "separates": [n.effect.name, rival.name],
+                "distance": size,
+                "proposal": key or trial,
+            }
+    return None
+
+
+def _distances(simulator: Simulator, one: Model, other: Model) -> dict[str, float]:
+    """By trial the largest distance of a stretch's predictions by two models, over the noise."""
+    s, which = simulator.stretches, np.arange(simulator.stretches.count)
+    rows = lambda m: np.tile(m.fit.values, (s.count, 1))
+    noise = np.array([c.noise for c in simulator.channels])
+    starts = settle(simulator, rows(one), s.start, 0).starts
+    off = (simulator.predict(rows(one), starts, which) - simulator.predict(rows(other), starts, which)) / noise
+    off = (np.nan_to_num(off) * (s.seen > 0)).reshape(s.count, -1)
+    by_start = linearise(simulator, rows(one), starts, which, np.zeros((0, len(one.fit.values))))[0]
+    size = np.sqrt(np.square(without(by_start, off[..., None])[..., 0]).sum(1))
+    return {s.names[t]: float(size[s.trial == t].max()) for t in np.unique(s.trial)}

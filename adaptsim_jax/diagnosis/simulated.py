@@ -1,0 +1,186 @@
+"""Diagnose any simulator: what recorded stretches show, what is left, what could have been found, what to run next."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core import config
+from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.diagnosis import rows
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.experiment import telling
+from adaptsim_jax.diagnosis.power import power_rows
+from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.diagnosis.run import Page, Run, plain
+from adaptsim_jax.diagnosis.schema import check, new_report
+from adaptsim_jax.diagnosis.select import Model, Selection, select
+from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
+from adaptsim_jax.diagnosis.starts import ROUNDS, problem_of, settle
+from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
+
+METRIC = "median over left-out stretches of the RMS error of a signal over its noise, starts fitted"
+
+
+def diagnose_simulator(
+    simulator: Simulator,
+    *,
+    out: str | Path | None = None,
+    criteria: Criteria | None = None,
+    exclude: Sequence[str] = (),
+    progress: Callable[[float, float, str], None] | None = None,
+    page: Page | None = None,
+    proposals: Mapping[str, Simulator] | None = None,
+    name: str = "simulator",
+) -> dict[str, Any]:
+    """Which of a simulator's candidates hold out on left-out stretches.
+
+    Args:
+        simulator: what predicts, and what was measured (`diagnosis.simulator.Simulator`).
+        out: folder for `report.json`, its page and `model.toml`; None: nothing is written.
+        criteria: what counts as an effect. exclude: names of candidates that are not considered.
+        progress: told of `(done, total, note)`; page: writes the report and its page, a plain `report.json` where None.
+        proposals: by name, the same simulator over stretches that could be run (what is measured in them does not matter): the report
+            says which tells the look-alikes apart.
+        name: of the model, in the report.
+
+    Returns:
+        The report (`diagnosis.schema`); errors are over each signal's noise. Raises BadInput where sizes or names do not agree.
+    """
+    began = time.monotonic()
+    check_simulator(simulator)
+    criteria = criteria or Criteria()
+    kept = rows.check_exclude(tuple(exclude), simulator.candidates, "simulator")
+    folder = None if out is None else output_folder(out)
+    step = rows.stepping(progress, 0.02)
+    step("starts")
+    problem = problem_of(simulator, kept)
+    found = select(problem, criteria, step)
+    report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
+    told_of_nothing(report)
+    report["run"] = evidence["run"] = Run(f"diagnose_simulator({name})", began).told()
+    report = check(report)
+    if folder is not None:
+        write_bytes(folder / rows.MODEL, config.dumps(model_table(problem, found, name)).encode())
+        (page or plain)(folder, report, evidence)
+    return report
+
+
+def reported(
+    simulator: Simulator,
+    problem: Problem,
+    found: Selection,
+    criteria: Criteria,
+    proposals: Mapping[str, Simulator],
+    name: str,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report, and the arrays behind its page."""
+    s = simulator.stretches
+    over = rows.over_floor(found.final)
+    worst = max(over, rows.left_by_fit(problem, found.final))
+    both = {"before": found.null, "after": found.final}
+    report = new_report(
+        "simulator",
+        name,
+        rows.verdict(found.named, worst, criteria),
+        message(found, over, worst),
+        {
+            "trials": len(s.names),
+            "samples": int((s.seen > 0).any(2).sum()),
+            "held_out_trials": len(np.unique(problem.fold)),
+        },
+        effects=[rows.effect_row(problem, found, n) for n in found.named],
+        error=_error(simulator, problem, both),
+        candidates=rows.candidate_rows(found),
+        declared={k: rows.declared_rows(problem, m, {}) for k, m in both.items()},
+        not_established=rows.same_rows(found, "stretch"),
+        power=power_rows(problem, found, criteria),
+        next_experiment=telling(simulator, problem, found, proposals),
+    )
+    return report, {"audit": [], "held_out": _held_out(simulator, problem, both, bool(found.named))}
+
+
+def told_of_nothing(report: dict[str, Any]) -> None:
+    """Where no model does better than a straight line or holding still, that is said first, and nothing is named."""
+    skills = [z for z in report["error"]["skill"].values() if z is not None]
+    if not skills or max(skills) >= 0.0:
+        return
+    e = report["error"]
+    least = min(e["straight_line"], e["hold_still"])
+    said = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {least:.3g}."
+    named = ", ".join(row["name"] for row in report["effects"])
+    report |= {"message": f"{said}{f' Not named for that: {named}.' if named else ''}", "effects": []}
+    report["verdict"] = "structured_unattributed" if e["after"] > 1.5 else "within_noise"
+    for row in report["candidates"]:
+        row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
+
+
+def message(found: Selection, over: float, worst: float) -> str:
+    """What was found, in a few sentences."""
+    size = lambda m: f"{rows.over_floor(m):.3g}"
+    if not found.named:
+        said = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
+        return f"{said} {'Nothing need be added.' if worst <= 1.5 else 'No candidate holds out.'}"
+    return (
+        f"{rows.told(found.named, 'folds')} Left-out error {size(found.null)} to {size(found.final)} times the noise."
+    )
+
+
+def model_table(problem: Problem, found: Selection, name: str) -> dict[str, Any]:
+    """`model.toml`: declared quantities as fitted, and what each named effect adds."""
+    value = lambda q: float(found.final.fit.values[problem.index[q]])
+    effects = {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.named}
+    return {
+        "schema": 1,
+        "task": "simulator",
+        "model": name,
+        "parameters": {q: value(q) for q in problem.declared},
+        "effects": effects,
+    }
+
+
+def predictions(simulator: Simulator, model: Model) -> np.ndarray:
+    """Outputs `[W, R, C]` of stretches that are predicted with what the others say, each from its best start."""
+    vectors = model.fit.vectors
+    starts = settle(simulator, vectors, simulator.stretches.start, 2 * ROUNDS).starts
+    return simulator.predict(vectors, starts, np.arange(simulator.stretches.count))
+
+
+def _error(simulator: Simulator, problem: Problem, both: Mapping[str, Model]) -> dict[str, Any]:
+    s, tracks = simulator.stretches, {k: predictions(simulator, m) for k, m in both.items()}
+    trial_of = [np.flatnonzero(s.trial == t) for t in range(len(s.names))]
+    some = [k for k, mine in enumerate(trial_of) if len(mine)]
+
+    def rms(key: str, c: int) -> np.ndarray:
+        off = np.square(tracks[key][..., c] - s.measured[..., c]) * s.seen[..., c]
+        return np.array([np.sqrt(off[trial_of[k]].sum() / max(s.seen[trial_of[k]][..., c].sum(), 1)) for k in some])
+
+    size = {k: np.array([np.sqrt(m.fit.held[trial_of[t]].mean()) for t in some]) for k, m in both.items()}
+    channels = {c.name: (c.unit, c.noise, {k: rms(k, i) for k in both}) for i, c in enumerate(simulator.channels)}
+    table = rows.error_rows(METRIC, 1.0, "declared noise", [s.names[k] for k in some], size, channels)
+    table |= {k: rows.over_floor(m) for k, m in both.items()}
+    noise = np.array([c.noise for c in simulator.channels])
+    line, still = (float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s))
+    zero = {"straight_line": line, "hold_still": still}
+    return table | zero | {"unit": "1", "skill": {k: skill(table[k], line, still) for k in both}}
+
+
+def _held_out(simulator: Simulator, problem: Problem, both: Mapping[str, Model], mended: bool) -> list[dict[str, Any]]:
+    """Each trial's stretches one after the other, measured and predicted while left out, for the page."""
+    s, out = simulator.stretches, []
+    tracks = {k: predictions(simulator, m) for k, m in both.items()}
+    for t, name in enumerate(s.names):
+        mine = np.flatnonzero(s.trial == t)
+        if not len(mine):
+            continue
+        seen = lambda z, w, c: np.append(np.where(s.seen[w, :, c] > 0, z[w, :, c], np.nan), np.nan)
+        flat = lambda z, c, mine=mine, seen=seen: np.concatenate([seen(z, w, c) for w in mine])
+        of = lambda z, flat=flat: {ch.name: flat(z, c) for c, ch in enumerate(simulator.channels)}
+        out.append({
+            "trial": name, "units": {ch.name: ch.unit for ch in simulator.channels},
+            "time": np.concatenate([np.append(s.time[w], s.time[w, -1]) for w in mine]),
+            "measured": of(s.measured), "before": of(tracks["before"]), "after": of(tracks["after"]) if mended else None,
+        })  # fmt: skip
+    return out

@@ -1,0 +1,147 @@
+"""The contract of a simulator that is diagnosed: quantities, channels, stretches, candidates, and one function that predicts.
+
+Whatever predicts what was measured is a simulator: MuJoCo, a network, sixty lines of NumPy. The core asks it for nothing but
+`predict`; what it may override, because it knows better, is `linearise`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+
+STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured signal: its name, unit, and noise (standard deviation, in that unit)."""
+
+    name: str
+    unit: str
+    noise: float
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """What is compared: W stretches of at most R rows of C channels, each with S numbers of its own that are fitted (its start).
+
+    trial `[W]`: which of `names` each is of; time `[W, R]`; measured `[W, R, C]`; seen `[W, R, C]`: 1 where something was measured
+    (a stretch that is shorter ends unseen); start `[W, S]`: a first guess, S 0 where starts are known; scale `[S]`: a size that
+    matters of each.
+    """
+
+    trial: np.ndarray
+    names: tuple[str, ...]
+    time: np.ndarray
+    measured: np.ndarray
+    seen: np.ndarray
+    start: np.ndarray
+    scale: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return len(self.trial)
+
+    def of(self, which: np.ndarray) -> "Stretches":
+        """Those stretches alone."""
+        lanes = {k: getattr(self, k)[which] for k in ("trial", "time", "measured", "seen", "start")}
+        return replace(self, **lanes)
+
+
+class Simulator(Protocol):
+    """What is asked of a simulator. declared: names of quantities that are fitted whatever is found."""
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]: ...
+    @property
+    def declared(self) -> tuple[str, ...]: ...
+    @property
+    def channels(self) -> tuple[Channel, ...]: ...
+    @property
+    def stretches(self) -> Stretches: ...
+    @property
+    def candidates(self) -> tuple[Candidate, ...]: ...
+
+    def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Outputs `[B, R, C]` of a batch: stretch `which [B]` from starts `[B, S]` with values `[B, P]` of all quantities."""
+        ...
+
+
+def check_simulator(simulator: Simulator) -> None:
+    """Raises BadInput where sizes and names of a simulator do not agree, or two predictions of the same differ."""
+    s, names = simulator.stretches, [q.name for q in simulator.quantities]
+    shape = (s.count, s.time.shape[1], len(simulator.channels))
+    if len(set(names)) < len(names):
+        raise BadInput(f"simulator: quantities {', '.join(names)} have a name twice; give each its own")
+    asked = [*simulator.declared, *(q for c in simulator.candidates for q in c.quantities)]
+    if unknown := sorted(set(asked) - set(names)):
+        raise BadInput(f"simulator: no quantity is named {unknown[0]!r}; it has {', '.join(names)}")
+    for what, x, wanted in (
+        ("measured", s.measured, shape),
+        ("seen", s.seen, shape),
+        ("start", s.start, (s.count, len(s.scale))),
+    ):
+        if x.shape != wanted:
+            raise BadInput(f"simulator: stretches.{what} has shape {x.shape}; {wanted} is wanted")
+    values = np.tile([q.neutral for q in simulator.quantities], (s.count, 1))
+    one, two = (np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2))
+    if one.shape != shape:
+        raise BadInput(f"simulator: predict gives shape {one.shape}; {shape} is wanted (stretches, rows, channels)")
+    if not np.array_equal(one, two, equal_nan=True):
+        raise BadInput(
+            "simulator: predict gives two answers to one question; fix its seed, or pass its state as a start"
+        )
+
+
+def residuals(simulator: Simulator, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Measured less predicted, over the noise: `[B, R C]`, zero where nothing was seen; what ran away is a thousand noises off."""
+    s = simulator.stretches
+    noise = np.array([c.noise for c in simulator.channels])
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = (s.measured[which] - simulator.predict(values, starts, which)) / noise
+    off = np.nan_to_num(np.clip(off, -1e6, 1e6), nan=1e3)
+    return np.where(s.seen[which] > 0, off, 0.0).reshape(len(which), -1)
+
+
+def differences(
+    simulator: Simulator,
+    values: np.ndarray,
+    starts: np.ndarray,
+    which: np.ndarray,
+    ways: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> np.ndarray:
+    """Derivatives `[B, R C, K]` of predictions over the noise along K ways, by central differences, on all cores.
+
+    Each way is a pair of `(d values [P], d starts [S])` of the size of a unit step; differences are taken over `STEP` of it.
+    """
+
+    def along(way: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        ahead, behind = (
+            residuals(simulator, values + side * STEP * way[0], starts + side * STEP * way[1], which)
+            for side in (1.0, -1.0)
+        )
+        return (behind - ahead) / (2.0 * STEP)
+
+    if not len(ways):
+        return np.zeros((len(which), simulator.stretches.measured[0].size, 0))
+    return np.stack(parallel_map(along, list(ways)), -1)
+
+
+def linearise(
+    simulator: Simulator, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of predictions over the noise: by starts `[B, R C, S]` (in steps of `Stretches.scale`), and by values along the rows
+    of `basis [K, P]`, `[B, R C, K]`. A simulator with a `linearise` of its own, of the same arguments, gives its own."""
+    own = getattr(simulator, "linearise", None)
+    if own is not None:
+        return own(values, starts, which, basis)
+    none_v, none_s = np.zeros(values.shape[1]), np.zeros(starts.shape[1])
+    by_start = differences(
+        simulator, values, starts, which, [(none_v, row) for row in np.diag(simulator.stretches.scale)]
+    )
+    return by_start, differences(simulator, values, starts, which, [(row, none_s) for row in basis])

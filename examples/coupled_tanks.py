@@ -1,0 +1,70 @@
+"""Two coupled tanks, which are no machine of ours: which effect does their model lack? `python examples/coupled_tanks.py`
+
+The model: a pump fills tank 1, it drains into tank 2, that drains away, as Torricelli says. The plant, simulated here in place of a
+recording, leaks from tank 1 besides. A simulator of one's own is `predict` and four tables.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax import Candidate, Channel, Quantity, Stretches, diagnose_simulator
+
+DT, ROWS, NOISE = 2.0, 30, 0.5  # s, rows of a stretch, mm of level
+QUANTITIES = (  # name, unit, neutral, low, high, a size that matters, width of a weak prior
+    Quantity("gain", "mm/(s V)", 1.0, 0.1, 5.0, 0.02, 10.0),
+    Quantity("drain_1", "mm^.5/s", 0.30, 0.01, 2.0, 0.005, 10.0),
+    Quantity("drain_2", "mm^.5/s", 0.30, 0.01, 2.0, 0.005, 10.0),
+    Quantity("leak", "1/s", 0.0, 0.0, 0.1, 1e-4, 1.0),
+    Quantity("dead_voltage", "V", 0.0, 0.0, 2.0, 0.02, 10.0),
+    Quantity("sensor_offset", "mm", 0.0, -50.0, 50.0, 1.0, 100.0),
+)
+CANDIDATES = (
+    Candidate("leak", "tank 1", ("leak",), "water lost in proportion to the level", "high and low levels"),
+    Candidate("dead_voltage", "pump", ("dead_voltage",), "voltage below which the pump gives nothing", "low voltages"),
+    Candidate("sensor_offset", "tank 2", ("sensor_offset",), "a level read too high", "high and low levels"),
+)
+
+
+def levels(values, start, volts):
+    """Levels [B, R, 2] mm under voltages [B, R], by Euler's steps of `DT`."""
+    gain, drain_1, drain_2, leak, dead, offset = values.T
+    h, out = np.maximum(start, 0.0), []
+    for k in range(volts.shape[1]):
+        out.append(h + np.stack([0.0 * offset, offset], 1))
+        out_1, out_2 = drain_1 * np.sqrt(h[:, 0]), drain_2 * np.sqrt(h[:, 1])
+        rate = np.stack([gain * np.maximum(volts[:, k] - dead, 0.0) - out_1 - leak * h[:, 0], out_1 - out_2], 1)
+        h = np.maximum(h + DT * rate, 0.0)
+    return np.stack(out, 1)
+
+
+@dataclass(frozen=True)
+class Tanks:
+    stretches: Stretches
+    volts: np.ndarray  # [W, R]
+    quantities = QUANTITIES
+    declared = ("gain", "drain_1", "drain_2")
+    channels = (Channel("level_1", "mm", NOISE), Channel("level_2", "mm", NOISE))
+    candidates = CANDIDATES
+
+    def predict(self, values, starts, which):
+        return levels(values, starts, self.volts[which])
+
+
+def recorded(hidden: dict[str, float], seed: int = 0, trials: int = 6) -> Tanks:
+    """`trials` recordings of four stretches each, of a plant that has `hidden` besides."""
+    rng = np.random.default_rng(seed)
+    true = np.array([[hidden.get(q.name, q.neutral) for q in QUANTITIES]])
+    volts = np.repeat(rng.uniform(0.5, 6.0, (trials, 4 * ROWS // 10)), 10, 1)
+    seen = levels(np.repeat(true, trials, 0), rng.uniform(50, 250, (trials, 2)), volts)
+    seen = seen + NOISE * rng.standard_normal(seen.shape)
+    cut = lambda z: z.reshape(trials * 4, ROWS, *z.shape[2:])
+    y, time = cut(seen), cut(np.tile(DT * np.arange(4 * ROWS), (trials, 1)))
+    names = tuple(f"{k:02d}" for k in range(trials))
+    trial, guess = np.repeat(np.arange(trials), 4), y[:, 0]
+    return Tanks(Stretches(trial, names, time, y, np.ones_like(y), guess, np.array([5.0, 5.0])), cut(volts))
+
+
+if __name__ == "__main__":
+    report = diagnose_simulator(recorded({"gain": 1.1, "drain_1": 0.33, "leak": 0.004}), name="two coupled tanks")
+    print(report["message"], *((e["name"], e["parameters"]) for e in report["effects"]), sep="\n")

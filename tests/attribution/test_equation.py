@@ -1,0 +1,97 @@
+"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks with the torque, right about friction."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.diagnose import declared_vector, examined
+from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
+from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.windows import runs_of
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
+from adaptsim_jax.diagnosis.criteria import Criteria
+from tests.attribution.pendulum import record
+
+NOTHING = Vector((), np.zeros(0))
+HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body name="link">
+<joint name="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
+
+
+def prepared(folder, model=None):
+    machine = load(folder, model)
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    return machine, problem, balances(problem, machine.tracks)
+
+
+def test_speed_and_acceleration_of_a_sine_are_its_own():
+    time = np.arange(0.0, 8.0, 0.004)
+    q = np.stack([np.sin(3.0 * time), 0.3 * np.cos(2.0 * time)], 1)
+    (run,) = runs_of([Track("a", time, q, None, np.zeros_like(q))], np.full(2, 1e-6))
+    weigh = lambda z: run.averaged(z)
+    assert weigh(run.a)[0] == pytest.approx(weigh(-9.0 * run.q)[0], abs=0.05)
+    assert run.averaged(np.ones((1, len(run.time)))) == pytest.approx(1.0)
+
+
+def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
+    data = record(tmp_path / "rub", friction=0.2, trials=2, held=False)
+    truth = tmp_path / "truth.xml"
+    truth.write_text((data / "model.xml").read_text().replace('mass="1.2"', 'mass="1.0"').replace('damping="0.01"', 'damping="0.02"'))
+    _, problem, (balance,) = prepared(data, truth)
+    missing = residual(problem, balance, NOTHING)[:, 0]
+    moves = balance.clear[:, 0] > 0.9
+    sign = balance.averaged(balance.sign)[:, 0]
+    assert np.median(np.abs(missing[moves] + 0.2 * sign[moves])) < 0.03
+    assert np.sqrt(np.mean(missing[moves] ** 2)) == pytest.approx(0.2, rel=0.15)
+
+
+def test_columns_are_slopes_of_what_is_missing(tmp_path):
+    machine, problem, (balance,) = prepared(record(tmp_path / "rub", friction=0.2, trials=2))
+    vector = declared_vector(machine, problem)
+    table = Table(problem, balance, vector)
+    for k, entry in enumerate(vector.entries):
+        step = np.zeros(len(vector))
+        step[k] = 1e-4
+        slope = (residual(problem, balance, vector.at(vector.values + step)) - table.missing()) / -1e-4
+        assert table.of(entry) == pytest.approx(slope, abs=1e-3 * max(1.0, np.abs(slope).max()))
+
+
+def test_an_actuator_that_does_nothing_leaves_as_much_as_it_was_told():
+    told = np.ones((9, 2))
+    assert in_proportion(told, told * np.array([0.5, 0.0])) == pytest.approx([0.5, 0.02])
+
+
+def test_friction_is_found_in_seconds_and_nothing_beside(tmp_path):
+    machine, problem, told = prepared(record(tmp_path / "rub", friction=0.2, trials=4, held=False))
+    null = declared_vector(machine, problem)
+    found = said(problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False)
+    (named,) = found.named
+    assert (named.candidate.effect, named.candidate.joints) == ("coulomb", (0,))
+    value = found.final.values[found.final.index()["coulomb", "level", (0,)]]
+    assert value == pytest.approx(0.2, rel=0.1)
+
+
+def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
+    """A body too heavy to move, driven by next to nothing, is a straight line, and a straight line a good forecast of slow motion."""
+    folder = tmp_path / "slow"
+    folder.mkdir()
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 12.0, 0.01)
+    for k in range(2):
+        q = 0.3 * np.sin(0.4 * time + k) + 0.1 * np.sin(1.1 * time - k) + 1e-3 * rng.normal(size=len(time))
+        torque = 0.5 * rng.normal(size=len(time))  # of another machine: it has nothing to do with the motion
+        np.savetxt(folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments="")
+    (folder / "model.xml").write_text(HEAVY)
+    mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "torque"\n')
+    machine, problem, told = prepared(folder)
+    assert of_torque(problem, told, NOTHING).skill <= -0.9
+    others = [e.name for e in MACHINE if e.name not in ("viscous", "coulomb", "torque_gain")]
+    report, _, whole = examined(machine, Criteria(), 0.5, others)
+    assert predicts_nothing(whole.after) and headline(whole.before, False)[0] == "stretches"
+    assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")

@@ -1,0 +1,41 @@
+"""What is on disk whatever fails: the report first, each other file if it can be written."""
+
+import json
+
+from adaptsim_jax.attribution.written import UNFINISHED, cleared, write_all, write_partial
+from adaptsim_jax.diagnosis.run import plain
+from adaptsim_jax.diagnosis.schema import new_report, read_report
+
+
+def _report():
+    return new_report("mechanism", "robot.xml", "within_noise", "Nothing.", {"trials": 1, "samples": 9, "held_out_trials": 1})
+
+
+def test_a_file_that_cannot_be_written_is_a_line_and_the_rest_is_there(tmp_path):
+    def broken() -> str:
+        raise RuntimeError("a mesh is\nmissing")
+
+    report, evidence = _report(), {}
+    write_all(tmp_path, report, evidence, plain, {"model.xml": broken, "model.toml": lambda: "a = 1\n"})
+    assert (tmp_path / "model.toml").read_text() == "a = 1\n" and not (tmp_path / "model.xml").exists()
+    (line,) = read_report(tmp_path / "report.json")["warnings"]
+    assert line == "model.xml could not be written: RuntimeError: a mesh is missing"
+    assert evidence["audit"][0]["message"] == line
+
+
+def test_a_page_that_fails_leaves_the_numbers(tmp_path):
+    def page(folder, report, evidence):
+        raise ValueError("no ink")
+
+    write_all(tmp_path, _report(), {}, page, {"model.toml": lambda: ""})
+    assert read_report(tmp_path / "report.json")["warnings"] == ["report.html could not be written: ValueError: no ink"]
+    assert (tmp_path / "model.toml").exists()
+
+
+def test_an_unfinished_report_says_so_and_an_earlier_one_is_gone(tmp_path):
+    (tmp_path / "model.xml").write_text("old")
+    cleared(tmp_path)
+    assert not (tmp_path / "model.xml").exists()
+    write_partial(tmp_path, _report())
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["unfinished"] and told["message"].startswith(UNFINISHED)

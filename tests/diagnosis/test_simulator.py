@@ -1,0 +1,119 @@
+"""A simulator of one's own (`examples/coupled_tanks.py`): what is named, what is not, what could have been, and what is refused."""
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptsim_jax import BadInput, Candidate, Simulator, diagnose_simulator
+from adaptsim_jax.diagnosis.fit import completed, jacobian
+from adaptsim_jax.diagnosis.starts import problem_of, settle
+
+TANKS = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "coupled_tanks.py"))
+recorded = TANKS["recorded"]
+
+
+@pytest.mark.parametrize(("name", "size"), [("leak", 0.004), ("dead_voltage", 0.8), ("sensor_offset", 30.0)])
+def test_what_the_plant_has_besides_is_named_with_its_size(name, size, tmp_path):
+    report = diagnose_simulator(recorded({name: size}, seed=3), out=tmp_path)
+    (effect,) = report["effects"]
+    value = effect["parameters"][name]
+    assert effect["name"] == name and value["value"] == pytest.approx(size, rel=0.1)
+    assert report["error"]["after"] < 1.2 < report["error"]["before"]
+    assert (tmp_path / "report.json").exists() and f"[effects.{name}]" in (tmp_path / "model.toml").read_text()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_plant_that_is_the_model_has_nothing_named(seed):
+    report = diagnose_simulator(recorded({"gain": 1.1, "drain_2": 0.27}, seed=seed))
+    assert report["verdict"] == "within_noise" and not report["effects"]
+    assert report["declared"]["after"]["gain"]["value"] == pytest.approx(1.1, rel=0.02)
+    power = {row["name"]: row["power"] for row in report["power"]}
+    assert power["leak"] < 0.9 and set(power) == {c.name for c in TANKS["CANDIDATES"]}
+
+
+def test_an_error_is_held_against_doing_nothing():
+    report = diagnose_simulator(recorded({"leak": 0.004}, seed=3))
+    error = report["error"]
+    assert error["after"] < error["straight_line"] < error["hold_still"]
+    assert error["skill"]["after"] == pytest.approx(1.0 - error["after"] / error["straight_line"])
+
+
+def test_a_model_that_predicts_nothing_names_nothing():
+    """Tanks that nothing flows out of, under noise that is said to be a hundredth of what it is: any leak helps, and is no finding."""
+    tanks = recorded({"gain": 0.02, "drain_1": 0.001, "drain_2": 0.001}, seed=4)
+    noisy = tanks.stretches.measured + 20.0 * np.random.default_rng(0).standard_normal(tanks.stretches.measured.shape)
+    ramp = 3.0 * np.arange(noisy.shape[1])[None, :, None] * np.random.default_rng(1).standard_normal((len(noisy), 1, 2))
+    object.__setattr__(tanks, "stretches", replace(tanks.stretches, measured=noisy + ramp))
+    report = diagnose_simulator(tanks)
+    assert not report["effects"] and report["message"].startswith("The model predicts nothing")
+    assert report["error"]["skill"]["after"] < 0.0
+
+
+def test_few_trials_are_left_out_by_blocks():
+    report = diagnose_simulator(recorded({"leak": 0.004}, seed=5, trials=3))
+    assert [e["name"] for e in report["effects"]] == ["leak"]
+    assert report["data"] == {
+        "trials": 3,
+        "samples": 3 * 120,
+        "held_out_trials": 8 if report["data"]["held_out_trials"] == 8 else 9,
+    }
+
+
+def test_look_alikes_are_told_as_a_class_with_the_motion_that_parts_them():
+    """A second name for the same quantity does as well, whatever is run."""
+    tanks = recorded({"leak": 0.004}, seed=6)
+    twin = Candidate("evaporation", "tank 1", ("leak",), "the same by another name", "nothing")
+    object.__setattr__(tanks, "candidates", (*tanks.candidates, twin))
+    report = diagnose_simulator(tanks, proposals={"fast": recorded({}, seed=7)})
+    (effect,) = report["effects"]
+    assert report["verdict"] == "explained_class" and len(effect["alternatives"]) == 1
+    assert report["next_experiment"]["distance"] < 1.0 and "hardly seen" in report["next_experiment"]["message"]
+    assert report["next_experiment"]["proposal"] == "fast"
+
+
+def test_starts_are_fitted_and_taken_out_of_the_columns():
+    tanks = recorded({}, seed=8)
+    far = tanks.stretches.start + 20.0
+    values = np.tile([q.neutral for q in tanks.quantities], (tanks.stretches.count, 1))
+    found = settle(tanks, values, far, 12)
+    free = tanks.stretches.measured[0].size - 2
+    assert np.median(np.square(found.residual).sum(1) / free) == pytest.approx(1.0, abs=0.4)
+    problem = problem_of(tanks)
+    own = jacobian(problem, values[0], ["sensor_offset"])
+    whole = jacobian(problem, values[0], ["gain"])
+    assert own.shape == whole.shape == (tanks.stretches.count, tanks.stretches.measured[0].size, 1)
+    assert np.square(own).sum() < np.square(tanks.stretches.measured[0].size)  # an offset is mostly another start
+    fit = completed(problem, problem.declared, values[0])
+    assert fit.vectors.shape == values.shape and len(np.unique(fit.vectors, axis=0)) == len(tanks.stretches.names)
+
+
+def test_what_is_no_simulator_is_refused_in_one_line():
+    tanks = recorded({}, seed=9)
+    spoilt = {
+        "shape": {"stretches": replace(tanks.stretches, start=tanks.stretches.start[:, :1])},
+        "'leek'": {"declared": ("leek",)},
+        "a name twice": {"quantities": (*tanks.quantities, tanks.quantities[0])},
+        "two answers": {"predict": lambda v, s, w: np.random.default_rng().normal(size=(len(w), 30, 2))},
+    }
+    for words, change in spoilt.items():
+        bad = recorded({}, seed=9)
+        for key, value in change.items():
+            object.__setattr__(bad, key, value)
+        with pytest.raises(BadInput, match=words):
+            diagnose_simulator(bad)
+    with pytest.raises(BadInput, match="leak"):
+        diagnose_simulator(tanks, exclude=("leek",))
+
+
+def test_the_protocol_is_what_is_asked_for():
+    """Every member of the contract is there with the right sizes, and prediction of a part is a part of the prediction."""
+    tanks = recorded({"leak": 0.002}, seed=10)
+    assert all(hasattr(tanks, name) for name in (n for n in vars(Simulator) if n[0] != "_"))
+    s, values = tanks.stretches, np.array([[q.neutral for q in tanks.quantities]])
+    whole = tanks.predict(np.tile(values, (s.count, 1)), s.start, np.arange(s.count))
+    some = np.array([5, 2])
+    np.testing.assert_array_equal(tanks.predict(np.tile(values, (2, 1)), s.start[some], some), whole[some])
+    np.testing.assert_array_equal(s.of(some).measured, s.measured[some])
