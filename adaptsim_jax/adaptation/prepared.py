@@ -17,7 +17,6 @@ KEPT = 64  # preparations kept beside compiled programs; the oldest go
 
 def prepared(
     task: Task,
-    options: dict,
     seed: int = 0,
     folder: str | os.PathLike | None = None,
     report: Report = silent,
@@ -40,7 +39,6 @@ def prepared(
 def learned(
     task: Task,
     made: Preparation,
-    options: dict,
     seed: int,
     folder: str | os.PathLike | None,
     report: Report = silent,
