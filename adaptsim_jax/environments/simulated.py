@@ -205,7 +205,7 @@ def _physics(physics: Physics | None) -> Iterator[None]:
     if physics is None:
         yield
         return
-    peer = sys.modules.get("mujoco_playground._src.mjx_env")
+    peer: Any = sys.modules.get("mujoco_playground._src.mjx_env")
     theirs = None if peer is None else peer.step
     _ACTING.append(physics)
     if peer is not None:

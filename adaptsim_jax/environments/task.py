@@ -78,9 +78,8 @@ def setting_of(
     fields = (*omega, *hidden_fields(raw.names, table, omega))
     targets = {name: target_of(name, given, fields, raw.native is not None) for name, given in table.items()}
     sim = environment(env, omega, config.length, where)
-    play = make_play(
-        sim, omega, *(p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay")
-    )
+    longest = [p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"]
+    play = make_play(sim, omega, max(longest, default=0.0))
     rest = jnp.asarray([f.nominal for f in fields[space.dim :]], jnp.float32)
     made = trainer(play, space, config.training, _obs_dim(play, omega, where))
     return Setting(config, env, sim, space, fields, play, compiled(made), targets, rest)
@@ -335,7 +334,8 @@ def measured(setting: Setting, obs: Any, action: Any, reward: Any) -> Rollout:
         if x.shape != shape or not 1 <= t <= T or not np.isfinite(x).all():
             raise BadInput(f"{name}: the shape is {x.shape}; {shape} of finite numbers is wanted, of 1 to {T} steps")
     full = [np.concatenate([x, np.zeros((T - t, *x.shape[1:]), np.float32)]) for x in rows]
-    return look(Steps(*map(jnp.asarray, full), jnp.asarray(np.arange(T) < t, jnp.float32)))
+    on = jnp.asarray(np.arange(T) < t, jnp.float32)
+    return look(Steps(jnp.asarray(full[0]), jnp.asarray(full[1]), jnp.asarray(full[2]), on))
 
 
 def _of_omega(space: Space, target: Target) -> dict[str, float]:
