@@ -142,8 +142,10 @@ def task_of(setting: Setting) -> Task:
 
 
 def _digest(setting: Setting) -> str:
-    """Of the model and of the environment's own code."""
-    found = hashlib.sha256()
+    """Of all that what is learned depends on: the model, the environment's own code, Omega, how it is trained and shown."""
+    config, space = setting.config, setting.space
+    told = (space, setting.sim.length, config.training, config.policy == "planned", config.planner, config.components)
+    found = hashlib.sha256(repr((*told, config.env, config.options)).encode())
     if setting.sim.native is not None:
         size = mujoco.mj_sizeModel(setting.sim.native)
         buffer = np.empty(size, np.uint8)
@@ -241,7 +243,9 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
 def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
     """`(u [N, D]) -> [N, K]` features of an episode under the same random actions. BadInput where its rewards are not finite."""
     dim = setting.sim.action_dim
-    random = Acting(lambda policy: (), lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory))
+    random = Acting(
+        lambda policy: (), lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory)
+    )
 
     @jax.jit
     @jax.vmap
@@ -252,8 +256,12 @@ def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
         found = run(u)
         if not np.isfinite(np.asarray(found.score)).all():
             bad = int(np.flatnonzero(~np.isfinite(np.asarray(found.score)))[0])
-            at = dict(zip(setting.space.names, np.asarray(setting.space.physical(u[bad])).round(4).tolist(), strict=True))
-            raise BadInput(f"env: the return is not finite under random actions at {at}; mend the reward, or narrow that range")
+            at = dict(
+                zip(setting.space.names, np.asarray(setting.space.physical(u[bad])).round(4).tolist(), strict=True)
+            )
+            raise BadInput(
+                f"env: the return is not finite under random actions at {at}; mend the reward, or narrow that range"
+            )
         return np.asarray(found.features)
 
     return seen
