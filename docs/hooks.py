@@ -19,7 +19,7 @@ from adaptsim_jax.commands.parser import command_parser
 
 BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
 SHARED = {"--help", "--seed", "--no-cache"}
-TASKS = ("pendulum", "pushing", "scooping")
+TASKS = ("pendulum", "pushing", "scooping", "environment")
 
 
 def pages() -> dict[str, str]:

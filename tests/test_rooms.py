@@ -12,8 +12,8 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 ROOMS = (
-    "core", "space", "control", "effects", "mechanisms", "logs", "diagnosis", "attribution", "learners", "tasks",
-    "adaptation", "baselines", "report", "commands", "cli", "__main__",
+    "core", "space", "control", "effects", "mechanisms", "logs", "diagnosis", "simulators", "attribution", "learners", "tasks",
+    "environments", "adaptation", "baselines", "report", "commands", "cli", "__main__",
 )  # fmt: skip
 WITHIN = {
     "core": (
@@ -26,17 +26,25 @@ WITHIN = {
         "registry",
     ),
     "mechanisms": (
-        "lanes", "tree", "spatial", "kinematics", "dynamics", "equations", "actuators", "inertia_frames", "urdf", "mjcf", "mjcf_write",
-        "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop", "model_file",
+        "lanes", "tree", "spatial", "kinematics", "dynamics", "equations", "actuators", "inertia_frames", "urdf", "spec", "roles",
+        "transmission", "mjcf", "mjcf_write", "plant", "double_pendulum", "registry", "dry_friction", "stepping", "closed_loop",
+        "model_file",
     ),
     "logs": (
-        "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "quality",
-        "log_meta", "noise", "table", "units", "log", "recording", "tables", "angles", "clock", "lerobot", "log_checks", "model_names",
-        "pendulum_log", "guess", "joint_columns", "ros", "inputs", "assemble", "read", "begin",
+        "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "sent", "quality",
+        "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "recording", "tables", "command_files", "angles",
+        "messages",
+        "stamps", "trajectories", "lerobot", "log_checks", "model_names", "followed",
+        "pendulum_log", "joint_columns", "scales", "guess", "bag",
+        "mcap_file", "bag_files", "topics", "ros", "inputs", "assemble", "read", "begin",
     ),
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",
-        "rows", "simulated",
+        "yardstick", "rows", "simulated",
+    ),
+    "environments": (
+        "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
+        "targets", "checks", "task", "film", "kind",
     ),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",

@@ -32,7 +32,7 @@ def test_the_reference_holds_every_command_and_its_options():
 
 def test_the_reference_holds_every_key_with_its_default():
     text = runpy.run_path(str(DOCS / "hooks.py"))["configuration"]()
-    assert text.count("```toml") == 3
+    assert text.count("```toml") == 4
     assert "delta = 0.1\n" in text and "### Phase1Config" in text and "### ScoopingConfig" in text
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.adaptation import sweep_devices as devices
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
+from adaptsim_jax.adaptation.prepared import prepared
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 from adaptsim_jax.adaptation.training import archive_size
 from adaptsim_jax.core.errors import BadInput
@@ -47,7 +48,7 @@ class Found(NamedTuple):
 def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Split) -> Programs:
     """Programs for members alike to `member` in all that is static, `width` at a time."""
     config = member.config
-    task = make_task(spec.task, config.task, "task")
+    task = prepared(make_task(spec.task, config.task, "task"), config.task, config.seed)
     phase1 = make_phase1(task, config.phase1, devices.spread(split))
     mesh = devices.make_mesh(split)
     used = archive_size(phase1, phase1.config.rounds)

@@ -46,7 +46,8 @@ class Range:
 class SweepSpec:
     """SPEC.toml as it stands.
 
-    task; preset or config (a file of `adaptsim train`): where members start from, else the task's default; set: changed in all.
+    task, or an env.toml from this file's folder; preset or config (a file of `adaptsim train`): where members start from, else the
+    task's default; set: changed in all.
     Members are grid x random x list x seeds. grid: key = [values]; list: tables of keys that belong together; seeds: how many
     (0, 1, ...) or which. targets: settings of the task to adapt to (none: Phase 1 alone), from `starts` members of S_E for
     `iterations` steps. keep: leave each member's run folder, for `adaptsim adapt`.
@@ -87,13 +88,25 @@ def read_sweep(path: str | Path) -> Sweep:
     wrong type or outside of its bounds, and of values that do not fit each other, before anything is run."""
     table = configs.read(path, "no such file; name the SPEC.toml of a sweep")
     lines = Lines(str(path), Path(path).read_bytes().decode("utf-8-sig"))
-    spec = _spec(table, lines, str(path))
-    base = _base(spec, lines, Path(path).parent)
+    env = _environment(table, lines, Path(path).parent)
+    spec = _spec(table if env is None else table | {"task": "environment"}, lines, str(path))
+    base = _base(spec, lines, Path(path).parent, env or {})
     axes = _axes(spec, lines)
     for key, value, line in _every(axes):
         with lines.blamed(line):
             _check_key(spec.task, configs.to_table(base), key, value, lines.where(line))
     return _members(spec, base, axes, lines)
+
+
+def _environment(table: dict[str, Any], lines: Lines, folder: Path) -> dict[str, Any] | None:
+    """The env.toml that the spec names as its task, read; None where it names a task."""
+    named = table.get("task")
+    if not (isinstance(named, str) and named.endswith(".toml")):
+        return None
+    from adaptsim_jax.environments.config import read_env
+
+    with lines.blamed("task"):
+        return read_env(folder / named)
 
 
 def _spec(table: dict[str, Any], lines: Lines, path: str) -> SweepSpec:
@@ -128,11 +141,13 @@ def seeds_of(spec: SweepSpec, lines: Lines | None = None) -> list[int]:
     return seeds
 
 
-def _base(spec: SweepSpec, lines: Lines, folder: Path) -> TrainConfig:
-    """The configuration that members start from."""
+def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> TrainConfig:
+    """The configuration that members start from; env: the table of an env.toml, empty for other tasks."""
     if spec.preset and spec.config:
         raise BadInput(f"{lines.where('config')}: preset and config are both given; leave one out")
     base = default_config(spec.task)
+    if env:
+        base = configs.from_table(TrainConfig, with_defaults(spec.task, env), "env.toml")
     if spec.preset:
         names = [name for name in PRESETS if name.endswith(f"-{spec.task}")]
         with lines.blamed("preset"):

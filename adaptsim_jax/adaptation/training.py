@@ -10,9 +10,11 @@ import jax.numpy as jnp
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State, make_phase1
 from adaptsim_jax.adaptation.phase1_config import check_hyper
 from adaptsim_jax.adaptation.phase2 import Phase2Result, adapt, draw_starts
+from adaptsim_jax.adaptation.prepared import prepared
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import MAX_SEED
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.tasks.registry import make_task
 
@@ -57,7 +59,7 @@ def train_run(config: TrainConfig, run: RunFolder, progress: Callable[..., None]
     `progress(done, total, note)` is called between chunks. A chunk is `every` rounds, or the largest number below that
     divides the run, so that one compiled program serves all of it.
     """
-    phase1 = _phase1_of(config, run)
+    phase1 = _phase1_of(config, run, progress)
     hyper = traced(config.hyper)
     state, done = run.restore(jax.jit(phase1.init)(jax.random.key(config.seed)))
     total = phase1.config.rounds
@@ -102,8 +104,11 @@ def archive_size(phase1: Phase1, rounds: int) -> int:
     return min(phase1.config.archive, rounds * phase1.config.parallel * phase1.config.horizon)
 
 
-def _phase1_of(config: TrainConfig, run: RunFolder) -> Phase1:
-    return make_phase1(make_task(run.task, config.task, str(run.path / "config.toml")), config.phase1)
+def _phase1_of(config: TrainConfig, run: RunFolder, progress: Callable[..., None] | None = None) -> Phase1:
+    """progress: of what the task learns first; None where that must be there already."""
+    task = make_task(run.task, config.task, str(run.path / "config.toml"))
+    task = prepared(task, config.task, config.seed, run.path, progress or silent, make=progress is not None)
+    return make_phase1(task, config.phase1)
 
 
 def _rows(phase1: Phase1, info: Any, done: int) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import equations
+from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.tree import Tree
 
 BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be bent at its start
@@ -20,7 +21,8 @@ class Values(NamedTuple):
     """Numbers of a model of n joints; every leaf has a last axis of 1, or of one number a stretch.
 
     inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias per speed, lowest and highest
-    force, before the gear [n, .]; effects {name: {parameter: [n, .]}}.
+    force, before the gear [n, .]; effects {name: {parameter: [n, .]}}; ties [n, n, .]: gears by which a joint's actuator pulls other
+    joints as well (a tendon), None where none does.
     """
 
     inertial: Any
@@ -28,6 +30,7 @@ class Values(NamedTuple):
     actuator: Any
     gear: Any
     effects: dict[str, dict[str, Any]]
+    ties: Any = None
 
 
 class Motion(NamedTuple):
@@ -67,11 +70,23 @@ def actuated(values: Values, q, v, u):
     gain, bias, per_q, per_v, low, high = values.actuator
     g = values.gear
     q = q + sensed_offset(values)
-    pull = gain * u + bias + per_q * g * q
+    along, rate = g * q, g * v
+    if values.ties is not None:
+        along, rate = along + _tied(values.ties, q), rate + _tied(values.ties, v)
+    pull = gain * u + bias + per_q * along
     # a controller's encoder on the motor's side sees the drive's wind-up and play, too
     yields = 1.0 - wound(values) * g * g * per_q
-    pull = pull - _played(values, g * (pull + per_v * g * v)) / g
-    return g * jnp.clip((pull + per_v * g * v) / yields, low, high), g * pull / yields
+    pull = pull - _played(values, g * (pull + per_v * rate)) / g
+    force, follows = jnp.clip((pull + per_v * rate) / yields, low, high), pull / yields
+    if values.ties is None:
+        return g * force, g * follows
+    back = jnp.swapaxes(values.ties, 0, 1)
+    return g * force + _tied(back, force), g * follows + _tied(back, follows)
+
+
+def _tied(ties, x):
+    """Row by row the sum over joints `[n, n, .]` times `[n, .]`."""
+    return sum(ties[:, j] * x[j][None] for j in range(ties.shape[1]))
 
 
 def held_by(values: Values):
@@ -119,6 +134,8 @@ def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
     nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)
     smooth, level, inertia, yielding = tau + nothing, nothing, nothing, nothing
+    held_up = compensation(model.tree, q)
+    smooth = smooth if held_up is None else smooth + held_up
     for effect in model.effects:
         if effect.place != "force" or effect.name not in values.effects:
             continue

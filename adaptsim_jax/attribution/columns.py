@@ -77,7 +77,8 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
     dt = jnp.diff(time, axis=0)
     q, v, a = _middle(path, dt)
     wide = lambda z: z[:, None, :]
-    lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear))
+    ties = None if values.ties is None else values.ties[:, :, None]
+    lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear), ties=ties)
     seen = {k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in SEEN_BY_CONTROLLERS}
     lanes = lanes._replace(effects=seen)
     u = jnp.moveaxis(path.u, 0, 1)

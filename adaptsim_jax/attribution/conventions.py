@@ -6,7 +6,10 @@ from functools import cache
 import jax
 import numpy as np
 
-from adaptsim_jax.attribution.load import Machine
+from adaptsim_jax.attribution.commands_told import check_commands
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.pace import amperes, check_pace
+from adaptsim_jax.attribution.problem import drive_force
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
@@ -21,6 +24,7 @@ from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.equations import regressor
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -44,9 +48,10 @@ def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
 def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with what to write instead."""
     tree, log = machine.tree, machine.log
+    told = check_commands(machine)
     found = of_machine(machine)
     if found is None:
-        return ()
+        return told
     tracks, declared = found
     program = _program(tree.n)
     more = []
@@ -56,9 +61,11 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
         more.append(Hypothesis("length", says, "write it in metres", design=_design(_resized(tree, factor), program)))
     words = _words(tree, log.input_kind)
     zeros = [j for j, turns in enumerate(words.hinges) if turns]
-    if told := contradiction(tracks, declared, words, more, _chain(tree), zeros):
-        raise BadInput(f"{log.path}: {told.message}; {AS_DECLARED}")
-    warned = () if machine.gain_unknown else _weighed(machine, tracks, declared)
+    if other := contradiction(tracks, declared, words, more, _chain(tree), zeros):
+        raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
+    if log.input_kind in ("none", "torque"):
+        told += check_pace(machine, tracks, declared)
+    warned = told + (() if machine.gain_unknown else _weighed(machine, tracks, declared))
     late = lateness(tracks, declared)
     step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))
     if late is None:
@@ -71,6 +78,8 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     motion = motion_of(tracks)
     if len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any():  # a free swing says nothing of the torques' unit
         return ()
+    if asked := amperes(machine, tracks, declared):
+        return asked
     found = linear_fit(motion, declared, first=machine.tree.n)
     if found.left > POOR or 1.0 / NEAR < found.scale < NEAR:
         return ()
@@ -98,9 +107,9 @@ def channels(machine: Machine) -> Channels:
 
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
     """`[T, n]` at the joints, by the declared law of the actuators."""
-    gain, bias, angle, speed, low, high = machine.actuator
-    inner = gain * u + bias + angle * q + (0.0 if v is None else speed * v)
-    return machine.gear * np.clip(inner, low, high)
+    force = drive_force(machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u)
+    held_up = compensation(machine.tree, q.T)
+    return force if held_up is None else force + np.asarray(held_up).T
 
 
 @cache

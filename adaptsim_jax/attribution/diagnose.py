@@ -145,7 +145,7 @@ def examined(
     chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
     problem = prepare(
         machine.tree, machine.tracks, chosen, machine.actuator, machine.gear, horizon, declared=machine.declared,
-        look_back=LOOK_BACK,
+        look_back=LOOK_BACK, ties=machine.ties,
     )  # fmt: skip
     step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows
     say(0.05, 1.0, "declared model")

@@ -17,6 +17,9 @@ from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
 from adaptsim_jax.attribution.weights import Counted, Fit, counted
 
+LOST = 1e30
+"""Derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit make."""
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -94,8 +97,9 @@ def _reordered(columns: np.ndarray, known: Sequence[Entry], entries: Sequence[En
 
 
 def _without_lost(*by_lane: np.ndarray) -> None:
-    """Stretches [W, ...] that ran away beyond all numbers say nothing of where to go: their rows become zero, in place."""
-    lost = ~np.all([np.isfinite(z).reshape(len(z), -1).all(1) for z in by_lane], 0)
+    """Stretches [W, ...] that ran away say nothing of where to go: their rows become zero, in place. Finite numbers may be too large
+    for their squares, too."""
+    lost = ~np.all([(np.abs(z) < LOST).reshape(len(z), -1).all(1) for z in by_lane], 0)
     for z in by_lane if lost.any() else ():
         z[lost] = 0.0
 

@@ -5,9 +5,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.problem import BEYOND_STOP, beyond_range
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
+from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.mjcf import Mechanism
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -15,7 +17,8 @@ from adaptsim_jax.mechanisms.tree import Tree
 @dataclass(frozen=True)
 class Machine:
     """A mechanism with its recording. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force; gear [n];
-    gain_unknown: the input is a voltage or a current, whose torque is to be found."""
+    ties [n, n]: gears by which a joint's actuator pulls others (None: none does); gain_unknown: the input is a voltage or a current,
+    whose torque is to be found; beyond: what of the file a tree of joints has not and the recording may feel, a sentence each."""
 
     mechanism: Mechanism
     log: Log
@@ -29,7 +32,20 @@ class Machine:
     gain_guess: np.ndarray = field(
         default_factory=lambda: np.zeros(0)
     )  # [n] where the search for an unknown gain begins
+    ties: np.ndarray | None = None
+    beyond: tuple[str, ...] = ()
     servo_times: dict[int, float] = field(default_factory=dict)  # of kp in the file, by joint, where it had to be found
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know of how the model was read and of what is left out, a sentence each."""
+        left_out = f"not simulated by the tree of joints: {'; '.join(self.beyond)}" if self.beyond else ""
+        asked = (
+            "diagnosed by a tree of joints: the simulator mujoco replays and fits"
+            if self.log.meta.simulator == "mujoco"
+            else ""
+        )
+        return (*self.mechanism.notes, *(line for line in (left_out, asked) if line))
 
     @property
     def tree(self) -> Tree:
@@ -50,49 +66,12 @@ class Machine:
 def machine(mechanism: Mechanism, log: Log) -> Machine:
     """The two joined."""
     n = mechanism.tree.n
-    where = {name: j for j, name in enumerate(mechanism.tree.joint_names)}
-    law = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
-    gear = np.ones(n)
-    column = {}
-    limits = np.tile([-np.inf, np.inf], (n, 1))
-    if log.input_kind == "command":
-        by_name = {a.name: a for a in mechanism.actuators}
-        for k, name in enumerate(log.input_names):
-            a = by_name.get(name) or next(
-                (a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None
-            )
-            if a is None:
-                raise BadInput(
-                    f"{log.path}: a command for {name}, but {mechanism.path} has no such actuator; add it or rename the column"
-                )
-            if a.joint in column:
-                raise BadInput(
-                    f"{mechanism.path}: joint {mechanism.tree.joint_names[a.joint]} has several actuators; keep one of them"
-                )
-            column[a.joint], j = k, a.joint
-            gear[j] = a.gear
-            low, high = a.forcerange
-            law[:, j] = (
-                a.gain,
-                a.offset,
-                -a.kp,
-                -a.kv,
-                -np.inf if np.isnan(low) else low,
-                np.inf if np.isnan(high) else high,
-            )
-            low, high = a.ctrlrange
-            limits[j] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
-        for j in set(range(n)) - set(column):
-            law[0, j] = 0.0
-    else:
-        for k, name in enumerate(log.input_names):
-            column[where[name]] = k
-    tracks = []
-    for trial in log.trials:
-        u = np.zeros((len(trial.time), n))
-        for j, k in column.items():
-            u[:, j] = np.clip(trial.u[:, k], *limits[j])
-        tracks.append(Track(trial.name, trial.time, trial.q, trial.v, u, trial.group))
+    commanded = log.input_kind == "command"
+    drives = _drives(mechanism, log) if commanded else _torques(mechanism, log)
+    tracks = tuple(
+        Track(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u), trial.group) for trial in log.trials
+    )
+    law, gear = drives.law, drives.gear
     unknown = log.input_kind in ("voltage", "current")
     if unknown:  # torque over input is what the file's motors say; a gear of 1 says nothing, so a guess to begin with
         first = _gain(mechanism.tree, tracks)
@@ -102,10 +81,115 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
             low, high = (a.gear * z for z in a.forcerange)
             law[4:, a.joint] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
     declared = {("delay", "delay"): np.zeros(n), ("actuator_lag", "lag"): np.zeros(n)}
-    if log.input_kind == "command":
+    if commanded:
         for a in mechanism.actuators:
             declared["delay", "delay"][a.joint], declared["actuator_lag", "lag"][a.joint] = a.delay, a.lag
-    return Machine(mechanism, log, tuple(tracks), law, gear, unknown, declared)
+    beyond = (
+        mechanism.beyond + (mechanism.drives_beyond if commanded else ()) + drives.beyond + _far(mechanism.tree, tracks)
+    )
+    return Machine(mechanism, log, tracks, law, gear, unknown, declared, ties=drives.ties, beyond=beyond)
+
+
+@dataclass(frozen=True)
+class _Drives:
+    """Actuators by joint: law [6, n], gear [n], ties [n, n] or None as of `Machine`; share [m, n] of the log's inputs, within limits
+    [m, 2], in each joint's; beyond: what is not as in the file."""
+
+    law: np.ndarray
+    gear: np.ndarray
+    ties: np.ndarray | None
+    share: np.ndarray
+    limits: np.ndarray
+    beyond: tuple[str, ...] = ()
+
+    def input(self, u: np.ndarray) -> np.ndarray:
+        """[T, n] of the log's [T, m]."""
+        out = np.zeros((len(u), self.share.shape[1]))
+        for k, j in np.argwhere(self.share):
+            out[:, j] += self.share[k, j] * np.clip(u[:, k], *self.limits[k])
+        return out
+
+
+def _torques(mechanism: Mechanism, log: Log) -> _Drives:
+    """What was measured at the joints."""
+    n, m = mechanism.tree.n, len(log.input_names)
+    law = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
+    share = np.zeros((m, n))
+    where = {name: j for j, name in enumerate(mechanism.tree.joint_names)}
+    for k, name in enumerate(log.input_names):
+        share[k, where[name]] = 1.0
+    return _Drives(law, np.ones(n), None, share, np.tile([-np.inf, np.inf], (m, 1)))
+
+
+def _drives(mechanism: Mechanism, log: Log) -> _Drives:
+    """What actuators make of commands. Several at a joint add up to one law, whose command is in the units of the first servo's."""
+    n, m = mechanism.tree.n, len(log.input_names)
+    law = np.stack([*[np.zeros(n)] * 4, np.full(n, -np.inf), np.full(n, np.inf)])
+    gear, ties, share = np.ones(n), np.zeros((n, n)), np.zeros((m, n))
+    limits = np.tile([-np.inf, np.inf], (m, 1))
+    by_joint: dict[int, list[tuple[int, Actuator]]] = {}
+    for k, name in enumerate(log.input_names):
+        a = _actuator(mechanism, name)
+        if a is not None:  # else of joints that are held, or on no joint of the tree, which is told
+            limits[k] = _open(a.ctrlrange)
+            by_joint.setdefault(a.joint, []).append((k, a))
+    beyond: list[str] = []
+    for j, some in by_joint.items():
+        actuators = [a for _, a in some]
+        lead = next((a for a in actuators if a.kp), actuators[0])
+        parts = np.array([a.gear / lead.gear for a in actuators])
+        gear[j], law[:, j] = lead.gear, _summed(lead, actuators, parts)
+        for (k, a), part in zip(some, parts, strict=True):
+            share[k, j] = part * a.gain / lead.gain if lead.gain else 0.0
+        low, high = np.sort(np.array(_open(tuple(mechanism.force_limits[j]))) / gear[j])
+        law[4:, j] = max(law[4, j], low), min(law[5, j], high)
+        for other, g in lead.more:
+            ties[j, other] = g
+        beyond += _differing(mechanism.tree.joint_names[j], actuators)
+    return _Drives(law, gear, ties if ties.any() else None, share, limits, tuple(beyond))
+
+
+def _summed(lead: Actuator, actuators: Sequence[Actuator], parts: np.ndarray) -> np.ndarray:
+    """Law [6] of all actuators of a joint, with the gear of `lead`; parts: the gear of each over it."""
+    of = lambda name: np.array([getattr(a, name) for a in actuators])
+    bounds = [np.sort(p * np.array(_open(a.forcerange))) for p, a in zip(parts, actuators, strict=True)]
+    return np.array([
+        lead.gain, parts @ of("offset"), -(parts**2) @ of("kp"), -(parts**2) @ of("kv"), *np.sum(bounds, 0)
+    ])  # fmt: skip
+
+
+def _differing(joint: str, actuators: Sequence[Actuator]) -> list[str]:
+    """What is only nearly so where several actuators of a joint add up."""
+    if len(actuators) == 1:
+        return []
+    out = []
+    if any(np.isfinite(_open(a.forcerange)).any() for a in actuators):
+        out.append(f"force ranges of each actuator of {joint} (their sum acts)")
+    if len({(a.delay, a.lag) for a in actuators}) > 1:
+        out.append(f"delays of each actuator of {joint} (that of the last acts)")
+    if any(a.more for a in actuators):
+        out.append(f"tendons that pull {joint} beside another actuator")
+    return out
+
+
+def _actuator(mechanism: Mechanism, name: str) -> Actuator | None:
+    by_name = {a.name: a for a in mechanism.actuators}
+    return by_name.get(name) or next(
+        (a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None
+    )
+
+
+def _open(limits: tuple[float, ...]) -> tuple[float, float]:
+    """Limits with infinity where there is none."""
+    low, high = limits
+    return -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
+
+
+def _far(tree: Tree, tracks: Sequence[Track]) -> tuple[str, ...]:
+    """Declared ranges that the motion goes far beyond, so that the machine cannot have them."""
+    far = beyond_range(tree, tracks)
+    names = [f"{tree.joint_names[j]} (by {far[j]:.2g} {tree.unit(j)})" for j in np.flatnonzero(far > BEYOND_STOP)]
+    return (f"the declared range of {', '.join(names)}, which the motion goes beyond",) if names else ()
 
 
 def _gain(tree: Tree, tracks) -> float:

@@ -165,29 +165,32 @@ def _found_gain(machine: Machine) -> dict[str, float]:
 
 def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, float]]:
     """Changes of actuators by name, for `mjcf_write.Changes`."""
-    by_joint = {machine.tree.joint_names.index(name): name for name in _motors(machine)}
-    by_joint |= {a.joint: a.name for a in machine.mechanism.actuators}
+    by_joint: dict[int, list[str]] = {}
+    for a in machine.mechanism.actuators:
+        by_joint.setdefault(a.joint, []).append(a.name)
+    for name in _motors(machine):  # a motor that is added goes by its joint's name
+        by_joint.setdefault(machine.tree.joint_names.index(name), []).append(name)
     gains = _found_gain(machine)
     out: dict[str, dict[str, float]] = {"gain": dict(gains)}
     for j, times in machine.servo_times.items():
-        out.setdefault("kp", {})[by_joint[j]] = times
-        out.setdefault("kv", {})[by_joint[j]] = 0.0
+        for name in by_joint[j]:
+            out.setdefault("kp", {})[name] = times
+            out.setdefault("kv", {})[name] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         key = ACTUATED.get(e.owner)
         for j in e.joints if key else ():
-            name = by_joint.get(j)
-            if name is None:
-                continue
-            if key == "kp" and j in machine.servo_times:
-                out["kp"][name] = (1.0 + float(value)) * machine.servo_times[j]
-            elif key in ("gain", "kp"):
-                out.setdefault(key, {})[name] = (1.0 + float(value)) * (gains.get(name, 1.0) if key == "gain" else 1.0)
-            elif key == "limit" and e.name == "cut":
-                out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
-            elif key in ("delay", "lag") and e.name == key and value > 0.0:
-                out.setdefault(key, {})[name] = float(value)
+            for name in by_joint.get(j, ()):
+                if key == "kp" and j in machine.servo_times:
+                    out["kp"][name] = (1.0 + float(value)) * machine.servo_times[j]
+                elif key in ("gain", "kp"):
+                    found = gains.get(name, 1.0) if key == "gain" else 1.0
+                    out.setdefault(key, {})[name] = (1.0 + float(value)) * found
+                elif key == "limit" and e.name == "cut":
+                    out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
+                elif key in ("delay", "lag") and e.name == key and value > 0.0:
+                    out.setdefault(key, {})[name] = float(value)
     return out
 
 

@@ -11,6 +11,7 @@ from adaptsim_jax.attribution.drive import LEAST, Drive, drive_of, gives
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
 from adaptsim_jax.attribution.simulate import Path, Scheme, simulate, with_drives
+from adaptsim_jax.attribution.stops import limited, rates
 
 STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
 MOST_SUBSTEPS = 12
@@ -40,6 +41,10 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
         fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
         inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
         giving = np.flatnonzero(soft)
+    ends = np.asarray(group.model.tree.stop)[limited(group.model.tree)]
+    if len(ends):
+        pull, drag = (np.asarray(z) for z in rates(ends))
+        fastest = max(fastest, float(drag.max()), 2.0 * float(np.sqrt(pull).max()))
     swing = np.sqrt(stiffness / inertia) * 2.0
     need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
     stiff = bool(need > MOST_SUBSTEPS) and not len(giving)

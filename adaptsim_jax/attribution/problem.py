@@ -38,6 +38,7 @@ class Group:
     actuator: np.ndarray  # [6, n]
     gear: np.ndarray  # [n]
     inertias: Inertias
+    ties: np.ndarray | None = None  # [n, n]
 
 
 @dataclass(frozen=True)
@@ -73,10 +74,12 @@ def prepare(
     most: int = 192,
     declared: Mapping[tuple[str, str], np.ndarray] | None = None,
     look_back: float = 0.0,
+    ties: np.ndarray | None = None,
 ) -> Problem:
     """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n];
-    look_back: s from each stretch's start whose readings do not count."""
+    look_back: s from each stretch's start whose readings do not count; ties [n, n]: see `acting.Values`."""
     n = len(tree.joint_names)
+    tree = within_reach(tree, tracks)
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
     fold, _, names = folds_of(stretches.trial, stretches.names)
     stretches = _padded(stretches)
@@ -84,12 +87,13 @@ def prepare(
         actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
     groups = []
-    for joints in subtrees(tree):
+    for joints in tied(subtrees(tree), ties):
         part = _nameless(take(tree, joints))
         part_of = lambda z, j=list(joints): np.asarray(z)[..., j]
+        own = None if ties is None else ties[np.ix_(joints, joints)]
         groups.append(
             Group(Model(part, tuple(effects)), tuple(joints), stretches.of(joints), part_of(actuator), part_of(gear),
-                  inertias(np.asarray(part.inertial)))
+                  inertias(np.asarray(part.inertial)), own if own is not None and np.any(own) else None)
         )  # fmt: skip
     as_declared = {
         ("viscous", "damping"): np.asarray(tree.damping), ("coulomb", "level"): np.asarray(tree.frictionloss),
@@ -98,9 +102,44 @@ def prepare(
     }  # fmt: skip
     as_declared |= dict(declared or {})
     return Problem(
-        tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear), fold, names,
+        tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear, ties), fold, names,
         bool(np.any(stretches.seen_v)), as_declared, noise(tracks),
     )  # fmt: skip
+
+
+NEAR_STOP = 0.05  # rad (m): from its range, within which a joint's motion may feel it
+BEYOND_STOP = 0.1  # rad (m): beyond its range, where a joint that stops there is not found
+
+
+def beyond_range(tree: Tree, tracks: Sequence[Track]) -> np.ndarray:
+    """How far [n] the motion goes beyond the declared ranges, at its 99th percentile; -inf for joints without."""
+    low, high = np.asarray(tree.range, float).T
+    q = np.concatenate([t.q for t in tracks])
+    far = np.maximum(np.nanquantile(q, 0.99, axis=0) - high, low - np.nanquantile(q, 0.01, axis=0))
+    return np.where(tree.limited, far, -np.inf)
+
+
+def within_reach(tree: Tree, tracks: Sequence[Track]) -> Tree:
+    """The same where only those limits count that the motion may feel: not those that it stays away from, nor those that it goes far
+    beyond, which the machine cannot have."""
+    far = beyond_range(tree, tracks)
+    q = np.concatenate([t.q for t in tracks])
+    low, high = np.asarray(tree.range, float).T
+    near = np.maximum(np.nanmax(q, axis=0) - high, low - np.nanmin(q, axis=0)) > -NEAR_STOP
+    return replace(
+        tree, limited=tuple(bool(a and b and c <= BEYOND_STOP) for a, b, c in zip(tree.limited, near, far, strict=True))
+    )
+
+
+def tied(groups: list[tuple[int, ...]], ties: np.ndarray | None) -> list[tuple[int, ...]]:
+    """Groups of joints, those put together that an actuator ties to each other."""
+    if ties is None:
+        return groups
+    for i, j in np.argwhere(ties):
+        one, two = (next(g for g in groups if k in g) for k in (i, j))
+        if one != two:
+            groups = sorted([*(g for g in groups if g not in (one, two)), tuple(sorted(one + two))])
+    return groups
 
 
 def beginnings(problem: Problem, share: float) -> Problem:
@@ -118,7 +157,10 @@ def beginnings(problem: Problem, share: float) -> Problem:
 def _nameless(tree: Tree) -> Tree:
     """The same with names that say nothing, so that four like legs share one compiled program."""
     count = range(len(tree.joint_names))
-    return replace(tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count))
+    whole = None if tree.whole is None else replace(tree.whole, tree=_nameless(tree.whole.tree))
+    return replace(
+        tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count), whole=whole
+    )
 
 
 def _padded(stretches: Stretches) -> Stretches:
@@ -151,12 +193,19 @@ def _rough(z: np.ndarray) -> np.ndarray:
     return np.where(size > 0, size, mean) / np.sqrt(20.0)
 
 
-def _reach(tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray) -> Reach:
+def drive_force(actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None, q, v, u) -> np.ndarray:
+    """Forces [T, n] of the declared actuators on the joints, at q, v [T, n] under u [T, n]."""
+    gain, bias, per_q, per_v, least, most = actuator
+    moment = np.diag(gear) + (0.0 if ties is None else ties)
+    force = np.clip(gain * u + bias + per_q * (q @ moment.T) + per_v * (v @ moment.T), least, most)
+    return force @ moment
+
+
+def _reach(tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None = None) -> Reach:
     torque, peak, speed, low, high = [], [], [], [], []
     for track in tracks:
         q, v = local_motion(track.time, track.q, track.v)
-        gain, bias, per_q, per_v, least, most = actuator
-        u = np.clip(gain * np.nan_to_num(track.u) + bias + per_q * gear * q + per_v * gear * v, least, most) * gear
+        u = drive_force(actuator, gear, ties, q, v, np.nan_to_num(track.u))
         torque.append(np.quantile(np.abs(u), 0.998, axis=0))
         peak.append(np.abs(u).max(0))
         speed.append(np.quantile(np.abs(v), 0.9, axis=0))
@@ -244,7 +293,8 @@ def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray |
     inertial = inertial if len(which) == 1 else inertial[..., lane.reshape(-1)]
     gravity = np.stack([tilted(np.asarray(group.model.tree.gravity), *z) for z in tilt], -1)
     wide = lambda z: np.asarray(z, float)[..., None]
-    return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects)
+    ties = None if group.ties is None else wide(group.ties)
+    return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects, ties)
 
 
 def tilted(gravity: np.ndarray, about_x: float, about_y: float) -> np.ndarray:

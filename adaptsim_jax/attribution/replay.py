@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path as File
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.choice import Choice, choose
 from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.forecast import forecast, without_a_model
@@ -30,6 +32,7 @@ from adaptsim_jax.attribution.yardsticks import (
 )
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
+from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
 FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
 
@@ -111,6 +114,7 @@ def replay(
         min(span, longest),
         100_000,
         machine.declared,
+        ties=machine.ties,
     )
     vector = vector if vector is not None else Vector((), np.zeros(0))
     found = replayed(problem, vector, span)
@@ -135,19 +139,65 @@ def replayed(problem: Problem, vector: Vector, horizon: float) -> Replay:
 
 
 def replay_files(
-    model: str | File | None, data: str | File, horizon: float = 0.5, asked: Sequence[str] | None = None
+    model: str | File | None,
+    data: str | File,
+    horizon: float = 0.5,
+    asked: Sequence[str] | None = None,
+    simulator: str | None = None,
 ) -> Replay:
     """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs. asked: yardsticks; where None, whole
-    trials are among them only of a machine that follows commands."""
+    trials are among them only of a machine that follows commands; simulator: tree or mujoco, None: see `choice`."""
+    choice = choose(data, model, simulator, horizon)
+    if choice.simulator == "mujoco":
+        return by_mujoco(choice, horizon)
     machine = load(data, model)
     if asked is None:
         asked = NAMES if follows(machine) else (STRETCHES, TORQUE)
-    return dataclasses.replace(replay(machine, horizon, asked=asked), notes=(*machine.log.notes, *suspected(machine)))
+    return dataclasses.replace(
+        replay(machine, horizon, asked=asked), notes=(*machine.log.notes, *machine.notes, *suspected(machine))
+    )
 
 
 def follows(machine: Machine) -> bool:
     """Whether its actuators are told where to be."""
     return bool(np.any(machine.actuator[2] != 0.0))
+
+
+def by_mujoco(choice: Choice, horizon: float) -> Replay:
+    """A model file over a recording by MuJoCo itself; a base that moves is told beside the joints."""
+    source, log = choice.source, choice.log
+    if source is None or log is None:
+        raise ValueError("a choice of mujoco has read its files")
+    found = mujoco_replayed(source, log, horizon)
+    told = (f"simulated by MuJoCo at the file's own step: {choice.why}",)
+    s, model, names = found.stretches, found.made.model, log.joint_names
+    slides = {model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    kinds, n, error = tuple("slide" if name in slides else "hinge" for name in names), len(names), found.error
+    measured, seen, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
+    if found.base is not None:
+        base = np.median(found.base, 0)
+        told = (*told, f"the base errs by {base[0]:.3g} m and {base[1]:.3g} rad (medians over stretches)")
+    if s.count < found.total:
+        told = (*told, f"{s.count} of {found.total} stretches, evenly spread")
+    if not n and found.base is not None:  # nothing but a body that flies
+        names, kinds, error = ("base, place", "base, turn"), ("slide", "hinge"), found.base
+        measured = simulated = seen = np.zeros((*s.time.shape, 2))
+    line, still = lines_of(s.time, measured, seen)
+    return Replay(
+        names, kinds, s.names, s.trial, error, s.time, measured, simulated, seen, horizon,
+        (*told, *log.notes, *source.notes, *found.made.notes), line, still,
+    )  # fmt: skip
+
+
+def lines_of(time: np.ndarray, measured: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen, rms."""
+    count = np.maximum(seen.sum(1), 1)
+    mean = lambda z: (z * seen).sum(1) / count
+    off = measured - mean(measured)[:, None]
+    t = time[..., None] - mean(np.broadcast_to(time[..., None], measured.shape))[:, None]
+    slope = mean(t * off) / np.maximum(mean(t * t), 1e-12)
+    rms = lambda z: np.sqrt(mean(z * z))
+    return rms(off - slope[:, None] * t), rms(off)
 
 
 def suspected(machine: Machine) -> tuple[str, ...]:

@@ -11,6 +11,11 @@ from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
+<<<<<<< HEAD
+=======
+from adaptsim_jax.attribution.paths import run
+from adaptsim_jax.attribution.power import power_rows
+>>>>>>> main
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
@@ -50,10 +55,11 @@ def reported(
         message(problem, found, before, after, over, odd, int(far.sum()), criteria), data,
         effects=effects, error=_error(problem, found, before, after, noise, floor, horizon),
         candidates=_candidates(problem, found),
+        power=power_rows(problem, found.last, criteria),
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=doubts(problem, found), remaining=remaining,
-        notes=[*log.notes, *machine.mechanism.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
+        notes=[*log.notes, *machine.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
                *early_commands(problem, found),
                *shorter(found, criteria, horizon)],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}

@@ -45,7 +45,7 @@ class Candidate:
 @dataclass(frozen=True)
 class Score:
     """Of a candidate at its best shape: amplitudes [K], first-order fall of the loss, of the held-out loss, robust p, share of folds
-    in which it gains."""
+    in which it gains; scatter: cluster-robust standard error of its only amplitude, 0 where it has several."""
 
     candidate: Candidate
     amplitude: np.ndarray
@@ -53,6 +53,7 @@ class Score:
     held_out: float
     p: float
     folds: float
+    scatter: float = 0.0
 
 
 def entries_of(
@@ -253,7 +254,8 @@ class _Sums:
             a = _solved(c, bend - curve[k], total - by_fold[k], most)
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
         p = score_p(slope[:, amplitude != 0.0])
-        return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)))
+        scatter = float(np.sqrt(np.square(slope).sum()) / max(bend[0, 0], 1e-300)) if len(cols) == 1 else 0.0
+        return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)), scatter)
 
 
 def score_p(slope: np.ndarray) -> float:

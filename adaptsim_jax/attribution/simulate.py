@@ -4,7 +4,7 @@ A step solves for dry friction first (the force that would stop each joint withi
 sweeps over the joints, as in time-stepping of rigid contact; Stewart and Trinkle, 1996) and then integrates everything else by
 Runge and Kutta's fourth order under that force. So a joint that sticks does not creep. Bristles that yield (presliding) are a spring
 in the same place: a third state of each joint, their deflection, where any model has them; drives that give are two more
-(`drive.py`). Where controllers are too fast for that
+(`drive.py`). Ends of declared ranges (`stops.py`) are in the same sweeps. Where controllers are too fast for that
 (`stiff`: a light joint, rows far apart), a Rosenbrock method of second order stands in, which damps what it cannot follow (ROS2;
 Verwer et al., SIAM J. Sci. Comput. 20, 1999); its Jacobian holds their stiffness and damping only, and adds to the inertia.
 """
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
+from adaptsim_jax.attribution import stops
 from adaptsim_jax.attribution.acting import Model, Values, bent_at, carried, forces, held_by
 from adaptsim_jax.mechanisms import equations
 
@@ -107,9 +108,9 @@ def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
     )
 
 
-def _friction(moving: Moving, x, t, extra, bent, h, hold):
-    """Dry friction [n, W] held over a step of h s, and the deflection of bristles by its end, from that before, bent [n, W]. hold:
-    stiffness and damping that are stepped implicitly, None where none are."""
+def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
+    """Dry friction [n, W] held over a step of h s, the deflection of bristles by its end, from that before, bent [n, W], and the force
+    of the ends of declared ranges [n, W]. hold: stiffness and damping that are stepped implicitly, None where none are."""
     v = moving.speeds(x)
     n = len(v)
     act = moving.forces(x, t)
@@ -121,17 +122,33 @@ def _friction(moving: Moving, x, t, extra, bent, h, hold):
     level = jnp.maximum(act.level, 0.0)
     safe = jnp.where(h > 0, h, 1.0)
     own = jnp.stack([answer[j, j] for j in range(n)])
+    ends = stops.limited(model.tree)
+    still = jnp.zeros_like(v)
 
     def turn(carry, j):  # a loop: written out for each joint it takes many times as long to compile
-        after, force = carry
+        after, force, stop = carry
         slide = bent[j] + safe * (after[j] - safe * own[j] * force[j])  # by the end of the step, without it
         new = jnp.clip(-slide / (act.yielding[j] + safe**2 * own[j]), -level[j], level[j])
         after = after + h[None] * answer[:, j] * (new - force[j])[None]
-        return (after, force.at[j].set(new)), None
+        return (after, force.at[j].set(new), stop), None
+
+    if len(ends):
+        side, reference, soft, out = stops.hold_within(model.tree, x[:n], x[n : 2 * n])
+        place = jnp.asarray(np.searchsorted(ends, np.arange(n)).clip(0, len(ends) - 1))
+        ended = jnp.asarray(np.isin(np.arange(n), ends))
+
+    def turn_and_end(carry, j):
+        (after, force, stop), _ = turn(carry, j)
+        k = place[j]
+        rise = (after[j] - v[j]) / safe - own[j] * stop[j]  # without the end's force
+        wanted = jnp.maximum((reference[k] - side[k] * rise) / (own[j] + soft[k]), 0.0) * side[k]
+        new = jnp.where(out[k] & ended[j], wanted, 0.0)
+        after = after + h[None] * answer[:, j] * (new - stop[j])[None]
+        return (after, force, stop.at[j].set(new)), None
 
     order = jnp.tile(jnp.arange(n), SWEEPS if n > 1 else 1)
-    (_, rub), _ = jax.lax.scan(turn, (v + h[None] * free, jnp.zeros_like(v)), order)
-    return rub, -act.yielding * rub
+    (_, rub, stop), _ = jax.lax.scan(turn_and_end if len(ends) else turn, (v + h[None] * free, still, still), order)
+    return rub, -act.yielding * rub, stop
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
@@ -151,12 +168,16 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
         x = whole[:moves]
         still = jnp.zeros_like(extra)
         bent = whole[moves:] if len(whole) > moves else still
-        rubs = lambda: _friction(moving, x, now, extra, bent, h, hold)
-        rub, yielded = jax.lax.cond(scheme.rough, rubs, lambda: (still, still))
+        rubs = lambda: _held(moving, model, x, now, extra, bent, h, hold)
+        if any(model.tree.limited):
+            rub, yielded, stop = rubs()
+        else:
+            rub, yielded, stop = jax.lax.cond(scheme.rough, rubs, lambda: (still, still, still))
+        held = rub + stop
 
         def slope(x, at, k, less):
             act = moving.forces(x, now + at)
-            force, inertia = act.smooth + extra + rub, act.inertia
+            force, inertia = act.smooth + extra + held, act.inertia
             if not hold:
                 return moving.rates(x, force, inertia)
             # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix

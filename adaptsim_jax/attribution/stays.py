@@ -28,6 +28,8 @@ def why_not(
         return f"a shift in time of less than {criteria.least_shift:g} sampling intervals: how rows are read, not an effect"
     if _trifling(model, c, criteria):
         return f"changes what the model file declares by less than {100 * criteria.least_change:.0f} %"
+    if _unseen(problem, model, c):
+        return "its bristles break away within the sensors' noise: friction that turns smoothly, not an effect"
     if eased(problem, less, model) < 0.0:
         return "the simulated angles do not come nearer to the measured ones"
     least = least_worth(problem, c, criteria)
@@ -78,6 +80,17 @@ def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria)
         if e.owner == c.effect and e.unit == "s"
     ]
     return bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
+
+
+def _unseen(problem: Problem, model: Model, c: Candidate) -> bool:
+    """Whether bristles bend by less than the noise of the angles before they break away, at every joint (of a simulator whose friction
+    turns with tanh(v / width), say): no motion shows them."""
+    if c.effect != "presliding":
+        return False
+    values = {e.key: z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)}
+    level = lambda j: max(values.get(("coulomb", "level", (j,)), 0.0), 0.01 * float(problem.reach.torque[j]))
+    bent = [values.get((c.effect, "compliance", (j,)), 0.0) * level(j) / max(problem.floor[j], 1e-12) for j in c.joints]
+    return max(bent) < 1.0
 
 
 def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:

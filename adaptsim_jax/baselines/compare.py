@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
 from adaptsim_jax.baselines.compare_learned import compare_learned
+from adaptsim_jax.baselines.compare_steps import compare_steps
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.methods import Run, Visits
 from adaptsim_jax.baselines.problem import Problem, costs, discrepancy
@@ -24,6 +25,7 @@ from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.registry import make_one_shot, make_task
 
 SCHEMA = 1
+STEPS_TASK = "environment"  # policies over many steps
 
 
 class Bounds(NamedTuple):
@@ -49,6 +51,9 @@ def compare(
     """
     made = make_task(task, config.train.task)
     names = [configs.pick("setting", s, made.settings) for s in config.settings] or list(made.settings)
+    if task == STEPS_TASK:
+        rows, about = compare_steps(config.train.task, names, config, progress)
+        return stamped(task, config, command) | about | {"rows": rows}
     if task not in PROBLEMS:
         one = make_one_shot(task, config.train.task)
         rows, about = compare_learned(one, names, config, progress)

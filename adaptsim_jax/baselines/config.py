@@ -8,7 +8,8 @@ from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.baselines import mdn
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.direct import DirectConfig
-from adaptsim_jax.baselines.registry import exact_methods, learned_methods
+from adaptsim_jax.baselines.registry import exact_methods, learned_methods, steps_methods
+from adaptsim_jax.baselines.steps_config import StepsConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
@@ -21,8 +22,8 @@ class CompareConfig:
     starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
     visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
     For tasks whose policies are learned: target: the engine that targets run in (empty: the task's own simulator), with
-    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt. options: what baselines of
-    other packages are given.
+    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt; steps:
+    where a trial is an episode of many steps. options: what baselines of other packages are given.
     """
 
     methods: tuple[str, ...] = ()
@@ -37,6 +38,7 @@ class CompareConfig:
     target_options: dict[str, Any] = field(default_factory=dict)
     direct: DirectConfig = field(default_factory=DirectConfig)
     bayesopt: BayesOptConfig = field(default_factory=BayesOptConfig)
+    steps: StepsConfig = field(default_factory=StepsConfig)
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -44,7 +46,7 @@ class CompareConfig:
             if getattr(self, name) < 1:
                 raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
         for method in self.methods:
-            configs.pick("method", method, dict.fromkeys((*exact_methods(), *learned_methods())))
+            configs.pick("method", method, dict.fromkeys((*exact_methods(), *learned_methods(), *steps_methods())))
 
 
 def default_comparison(task: str) -> CompareConfig:
@@ -53,6 +55,8 @@ def default_comparison(task: str) -> CompareConfig:
     and BayesOpt likewise."""
     train = default_config(task)
     plain = CompareConfig(train=train, iterations=train.phase1.horizon)
+    if task == "environment":
+        return replace(plain, seeds=3, sysid=STEPS_SYSID, bayesopt=BayesOptConfig(initial=6))
     return plain if task == "pendulum" else replace(plain, seeds=10, sysid=LEARNED_SYSID)
 
 
@@ -60,3 +64,5 @@ def default_comparison(task: str) -> CompareConfig:
 LEARNED_SYSID = SysIdConfig(
     simulations=1000, first_fit=mdn.FitConfig(updates=1000), next_fit=mdn.FitConfig(updates=300, rate=1e-3)
 )
+# and where a simulated trajectory is an episode, fewer of them
+STEPS_SYSID = replace(LEARNED_SYSID, simulations=300, hidden=(64, 64))

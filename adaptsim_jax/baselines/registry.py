@@ -1,7 +1,9 @@
 """Baselines by name. Imports no JAX: commands list the names.
 
 Of a task whose policy is solved exactly, `(Run) -> Visits` (`methods.py`); of one whose policies are learned, `(Bout) -> Trip`
-(`learned.py`). Another package adds one by an entry point of the group `adaptsim.baselines`, called `exact.NAME` or `learned.NAME`.
+(`learned.py`), also of one whose trials are episodes of
+many steps. Another package adds one by an entry point of the group `adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or
+`steps.NAME`.
 """
 
 from __future__ import annotations
@@ -48,12 +50,34 @@ LEARNED: Registry[Callable[[Bout], Trip]] = Registry(
     },
     within="learned",
 )
+STEPS: Registry[Callable[[Bout], Trip]] = Registry(
+    "baselines",
+    {
+        "adaptsim": f"{HERE}.learned:adaptsim",
+        "sysid_bayes": f"{HERE}.learned:sysid_bayes",
+        "sysid_point": f"{HERE}.learned:sysid_point",
+        "bayesopt": f"{HERE}.bayesopt:bayesopt",
+        "cma_es": f"{HERE}.steps_methods:cma_es",
+        "fine_tune": f"{HERE}.steps_methods:fine_tune",
+        "nominal": f"{HERE}.steps_methods:nominal",
+        "udr": f"{HERE}.steps_methods:udr",
+        "udr_wide": f"{HERE}.steps_methods:udr_wide",
+        "best_in_omega": f"{HERE}.steps_methods:best_in_omega",
+        "oracle": f"{HERE}.steps_methods:oracle",
+    },
+    within="steps",
+)
 PROBLEMS: Registry[Callable[[Space], Problem]] = Registry("problems", {"pendulum": f"{HERE}.problem:pendulum_problem"})
 
 
 def exact_methods() -> tuple[str, ...]:
     """Rows of a comparison on a task whose policy is solved exactly."""
     return (*EXACT, *BOUNDS)
+
+
+def steps_methods() -> tuple[str, ...]:
+    """Rows of a comparison of policies over many steps."""
+    return tuple(STEPS)
 
 
 def learned_methods() -> tuple[str, ...]:

@@ -12,7 +12,7 @@ SUMMARIES = {
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",
     "parity": "physics backends against each other over random samples",
-    "new": "a file to start an effect, a mechanism, a task, an engine or a baseline of your own from",
+    "new": "files to start an effect, a mechanism, a task, an environment, an engine or a baseline from",
     "completion": "completion of commands and options for bash, zsh or fish",
     "doctor": "versions, devices, backends that work here, compile-cache folder",
 }

@@ -14,6 +14,7 @@ EXAMPLES = """
   adaptsim adapt runs/a --target wd --starts 4 --iterations 20
   adaptsim adapt runs/p --target ood-2 --video     a run of the push: figures, and a film of its first and best policy
   adaptsim adapt runs/s --target ood-1 --video     the same of scooping
+  adaptsim adapt runs/e --target dry --video       a run of an env.toml: returns, and a film of its first and best policy
 """
 
 
@@ -27,7 +28,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
     parser.add_argument("--json", action="store_true", help="print result.json")
     parser.add_argument(
-        "--video", action="store_true", help="pushing, scooping: a film too (mp4 with the extra [video], else gif)"
+        "--video",
+        action="store_true",
+        help="pushing, scooping, environments: a film too (mp4 with the extra [video], else gif)",
     )
 
 
@@ -68,7 +71,8 @@ def run(args: argparse.Namespace) -> int:
     if folder.task in ROBOT:
         next_step(f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot")
     else:
-        next_step(f"compare {folder.task} --out compared    against other methods")
+        word = "env.toml" if folder.task == "environment" else folder.task
+        next_step(f"compare {word} --out compared    against other methods")
     return 0
 
 

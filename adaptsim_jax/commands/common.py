@@ -19,6 +19,17 @@ def check_task(task: str) -> str:
     return config.pick("task", task, TASKS)
 
 
+def task_word(args: argparse.Namespace) -> str:
+    """The task that `args.task` names, a task's own name or an env.toml: its table is then `args.env`, else empty."""
+    args.env = {}
+    if args.task.endswith(".toml"):
+        from adaptsim_jax.environments.config import read_env
+
+        args.env = read_env(args.task)
+        return "environment"
+    return check_task(args.task)
+
+
 @contextlib.contextmanager
 def output(path: str | Path) -> Iterator[Path]:
     """The folder `path` to write into, made if need be; where the work fails before it wrote anything, it is gone again."""
@@ -39,10 +50,12 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
     """`(name, params [D], world)` of a target: a setting of `task`, or a TOML file that names every parameter.
 
     The parameters stand at the top of the file or under `[params]`; all are checked against physical ranges. A
-    `model.toml` is a target with effects of its own: `world` is then `task` with that model to act in, else None.
+    `model.toml` is a target with effects of its own: `world` is then `task` with that model to act in, else None; so it is where a
+    setting has more than parameters of Omega.
     """
     if text in task.settings:
-        return text, task.space.values(task.settings[text], text), None
+        world = None if task.world is None else task.world(text)
+        return text, task.space.values(task.settings[text], text), world
     path = Path(text)
     if not path.exists():
         known = (*task.settings, "a TOML file of parameters")

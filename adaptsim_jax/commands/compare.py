@@ -12,12 +12,14 @@ EXAMPLES = """
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
   adaptsim compare pendulum --out small --seeds 3 --set train.phase1.trajectories=2000
   adaptsim compare pushing --out push --seeds 2 --settings wd,ood-2 --methods sysid-bayes,learn-in-target,oracle
+  adaptsim compare examples/env.toml --out env --seeds 3     an environment's policies, by return against target trials
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 """
 METHODS = (
     "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, "
     "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, "
-    "learn-in-target, oracle"
+    "learn-in-target, oracle; an env.toml: adaptsim, sysid-bayes, sysid-point, bayesopt, cma-es, fine-tune, nominal, udr, udr-wide, "
+    "best-in-omega, oracle"
 )
 ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
 
@@ -25,7 +27,7 @@ ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx o
 def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, or one of your own")
+    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml")
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="folder for results.json, table, figures and report.html"
     )
@@ -46,15 +48,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Table 1 of the paper for one task."""
-    from adaptsim_jax.commands.common import check_task, output, print_file
+    from adaptsim_jax.commands.common import output, print_file, task_word
 
-    check_task(args.task)
+    said, args.task = args.task, task_word(args)
     from adaptsim_jax.baselines.compare import compare
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 
     asked = config_of(args)
-    with output(args.out) as out, progress(f"compare {args.task}") as report:
+    with output(args.out) as out, progress(f"compare {said}") as report:
         results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]))
         paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
     if args.json:
@@ -85,12 +87,13 @@ def config_of(args: argparse.Namespace) -> Any:
     """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
     from adaptsim_jax.adaptation.phase1 import make_phase1
     from adaptsim_jax.baselines.config import CompareConfig, default_comparison
-    from adaptsim_jax.baselines.registry import PROBLEMS, exact_methods, learned_methods
+    from adaptsim_jax.baselines.registry import PROBLEMS, exact_methods, learned_methods, steps_methods
     from adaptsim_jax.core import config
     from adaptsim_jax.tasks.registry import make_task
 
     where = args.config or "--set"
     defaults = config.to_table(default_comparison(args.task))
+    defaults = config.over(defaults, {"train": args.env})
     start = config.from_table(
         CompareConfig, config.over(defaults, config.read(args.config) if args.config else {}), where
     )
@@ -99,7 +102,8 @@ def config_of(args: argparse.Namespace) -> Any:
     if args.methods is not None:
         methods = [word.strip().replace("-", "_") for word in args.methods.split(",")]
         for method in methods:
-            config.pick("method", method, exact_methods() if args.task in PROBLEMS else learned_methods())
+            known = exact_methods() if args.task in PROBLEMS else learned_methods()
+            config.pick("method", method, steps_methods() if args.task == "environment" else known)
         settings.append(f"methods={methods}")
     if args.settings is not None:
         settings.append(f"settings={[word.strip() for word in args.settings.split(',')]}")

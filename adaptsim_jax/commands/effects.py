@@ -123,7 +123,7 @@ def _parameter(parameter: Any) -> dict[str, Any]:
     sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
     sign = "positive" if parameter.low >= 0 else sign
     role = "shape" if parameter.off is None else "amplitude"
-    told = ("unit", "low", "high", "default", "off", "plausible", "meaning")
+    told = ("unit", "low", "high", "default", "off", "meaning")
     return {"name": parameter.name, "role": role, "sign": sign} | {name: getattr(parameter, name) for name in told}
 
 

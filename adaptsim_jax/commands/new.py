@@ -1,4 +1,4 @@
-"""`adaptsim new`: a file to start an effect, a mechanism, a task, an engine or a baseline of one's own from."""
+"""`adaptsim new`: files to start an effect, a mechanism, a task, an environment, an engine or a baseline from."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ import keyword
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-KINDS = {"effect": ".py", "mechanism": ".xml", "task": ".py", "engine": ".py", "baseline": ".py"}
+KINDS = {  # the files of each
+    "effect": (".py",), "mechanism": (".xml",), "task": (".py",), "engine": (".py",), "baseline": (".py",),
+    "environment": (".toml", ".py", ".xml"),
+}  # fmt: skip
 NEXT = {
     "effect": "python {file}    its torque; then fill in the physics (docs/your-own-effect.md)",
     "mechanism": "adaptsim init LOGS --model {file}",
     "task": "python {file}    trains a small Phase 1 on it",
     "engine": "python {file}    moves the pendulum in it",
     "baseline": "python {file}    tries it in one target",
+    "environment": "adaptsim train {file} --run runs/{name}",
 }
 KNOWN = {  # entry points: group, name, object, and where it then stands
     "effect": ("effects", ("{name}",), "EFFECT", "`adaptsim effects mechanism`, `adaptsim diagnose`"),
@@ -39,18 +43,19 @@ EXAMPLES = """
   adaptsim new mechanism arm --dir robots    writes robots/arm.xml, an MJCF to fill in
   adaptsim new task puck                     writes puck.py
   adaptsim new engine late                   writes late.py, the pendulum in other physics
+  adaptsim new environment hopper            writes hopper.toml, hopper.py and hopper.xml: fields, reward, MJCF
   adaptsim new baseline hill_climb           writes hill_climb.py, a row of `adaptsim compare`
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=KINDS, metavar="KIND", help="effect, mechanism, task, engine or baseline")
+    parser.add_argument("kind", choices=KINDS, metavar="KIND", help=f"{', '.join(KINDS)}")
     parser.add_argument("name", metavar="NAME", help="in lower case, such as cable_drag")
     parser.add_argument("--dir", type=Path, default=Path("."), metavar="DIR", help="folder of the file (default: here)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write one file that runs as it stands, and how it is installed; nothing is overwritten."""
+    """Write what runs as it stands, and how it is installed; nothing is overwritten."""
     from importlib import resources
 
     from adaptsim_jax.core.errors import BadInput
@@ -62,17 +67,19 @@ def run(args: argparse.Namespace) -> int:
         raise BadInput(
             f"{args.kind} '{args.name}' is there already, and two of one name are refused; give another NAME"
         )
-    path = args.dir / f"{args.name}{KINDS[args.kind]}"
-    if path.exists():
-        raise BadInput(f"{path}: is there already; give another NAME, or --dir")
-    start = resources.files("adaptsim_jax.commands") / "starts" / f"{args.kind}{KINDS[args.kind]}.j2"
-    text = start.read_text(encoding="utf-8").replace("{{ name }}", args.name).replace("{{ file }}", path.name)
+    paths = [args.dir / f"{args.name}{suffix}" for suffix in KINDS[args.kind]]
+    for path in paths:
+        if path.exists():
+            raise BadInput(f"{path}: is there already; give another NAME, or --dir")
     output_folder(args.dir)
-    write_bytes(path, text.encode())
-    print(f"written: {path}")
+    for path in paths:
+        start = resources.files("adaptsim_jax.commands") / "starts" / f"{args.kind}{path.suffix}.j2"
+        text = start.read_text(encoding="utf-8").replace("{{ name }}", args.name).replace("{{ file }}", path.name)
+        write_bytes(path, text.encode())
+        print(f"written: {path}")
     if args.kind in KNOWN:
         _make_known(args.kind, args.name, args.dir)
-    print(f"next: {NEXT[args.kind].format(file=path)}")
+    print(f"next: {NEXT[args.kind].format(file=paths[0], name=args.name)}")
     return 0
 
 

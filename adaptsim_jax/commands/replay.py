@@ -13,6 +13,8 @@ EXAMPLES = """
   adaptsim replay out/model.toml logs/validation --json   the mended model on other data
   adaptsim replay out/model.xml logs/robot --horizon 0    every trial in one go
   adaptsim replay robot.urdf run.mcap --out replay        with a figure of measured against simulated
+  adaptsim replay robot.xml logs/robot --simulator mujoco    by MuJoCo itself, at the file's own step
+  adaptsim replay robot.xml logs/robot --fit body:tool.mass 'geom:*foot*.friction[0]'    these numbers fitted by MuJoCo
 """
 
 
@@ -25,6 +27,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=0.5,
         metavar="S",
         help="length of the stretches; 0: whole trials (default 0.5)",
+    )
+    parser.add_argument(
+        "--simulator",
+        choices=("tree", "mujoco"),
+        help="tree: joints on a base that stands still; mujoco: whatever MuJoCo compiles, at the file's own step (default: tree "
+        "where it can, mujoco where it must)",
+    )
+    parser.add_argument(
+        "--fit",
+        nargs="+",
+        metavar="NAME",
+        default=[],
+        help="numbers of the model to fit by the simulator mujoco first: joint:NAME.damping, body:NAME.mass, geom:NAME.friction[0], "
+        "actuator:NAME.kp, option.gravity[0], command.delay; NAME may be a pattern",
     )
     parser.add_argument(
         "--yardstick",
@@ -55,8 +71,10 @@ def run(args: argparse.Namespace) -> int:
 
     if "jax" not in sys.modules:
         compile_flags.small_steps()
+    if args.fit:
+        return _fit(args)
     asked = {None: None, "all": ("stretches", "whole", "torque")}.get(args.yardstick, ("stretches", args.yardstick))
-    found = replay_files(args.model, args.data, args.horizon, asked)
+    found = replay_files(args.model, args.data, args.horizon, asked, args.simulator)
     told = {"model": args.model, "data": args.data, **found.told()}
     if args.out is not None:
         from adaptsim_jax.report.replay_figure import save
@@ -74,6 +92,38 @@ def run(args: argparse.Namespace) -> int:
             next_step(f"replay {shlex.quote(args.model)} OTHER    over a recording that had no part in the diagnosis")
         else:
             next_step(f"diagnose {shlex.quote(args.data)} --out out    what does the declared model lack?")
+    return 0
+
+
+def _fit(args: argparse.Namespace) -> int:
+    """Fit numbers of the model by MuJoCo and print them with what they leave."""
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.files import output_folder, write_json
+    from adaptsim_jax.logs.read import read_source_and_log
+    from adaptsim_jax.simulators.mujoco.fit import fit
+
+    if args.simulator == "tree":
+        raise BadInput("--fit fits by the simulator mujoco; leave --simulator tree out, or run adaptsim diagnose")
+    source, log = read_source_and_log(args.data, args.model)
+    found = fit(source, log, args.fit, args.horizon or 0.5)
+    told = {
+        "model": args.model,
+        "data": args.data,
+        "fitted": found.told(),
+        "before": found.before,
+        "after": found.after,
+        "code": found.code,
+    }
+    if args.out is not None:
+        write_json(output_folder(args.out) / "fitted.json", told)
+    if args.json:
+        print(json.dumps(told, indent=2))
+        return 0
+    for name, row in told["fitted"].items():
+        print(f"{name} = {row['value']:.6g} [{row['low']:.6g}, {row['high']:.6g}] (file {row['file']:.6g})")
+    print(
+        f"residuals, weighted: {found.before:.4g} with the file's numbers, {found.after:.4g} with these ({found.code})"
+    )
     return 0
 
 

@@ -10,7 +10,12 @@ from adaptsim_jax.core.registry import Registry
 
 HERE = "adaptsim_jax.commands"
 ADAPT: Registry[AdaptPart] = Registry(
-    "adapt_parts", {"pushing": f"{HERE}.adapt_pushing:PART", "scooping": f"{HERE}.adapt_scooping:PART"}
+    "adapt_parts",
+    {
+        "pushing": f"{HERE}.adapt_pushing:PART",
+        "scooping": f"{HERE}.adapt_scooping:PART",
+        "environment": f"{HERE}.adapt_environment:PART",
+    },
 )
 ROBOT: Registry[RobotPart] = Registry(
     "robot_parts",

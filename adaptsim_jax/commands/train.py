@@ -16,12 +16,13 @@ EXAMPLES = """
   adaptsim train pushing --run runs/p
   adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
+  adaptsim train examples/env.toml --run runs/e                    an environment: Playground's, gymnax's, or your own
   adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
 """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, or one of your own")
+    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml")
     parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
     parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
@@ -40,16 +41,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 1 into a run folder."""
-    from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax.commands.common import task_word
     from adaptsim_jax.core.lock import one_writer
 
-    check_task(args.task)
+    said, args.task = args.task, task_word(args)
     from adaptsim_jax.adaptation.training import train_run
     from adaptsim_jax.core.progress import progress
 
-    args.resume_hint = f"continue with: adaptsim train {args.task} --run {shlex.quote(args.folder)} --resume"
+    args.resume_hint = f"continue with: adaptsim train {shlex.quote(said)} --run {shlex.quote(args.folder)} --resume"
     folder = _folder(args)
-    with one_writer(folder.path), progress(f"train {args.task}") as report:
+    with one_writer(folder.path), progress(f"train {said}") as report:
         trained = train_run(config_of(folder.config, args), folder, report)
     settings = list(trained.phase1.task.settings)
     target = "ood-1" if "ood-1" in settings else settings[0]
@@ -95,7 +96,11 @@ def _folder(args: argparse.Namespace) -> Any:
     if not args.folder.strip():
         raise BadInput("--run: names no folder; give one, such as runs/a")
     if args.resume:
-        table = _start_table(args) if args.config or args.preset else RunFolder.open(args.folder, task=args.task).config
+        table = (
+            _start_table(args)
+            if args.config or args.preset or args.env
+            else RunFolder.open(args.folder, task=args.task).config
+        )
     else:
         table = _start_table(args)
     asked = config_of(table, args)
@@ -120,7 +125,7 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     if args.preset:
         return _preset_table(args)
     if not args.config:
-        return {}
+        return args.env
     table = config.read(args.config)
     if isinstance(table.get("config"), dict):
         if table.get("task", args.task) != args.task:

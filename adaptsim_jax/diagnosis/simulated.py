@@ -19,6 +19,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
 from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import ROUNDS, problem_of, settle
+from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
 
 METRIC = "median over left-out stretches of the RMS error of a signal over its noise, starts fitted"
 
@@ -58,6 +59,7 @@ def diagnose_simulator(
     problem = problem_of(simulator, kept)
     found = select(problem, criteria, step)
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
+    told_of_nothing(report)
     report["run"] = evidence["run"] = Run(f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
@@ -98,6 +100,21 @@ def reported(
         next_experiment=telling(simulator, problem, found, proposals),
     )
     return report, {"audit": [], "held_out": _held_out(simulator, problem, both, bool(found.named))}
+
+
+def told_of_nothing(report: dict[str, Any]) -> None:
+    """Where no model does better than a straight line or holding still, that is said first, and nothing is named."""
+    skills = [z for z in report["error"]["skill"].values() if z is not None]
+    if not skills or max(skills) >= 0.0:
+        return
+    e = report["error"]
+    least = min(e["straight_line"], e["hold_still"])
+    said = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {least:.3g}."
+    named = ", ".join(row["name"] for row in report["effects"])
+    report |= {"message": f"{said}{f' Not named for that: {named}.' if named else ''}", "effects": []}
+    report["verdict"] = "structured_unattributed" if e["after"] > 1.5 else "within_noise"
+    for row in report["candidates"]:
+        row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
 
 
 def message(found: Selection, over: float, worst: float) -> str:
@@ -144,7 +161,10 @@ def _error(simulator: Simulator, problem: Problem, both: Mapping[str, Model]) ->
     channels = {c.name: (c.unit, c.noise, {k: rms(k, i) for k in both}) for i, c in enumerate(simulator.channels)}
     table = rows.error_rows(METRIC, 1.0, "declared noise", [s.names[k] for k in some], size, channels)
     table |= {k: rows.over_floor(m) for k, m in both.items()}
-    return table | {"unit": "1"}
+    noise = np.array([c.noise for c in simulator.channels])
+    line, still = (float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s))
+    zero = {"straight_line": line, "hold_still": still}
+    return table | zero | {"unit": "1", "skill": {k: skill(table[k], line, still) for k in both}}
 
 
 def _held_out(simulator: Simulator, problem: Problem, both: Mapping[str, Model], mended: bool) -> list[dict[str, Any]]:

@@ -7,9 +7,7 @@ Commands are held from their row to the next; what an effect returns is each row
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import NINETY, Effect, Parameter
-
-LEAST_TORQUE = 0.15  # of the command, that a wrong torque constant leaves
+from adaptsim_jax.effects.base import Effect, Parameter
 
 
 def _durations(t):
@@ -91,23 +89,13 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
 
 
-def _no_gain(value, error, q, duration) -> str:
-    """With next to no torque the model has another scale, and its forces may be anything."""
-    least = 1.0 + value["gain"] - NINETY * error.get("gain", 0.0)
-    return (
-        f"it may leave {100 * max(least, 0.0):.0f} % of the torque, as no motor's constant does"
-        if least < LEAST_TORQUE
-        else ""
-    )
-
-
 BEFORE = Parameter(
     "before", "1", 0.0, 1.0, 0.0, None, optional=True, meaning="torque as a trial begins, over its first command"
 )
 """No log says what was commanded before it began."""
 
 DELAY = Effect(
-    "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1), BEFORE), delay,
+    "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1), BEFORE), delay,
     "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
     jump=True, grid=_delays,
     formula="command(t - delay)",
@@ -125,22 +113,21 @@ SATURATION = Effect(
 )  # fmt: skip
 
 DEAD_ZONE = Effect(
-    "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1, plausible=0.5),), dead_zone,
+    "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),), dead_zone,
     "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
     ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
     formula="command less width, zero within +-width",
 )  # fmt: skip
 
 TORQUE_GAIN = Effect(
-    "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0, plausible=0.6),), torque_gain,
+    "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0),), torque_gain,
     "the torque constant is off by a share", "driven motion beside free swings",
     ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
-    amiss=_no_gain,
     formula="(1 + gain) command",
 )  # fmt: skip
 
 ACTUATOR_LAG = Effect(
-    "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, plausible=0.15), BEFORE), actuator_lag,
+    "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), BEFORE), actuator_lag,
     "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
     jump=True, grid=_lags,
     formula="lag torque' = command - torque",

@@ -5,7 +5,7 @@ one pure function is written elementwise on arrays, so the same lines serve one 
 frees parameters of the *model* itself (which way gravity pulls, a body's inertia) and has no function.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -39,11 +39,11 @@ def unit_at(unit: str, kind: str) -> str:
 class Parameter:
     """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
 
-    low, high and plausible are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
+    low and high are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
     serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1 where only positive values are that
     effect. A `held` shape is chosen on the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is
-    `default` there. `meaning`: what it is, where its name does not say. A `late` one stays at its default until its effect has
-    been found (`sysid/select/nested.py`). `prior`: standard deviation about none of it, scaled as the bounds are (of mechanisms).
+    `default` there. `meaning`: what it is, where its name does not say. A `late` one a mended pendulum keeps at its
+    default unless its file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of mechanisms).
     """
 
     name: str
@@ -53,7 +53,6 @@ class Parameter:
     default: float
     off: float | None = 0.0
     sign: int = 0
-    plausible: float | None = None
     held: bool = False
     optional: bool = False
     meaning: str = ""
@@ -128,7 +127,6 @@ class Reach:
     duration: float  # s, of a trial
     dt: float  # s, median row
     inertia: np.ndarray  # kg m^2
-    tone: float = 0.0  # Hz, a frequency that the data of long trials suggest; 0: none
 
 
 def of_the_engine(*_):
@@ -152,10 +150,7 @@ class Effect:
     value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
     as it does not act linearly. `starts(reach, joint) -> [{parameter: value}, ...]`: where plain fits of it start as well, if a
     linear score is a poor guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
-    effects that this one includes as a special case (of mechanisms it is tried where one of these is). `clocked`: it follows
-    `motion.clock`, a sine of which (amplitudes sine, cosine; shape frequency) may have another phase in each trial.
-    `amiss(value, error, q [T], duration) -> str` says why fitted parameters (name -> value, name -> standard error) are not
-    this effect after all, on a motion through the joint's angles q [rad] in trials of `duration` s; "" where they may be.
+    effects that this one includes as a special case (of mechanisms it is tried where one of these is).
     `pair`: its force is on the joint and on the one before it, too. `carried`: a measurement effect that is also given the torque
     [N m] which the joint's drive carries, `apply(p, t, q, v, first, torque)`.
     `describes`: it is no law but a form that fits many (of mechanisms it must take off `Criteria.described`).
@@ -174,7 +169,6 @@ class Effect:
     memory: bool = False
     inertia: bool = False
     jump: bool = False
-    clocked: bool = False
     pair: bool = False
     carried: bool = False
     describes: bool = False
@@ -184,7 +178,6 @@ class Effect:
         hash=False,  # a list of dictionaries has no hash, and effects are static arguments of compiled functions
     )
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
-    amiss: Callable[[Mapping[str, float], Mapping[str, float], np.ndarray, float], str] | None = None
     formula: str = ""
 
     def __post_init__(self):

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from adaptsim_jax.effects.base import Effect, Motion, Parameter
-from adaptsim_jax.effects.disturbance import at_phase, no_period
+from adaptsim_jax.effects.disturbance import at_phase
 from adaptsim_jax.effects.grids import frequencies
 
 
@@ -32,14 +32,14 @@ def sway(p, m: Motion):
 def _shaken() -> tuple[Parameter, ...]:
     size = "of the base's acceleration, over g"
     return (
-        Parameter("sine", "1", -1.0, 1.0, 0.0, plausible=0.5, meaning=size),
-        Parameter("cosine", "1", -1.0, 1.0, 0.0, plausible=0.5, meaning=size),
+        Parameter("sine", "1", -1.0, 1.0, 0.0, meaning=size),
+        Parameter("cosine", "1", -1.0, 1.0, 0.0, meaning=size),
         Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
     )
 
 
 TILT = Effect(
-    "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0, plausible=0.4),), tilt,
+    "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0),), tilt,
     "the base is not level: gravity pulls along another direction", "wide angles of joint 1, of both signs",
     ("bias", "encoder_offset"), scope="base",
     formula="gravity(q1 + angle) - gravity(q1), at both joints",
@@ -47,14 +47,14 @@ TILT = Effect(
 
 HEAVE = Effect(
     "heave", "force", _shaken(), heave, "the base moves up and down periodically: a ship, a table on soft feet",
-    "long trials at wide angles, where gravity pulls", ("sway", "periodic_disturbance"), scope="base", clocked=True,
-    grid=frequencies, amiss=no_period,
+    "long trials at wide angles, where gravity pulls", ("sway", "periodic_disturbance"), scope="base",
+    grid=frequencies,
     formula="a gravity(q), a = sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), at both joints",
 )  # fmt: skip
 
 SWAY = Effect(
     "sway", "force", _shaken(), sway, "the base moves to and fro periodically: a frame that swings along",
-    "long trials through hanging and upright", ("heave", "periodic_disturbance"), scope="base", clocked=True,
-    grid=frequencies, amiss=no_period,
+    "long trials through hanging and upright", ("heave", "periodic_disturbance"), scope="base",
+    grid=frequencies,
     formula="sqrt(1 + a^2) gravity(q1 + atan a) - gravity(q1), a as of heave, at both joints",
 )  # fmt: skip

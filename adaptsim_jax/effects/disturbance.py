@@ -1,13 +1,10 @@
 """Torques that come from outside of the mechanism, or repeat with the angle or with time."""
 
 import jax.numpy as jnp
-import numpy as np
 
 from adaptsim_jax.core.trig import sin_cos
 from adaptsim_jax.effects import grids
 from adaptsim_jax.effects.base import Effect, Motion, Parameter
-
-LEAST_PERIODS = 0.6  # of a torque's period that the angles must cover, and half of what a trial must
 
 
 def bias(p, m: Motion):
@@ -34,21 +31,8 @@ def periodic_disturbance(p, m: Motion):
     return at_phase(p, m) + 0.0 * m.q
 
 
-def _no_ripple(value, error, q, duration) -> str:
-    """A part of a period is any smooth function of the angle; once a turn is gravity's own."""
-    low, high = np.quantile(q, [0.005, 0.995]) if len(q) else (0.0, 0.0)
-    periods = value["order"] * (high - low) / (2.0 * np.pi)
-    return f"the motion covers {periods:.1f} of its periods, as of any smooth torque" if periods < LEAST_PERIODS else ""
-
-
-def no_period(value, error, q, duration) -> str:
-    """A part of a period is a drift."""
-    periods = value["frequency"] * duration
-    return f"a trial holds {periods:.1f} of its periods, as of any drift" if periods < 2.0 * LEAST_PERIODS else ""
-
-
 BIAS = Effect(
-    "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0, plausible=0.5),), bias,
+    "bias", "force", (Parameter("torque", "N m", -1.0, 1.0, 0.0),), bias,
     "a constant torque: torque-sensor zero, cable pull, imbalance", "a wide range of angles",
     ("tilt", "encoder_offset", "spring"),
     formula="torque",
@@ -57,26 +41,25 @@ BIAS = Effect(
 COGGING = Effect(
     "cogging", "force",
     (
-        Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
-        Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+        Parameter("sine", "N m", -1.0, 1.0, 0.0),
+        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
         Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn"),
         Parameter("second_sine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
         Parameter("second_cosine", "1", -1.0, 1.0, 0.0, None, optional=True, meaning="second harmonic", late=True),
     ),
     cogging, "torque ripple periodic in the joint's angle (magnets, gear teeth)", "slow sweeps over many periods",
-    ("spring",), grid=grids.orders, amiss=_no_ripple,
+    ("spring",), grid=grids.orders,
     formula="sine sin(order q) + cosine cos(order q) + second harmonic",
 )  # fmt: skip
 
 PERIODIC_DISTURBANCE = Effect(
     "periodic_disturbance", "force",
     (
-        Parameter("sine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
-        Parameter("cosine", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+        Parameter("sine", "N m", -1.0, 1.0, 0.0),
+        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
         Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
     ),
     periodic_disturbance, "a torque periodic in time: a fan, mains, a neighbouring machine",
-    "long trials whose commands leave that frequency free", ("cogging",), clocked=True, grid=grids.frequencies,
-    amiss=no_period,
+    "long trials whose commands leave that frequency free", ("cogging",), grid=grids.frequencies,
     formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t through all trials",
 )  # fmt: skip

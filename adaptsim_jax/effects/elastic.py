@@ -1,13 +1,11 @@
 """Springs and end stops at a joint."""
 
 import jax.numpy as jnp
-import numpy as np
 
 from adaptsim_jax.effects import grids
 from adaptsim_jax.effects.base import Effect, Motion, Parameter
 
 HERTZ_DEPTH = 0.1  # rad
-MOST_LEANING = 0.5  # of the time on a stop: beyond that it is a spring
 
 
 def spring(p, m: Motion):
@@ -29,33 +27,17 @@ def hard_stop(p, m: Motion):
     return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
 
 
-def _no_spring(value, error, q, duration) -> str:
-    """Without a stiffness it is a constant torque."""
-    slack = value["stiffness"] < 3.0 * error.get("stiffness", 0.0)
-    return "its stiffness is no different from zero, which makes it a constant torque" if slack else ""
-
-
-def _no_stop(value, error, q, duration) -> str:
-    """Where the joint leans on it nearly always it is a spring, with a constant torque in the other effect's place."""
-    leaning = float(np.mean(value["side"] * (q - value["angle"]) > 0.0)) if len(q) else 0.0
-    return (
-        f"the joint would lean on it {100 * leaning:.0f} % of the time, as on a spring"
-        if leaning > MOST_LEANING
-        else ""
-    )
-
-
 SPRING = Effect(
     "spring", "force",
     (
-        Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, plausible=2.0),
+        Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1),
         Parameter("preload", "N m", -5.0, 5.0, 0.0),
         Parameter("bend", "1/rad", -5.0, 5.0, 0.0, None, optional=True, meaning="lopsidedness", late=True),
         Parameter("hardening", "1/rad^2", -5.0, 5.0, 0.0, None, optional=True, meaning="cubic share", late=True),
     ),
     spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
     "a wide range of angles",
-    ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",), amiss=_no_spring,
+    ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",),
     formula="preload - stiffness q (1 + bend q + hardening q^2)",
 )  # fmt: skip
 
@@ -71,6 +53,6 @@ HARD_STOP = Effect(
     ),
     hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
     ("spring", "cogging"), smooth=False, grid=grids.stops,
-    starts=grids.stiff_stops, amiss=_no_stop,
+    starts=grids.stiff_stops,
     formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
 )  # fmt: skip

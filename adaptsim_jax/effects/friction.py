@@ -1,7 +1,6 @@
 """Friction and drag at a joint."""
 
 import jax.numpy as jnp
-import numpy as np
 
 from adaptsim_jax.effects import grids
 from adaptsim_jax.effects.base import Dry, Effect, Motion, Parameter, Relaxation
@@ -9,8 +8,6 @@ from adaptsim_jax.effects.base import Dry, Effect, Motion, Parameter, Relaxation
 WIDTH = Parameter(
     "width", "rad/s", 0.0, 0.2, 0.0, None, optional=True, meaning="within which it turns; 0 is sharp", late=True
 )
-LEAST_FADING = 0.2  # of friction within a trial, for it to be a drift
-LEAST_EXCESS = 0.1  # of the level at speed, by which Stribeck's friction is higher at rest
 
 
 def coulomb(p, m: Motion):
@@ -45,20 +42,8 @@ def presliding(p, m: Motion):
     return Relaxation(force, m.v / jnp.sqrt(speed**2 + 1e-12), speed / p["deflection"])
 
 
-def _no_drift(value, error, q, duration) -> str:
-    """What hardly fades while a trial lasts is dry and viscous friction, whose viscous part the declared damping may take back."""
-    fades = 1.0 - np.exp(-duration / value["decay"])
-    return f"it fades by {100 * fades:.0f} % in a trial, as friction that stays" if fades < LEAST_FADING else ""
-
-
-def _no_stribeck(value, error, q, duration) -> str:
-    """With hardly any excess it is dry friction, and the excess takes up what another effect has left."""
-    more = value["excess"] / max(value["level"], 1e-12)
-    return f"it is {100 * more:.0f} % higher at rest, as plain dry friction" if more < LEAST_EXCESS else ""
-
-
 COULOMB = Effect(
-    "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5), WIDTH), coulomb,
+    "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1), WIDTH), coulomb,
     "dry friction: a constant torque against the motion", "reversals, and both slow and fast motion",
     ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
     formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would move it",
@@ -67,18 +52,18 @@ COULOMB = Effect(
 STRIBECK = Effect(
     "stribeck", "force",
     (
-        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
-        Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, plausible=1.0, meaning="how much more at rest"),
+        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
+        Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, meaning="how much more at rest"),
         Parameter("speed", "rad/s", 0.02, 20.0, 0.5, None, meaning="at which the excess has fallen to a third"),
         WIDTH,
     ),
     stribeck, "dry friction that is higher at creeping speed", "long stretches of slow motion beside fast ones",
-    ("coulomb", "presliding"), contains=("coulomb",), grid=grids.speeds, amiss=_no_stribeck,
+    ("coulomb", "presliding"), contains=("coulomb",), grid=grids.speeds,
     formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
 )  # fmt: skip
 
 QUADRATIC_DRAG = Effect(
-    "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1, plausible=0.1),),
+    "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1),),
     quadratic_drag, "air drag or turbulent oil: torque with the square of speed", "a wide range of speeds",
     ("coulomb", "friction_drift"),
     formula="-drag v |v|",
@@ -87,18 +72,17 @@ QUADRATIC_DRAG = Effect(
 FRICTION_DRIFT = Effect(
     "friction_drift", "force",
     (
-        Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0, plausible=0.5),
-        Parameter("dry", "N m", -1.0, 1.0, 0.0, plausible=0.5),
+        Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0),
+        Parameter("dry", "N m", -1.0, 1.0, 0.0),
         Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
     ),
     friction_drift, "friction that changes as the joint warms up within a trial",
     "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=grids.decays,
-    amiss=_no_drift,
     formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
 )  # fmt: skip
 
 LOAD_FRICTION = Effect(
-    "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1, plausible=0.6), WIDTH), load_friction,
+    "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1), WIDTH), load_friction,
     "gear friction in proportion to the torque that the joint carries", "high and low torque at like speeds",
     ("coulomb", "torque_gain"),
     formula="-share |command| sign(v), or tanh(v / width)",
@@ -107,7 +91,7 @@ LOAD_FRICTION = Effect(
 PRESLIDING = Effect(
     "presliding", "force",
     (
-        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1, plausible=0.5),
+        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
         Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None, meaning="at which it breaks away"),
         Parameter("damping", "s", 0.0, 0.1, 0.0, None, meaning="of the bristle; 0 is Dahl, more is LuGre"),
     ),

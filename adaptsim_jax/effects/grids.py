@@ -17,13 +17,10 @@ def orders(reach, joint):
 
 def frequencies(reach, joint):
     """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most half of Nyquist. In long
-    trials no finer than `FINEST`: one between is found by `sysid/nuisance/frequency.py`, and its neighbour gives way to it."""
+    trials no finer than `FINEST`."""
     top = min(15.0, 0.25 / reach.dt)
     step = max(0.5 / reach.duration, FINEST)
-    grid = np.arange(step, top, step)[:160]
-    if reach.tone:
-        grid[np.argmin(np.abs(grid - reach.tone))] = reach.tone
-    return [{"frequency": float(f)} for f in grid]
+    return [{"frequency": float(f)} for f in np.arange(step, top, step)[:160]]
 
 
 def stops(reach, joint):

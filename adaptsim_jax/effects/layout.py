@@ -5,11 +5,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.effects.base import Effect, Parameter, Reach
+from adaptsim_jax.effects.base import Effect, Parameter
 
 
 class Instance(NamedTuple):
@@ -52,12 +51,6 @@ class Layout:
                 return i
         raise BadInput(f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what is")
 
-    def mask(self, active: list[tuple[str, str]]) -> np.ndarray:
-        """`[I]` bool, True for the named instances."""
-        mask = np.zeros(len(self.instances), bool)
-        mask[[self.index(*pair) for pair in active]] = True
-        return mask
-
     def vector(self, pick: Callable[[Parameter, Instance], float]) -> np.ndarray:
         """`[E]` of one number a parameter."""
         return np.array([pick(p, i) for i in self.instances for p in i.effect.parameters], float)
@@ -66,21 +59,9 @@ class Layout:
         """`[E]`: every amplitude at its off value, every shape at its default."""
         return self.vector(lambda p, i: p.default if p.off is None else p.off)
 
-    def bounds(self, reach: Reach) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds `[E]` for a rig of that reach."""
-        of = lambda p, i: p.bounds(float(reach.torque[i.joint]), float(reach.speed[i.joint]))
-        return self.vector(lambda p, i: of(p, i)[0]), self.vector(lambda p, i: of(p, i)[1])
-
     def names(self) -> list[tuple[str, str, str]]:
         """(effect, where, parameter) of each entry of the vector."""
         return [(i.effect.name, i.where, p.name) for i in self.instances for p in i.effect.parameters]
-
-    def masked(self, eff: jax.Array, mask: jax.Array) -> jax.Array:
-        """`eff: [E]` with the amplitudes of instances that `mask: [I]` leaves out at their off values."""
-        owner = np.array([k for k, i in enumerate(self.instances) for _ in i.effect.parameters], int)
-        amplitude = np.array([p.off is not None for i in self.instances for p in i.effect.parameters], bool)
-        on = jnp.asarray(mask, bool)[owner] | ~amplitude
-        return jnp.where(on, eff, jnp.asarray(self.off(), eff.dtype))
 
     def params(self, effect: Effect, eff: jax.Array, trailing: int) -> dict[str, jax.Array]:
         """`{name: [n, 1, ...]}` of one effect for all joints, with `trailing` axes to broadcast over."""

@@ -92,20 +92,20 @@ def _gaps(reach, joint):
 
 
 ENCODER_OFFSET = Effect(
-    "encoder_offset", "measurement", (Parameter("offset", "rad", -0.8, 0.8, 0.0, plausible=0.4),), encoder_offset,
+    "encoder_offset", "measurement", (Parameter("offset", "rad", -0.8, 0.8, 0.0),), encoder_offset,
     "the encoder's zero is not the model's", "wide angles, so that gravity tells the true zero", ("tilt", "bias"),
     formula="reading = q + offset",
 )  # fmt: skip
 
 SENSOR_LAG = Effect(
-    "sensor_lag", "measurement", (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1, plausible=0.1),), sensor_lag,
+    "sensor_lag", "measurement", (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),), sensor_lag,
     "angle and velocity come through a first-order filter", "fast motion", ("delay", "actuator_lag"), jump=True,
     grid=_lags,
     formula="lag reading' = q - reading, of angle and velocity",
 )  # fmt: skip
 
 BACKLASH = Effect(
-    "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1, plausible=0.3),), backlash,
+    "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,
     "play between the link and what its encoder turns with", "many reversals, slow and fast", ("presliding",),
     smooth=False, jump=True, grid=_gaps,
     formula="reading follows q at a distance of at most gap / 2",

@@ -19,6 +19,8 @@ from adaptsim_jax.logs.joint_columns import Columns, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.quality.jitter import jitter
+from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
 
 V = TypeVar("V")
@@ -30,26 +32,128 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
-    inputs = choose_inputs(path, trials, names, meta)
-    log_trials = tuple(_trial(columns, names, meta, inputs) for columns in trials)
-    suspected = check_log_units(log_trials, names)
+    scales = check_scales(trials, names)
+    kept, held = _moving(path, trials, names, meta)
+    inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in kept])
+    log_trials = tuple(_trial(columns, names, meta, inputs, kept) for columns in trials)
+    log_trials, evened = _evened(log_trials)
+    suspected = scales + check_log_units(log_trials, names.only(kept))
     turns = [columns.raw.name for columns in trials if columns.turns]
-    turned = (f"jumps of whole turns taken out of the angles of {', '.join(turns)}",) if turns else ()
+    turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
     return Log(
         path=path,
         meta=meta,
-        joint_names=names.joints,
+        joint_names=tuple(names.joints[j] for j in kept),
         trials=log_trials,
         input_kind=inputs.kind,
         input_names=inputs.names,
         driven=inputs.driven,
+        input_columns=_input_columns(raw[0], names, inputs),
         notes=inputs.notes
+        + _strange(raw[0], names, held)
+        + _numbered(raw[0], names, kept)
         + _notes(raw, log_trials)
         + turned
+        + evened
         + suspected
         + copies([(t.name, t.q) for t in log_trials])
         + unread(path),
+        held=held,
     )
+
+
+def _moving(
+    path: str, trials: list[Columns], names: ModelNames, meta: LogMeta
+) -> tuple[list[int], dict[str, float | None]]:
+    """Numbers of the joints that have angles and move, and where the others are held (None: nothing of them is logged).
+
+    Raises BadInput where no joint has angles, or one has in some trials only.
+    """
+    n = len(names.joints)
+    if unknown := [name for name in meta.hold if name not in names.joints]:
+        raise BadInput(
+            f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; {suggest(unknown[0], names.joints)}"
+        )
+    have = [columns.by_joint.get("q", {}) for columns in trials]
+    if not n:
+        if any(columns.base is None for columns in trials):
+            raise BadInput(
+                f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) and base_qw .. base_qz"
+            )
+        return [], {}
+    for columns, here in zip(trials, have, strict=True):
+        if not here:
+            _no_angle(columns, names, 0, here)
+        spoken = {
+            j for rows in columns.by_joint.values() for j, x in rows.items() if len(np.unique(x[np.isfinite(x)])) > 1
+        }
+        for j in sorted(set().union(*have, spoken) - set(here)):
+            if names.joints[j] not in meta.hold:
+                _no_angle(columns, names, j, here)
+    angles = [model_angles(columns.stacked("q", n), names, meta) for columns in trials]
+    every = np.concatenate(angles)
+    some = np.isfinite(every).any(0)
+    kept, held = [], {}
+    for j, joint in enumerate(names.joints):
+        middle = float(np.nanmedian(every[:, j])) if some[j] else None
+        still = some[j] and float(np.nanmax(every[:, j]) - np.nanmin(every[:, j])) == 0.0
+        if joint in meta.hold:
+            held[joint] = middle if meta.hold[joint] is None else meta.hold[joint]
+        elif j not in have[0]:
+            held[joint] = None
+        elif still:
+            held[joint] = middle
+        else:
+            kept.append(j)
+    if not kept:
+        raise BadInput(f"{path}: no joint moves in any trial; log one that does")
+    return kept, held
+
+
+def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np.ndarray]) -> None:
+    raw, joint = columns.raw, names.joints[j]
+    have = [names.joints[k] for k in here]
+    mend = (
+        f"record it in every trial, or write [hold] and {joint} = 0.0 in meta.toml, in rad or m"
+        f" (this trial has {', '.join(have) or 'no angle'})"
+    )
+    near = nearest(joint, [c for c in (*raw.columns, *raw.ignored) if c not in have])
+    hint = f"did you mean '{near}'? Then name it by [columns] in meta.toml;" if near and not have else ""
+    raise BadInput(f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {hint}{mend}")
+
+
+def _strange(trial: RawTrial, names: ModelNames, held: Mapping[str, float | None]) -> tuple[str, ...]:
+    """A joint that nothing was logged of beside angles that no joint of the model has: the same by another name?"""
+    bare = [name for name, value in held.items() if value is None]
+    left = [name for name in trial.ignored if (r := role(name, names.joints)) is not None and r.stem == "q"]
+    if not bare or not left:
+        return ()
+    return (
+        f"nothing is logged of {', '.join(bare)}, held; {', '.join(left)} is left out: if it is the same, name it by [columns]",
+    )
+
+
+def _numbered(trial: RawTrial, names: ModelNames, kept: Sequence[int]) -> tuple[str, ...]:
+    """Which joints columns that go by number are taken for, where the model has more."""
+    roles = [r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem == "q"]
+    if len(kept) == len(names.joints) or not any(isinstance(r.joint, int) for r in roles):
+        return ()
+    return (f"columns go by number, in the model's order of joints: {', '.join(names.joints[j] for j in kept)}",)
+
+
+def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[str, ...]:
+    """The column that each input was read from, empty where there is none."""
+    stems = ("ctrl", "target") if inputs.kind == "command" else (inputs.stem,)
+    roles = {name: r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem in stems}
+    base = 0 if any(r.joint == 0 for name in trial.columns if (r := role(name, names.joints)) is not None) else 1
+    place = {joint: k + base for k, joint in enumerate(names.joints)}
+    out = []
+    for index, name in enumerate(inputs.names):
+        joint = inputs.actuators[index].joint if inputs.actuators else name
+        own = {"ctrl": (name, joint, index + base)}
+        mine = sorted((r.stem, c) for c, r in roles.items() if r.joint in own.get(r.stem, (joint, place.get(joint))))
+        out.append(mine[0][1] if mine else "")
+    return tuple(out)
 
 
 def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
@@ -95,6 +199,10 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
             if name not in known:
                 joints = suggest(name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q"))))
                 raise BadInput(f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}")
+    for key, given in (("rate", meta.rate), ("within", meta.within)):
+        for name in given:
+            if name not in names.joints:
+                raise BadInput(f"{meta.path}: commands.{key} names {name!r}, no joint; {suggest(name, names.joints)}")
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
@@ -107,7 +215,7 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:
     found = role(name, names.joints)
-    if found is None or found.stem in ("time", "trial"):
+    if found is None or found.stem in ("time", "trial", "base"):
         return (name,)
     if isinstance(found.joint, str):
         return found.words(name, found.joint)
@@ -116,44 +224,55 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
     return found.words(name, joint)
 
 
-def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs) -> LogTrial:
-    raw, n = columns.raw, len(names.joints)
+def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, kept: Sequence[int]) -> LogTrial:
+    raw, n, at = columns.raw, len(names.joints), np.asarray(kept, int)
     here = columns.by_joint.get("q", {})
-    for j, joint in enumerate(names.joints):
-        if j not in here:
-            have = [names.joints[k] for k in here]
-            mend = f"record it, or take a model without it (the data have {', '.join(have) or 'no angle'})"
-            near = nearest(joint, [c for c in (*raw.columns, *raw.ignored) if c not in have])
-            hint = f"did you mean '{near}'? Then name it by [columns] in meta.toml;" if near and not have else ""
-            raise BadInput(
-                f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {hint}{mend}"
-            )
+    for j in kept:
         if not np.isfinite(here[j]).any():
+            joint = names.joints[j]
             raise BadInput(
-                f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, or take a model without it"
+                f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, or write [hold] and "
+                f"{joint} = 0.0 in meta.toml"
             )
     speeds = columns.by_joint.get("v", {})
-    if speeds and len(speeds) < n:
-        lacks = next(joint for j, joint in enumerate(names.joints) if j not in speeds)
+    if not set(speeds) & set(kept):
+        speeds = {}
+    if speeds and not set(kept) <= set(speeds):
+        lacks = next(names.joints[j] for j in kept if j not in speeds)
         raise BadInput(
             f"{raw.path}: has velocities, but none of joint '{lacks}'; add column v_{lacks}, or leave all out"
         )
-    q = model_angles(columns.stacked("q", n), names, meta)
-    v = model_angles(columns.stacked("v", n), names, meta, rates=True) if speeds else None
+    q = model_angles(columns.stacked("q", n), names, meta)[:, at]
+    v = model_angles(columns.stacked("v", n), names, meta, rates=True)[:, at] if speeds else None
     extra = {stem: columns.stacked(stem, n) for stem in columns.by_joint if stem not in ("q", "v", inputs.stem)}
     if "target" in extra:
         extra["target"] = model_angles(extra["target"], names, meta)
+    extra = {stem: values[:, at] for stem, values in extra.items() if not np.isnan(values[:, at]).all()}
     return LogTrial(
         name=raw.name,
         path=raw.path,
         time=columns.time,
         q=q,
         v=v,
-        u=inputs.of(columns, names, meta),
+        u=inputs.of(columns, names, meta, at),
         group=_of(meta.group, raw.name, "") or raw.group,
         payload=_of(meta.payload, raw.name, 0.0),
         extra=extra,
+        base=columns.base,
     )
+
+
+def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
+    """The trials at even times where their rows were read evenly and only stamped unevenly, and a note on it."""
+    told = jitter([(t.time, t.q) for t in trials])
+    if told is None:
+        return trials, ()
+    step = float(np.median([np.median(np.diff(time)) for time in told.times]))
+    note = (
+        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not ({100 * told.share:.0f} % of it is not in them): rows "
+        f"are taken as read evenly, every {1e3 * step:.4g} ms"
+    )
+    return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
 
 
 def _of(table: Mapping[str, V], trial: str, default: V) -> V:

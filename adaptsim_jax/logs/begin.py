@@ -11,15 +11,16 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.logs import lerobot, ros
+from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.columns import role
 from adaptsim_jax.logs.guess import Guess, array_name, guess, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
+from adaptsim_jax.logs.list_cells import STEMS, stem_and_place
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.meta import SHORT_TRIALS
 from adaptsim_jax.logs.read import META, read_log
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.tables import ENDINGS, column_names, read_archive, table_files
+from adaptsim_jax.logs.tables import ENDINGS, column_names, list_columns, read_archive, table_files
 
 MODELS = (".xml", ".mjcf", ".urdf")
 
@@ -42,7 +43,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     folder = _folder(data, out)
     names = _model_names(model)
     columns, ros_topics, chosen = _columns(data, topics)
-    found = guess(columns, names)
+    found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
     arrays = _arrays(data)
     found = replace(
         found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
@@ -58,6 +59,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
         topics=ros_topics,
         ros=chosen,
         kinds=_kinds(found, columns, names),
+        commands={t: p.name for t, p in command_files.suspected(table_files(data) if data.is_dir() else []).items()},
     )
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / META
@@ -90,9 +92,9 @@ def _model_names(model: Path | None) -> ModelNames | None:
     if model is None:
         return None
     from adaptsim_jax.logs.model_names import model_names
-    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+    from adaptsim_jax.mechanisms.spec import read_source
 
-    return model_names(read_mechanism(model))
+    return model_names(read_source(model))
 
 
 def _only_model(data: Path) -> Path | None:
@@ -110,8 +112,10 @@ def _from(path: Path, folder: Path) -> str:
 def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
     if data.is_dir() and lerobot.is_lerobot(data):
-        return lerobot.read_lerobot(data)[0].columns, [], {}
-    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+        trial = lerobot.read_lerobot(data)[0]
+        # numbers whose names do not fit are no joints until a person says which
+        return {n: x for n, x in trial.columns.items() if not any(n.startswith(f"{v}[") for v in trial.doubt)}, [], {}
+    files = _state_files(data)
     if files:
         return _table_columns(files[0]), [], {}
     bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
@@ -122,12 +126,24 @@ def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray],
     return ros.read_bag(bags[0], topics).columns, lines, chosen
 
 
+def _state_files(data: Path) -> list[Path]:
+    """Tables of the data, without those that seem to hold the commands of another."""
+    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    commands = command_files.suspected(files).values()
+    return [path for path in files if path not in commands]
+
+
 def _arrays(data: Path) -> dict[str, str | None]:
     """Arrays `[T, n]` of the first file, by name: what each seems to be to us (`q` gives q1 to qn), None where nothing."""
-    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
-    if not files or files[0].suffix.lower() != ".npz":
-        return {}
+    files = _state_files(data)
     found: dict[str, str | None] = {}
+    if files and files[0].suffix.lower() != ".npz":
+        for name in list_columns(files[0]):
+            ours = STEMS.get(name.lower()) or array_name(name)
+            found[name] = None if ours in found.values() else ours
+        return found
+    if not files:
+        return {}
     for name, array in read_archive(files[0]).items():
         if array.dtype.kind in "fiu" and array.ndim == 2:
             ours = array_name(name)
@@ -148,17 +164,30 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
         return out
     names = tuple(dict.fromkeys(column_names(path)))
     try:
-        return read_table(path, names).columns
+        return _placed(read_table(path, names).columns, path)
     except BadInput as error:
         out = {}
-        for name in names:  # one column of words must not hide the others
+        for name in names:  # one column of words must not hide the others, nor cells that another topic leaves empty
             try:
-                out |= read_table(path, (name,)).columns
+                out |= read_table(path, (name,), gaps=(name,)).columns
             except BadInput:
                 continue
         if not out:
             raise error
-        return out
+        return _placed(out, path)
+
+
+def _placed(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    """With places of lists by our name of these; lists that seem to be nothing are left out."""
+    lists = _arrays(path)
+    out = {}
+    for name, values in columns.items():
+        part = stem_and_place(name)
+        if part is None or part[0] not in lists:
+            out[name] = values
+        elif ours := lists[part[0]]:
+            out[f"{ours}{part[1] + 1}"] = values
+    return out
 
 
 def _kinds(found: Guess, columns: dict[str, np.ndarray], names: ModelNames | None) -> list[str]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.tables import MIN_ROWS
+from adaptsim_jax.logs.table_checks import MIN_ROWS
 
 HELD = ("tau", "target", "ctrl", "u", "i")
 """Stems of columns that hold from their row to the next; others are interpolated."""
+RARE = 5
+"""Messages below which a joint tells no motion: it stays where it was."""
 LATE = 10
 """Rows of its own, as a multiple of their median spacing, after which a series has a gap."""
 
@@ -21,19 +24,26 @@ DENSE = 1.5
 
 @dataclass(frozen=True)
 class Series:
-    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names changed their order."""
+    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names changed their order; `straight`: of
+    commands, whether they are moved to from row to row, not held."""
 
     time: np.ndarray
     columns: dict[str, np.ndarray]
     reordered: bool = False
+    straight: bool = False
+
+    def of(self, names: Collection[str]) -> Series:
+        """With these columns alone."""
+        return replace(self, columns={name: values for name, values in self.columns.items() if name in names})
 
 
 def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Columns on one clock with `time` from 0 s, and what was done to get there.
 
     The clock is that of the state series with most rows, over the time that all state series share. Other states are
-    interpolated between their rows (efforts held), commands hold from their time to the next; before the first
-    command rows are cut off. A joint's gap of more than 10 of its intervals is NaN.
+    interpolated between their rows. A command, or an effort, acts from its own time to the next one's: a row has the mean of
+    what acts until the next row, so that nothing is taken to wait for a row; before the first command rows are cut off. A
+    joint's gap of more than 10 of its intervals is NaN; one that speaks fewer than `RARE` times stays where it was last.
     """
     notes: list[str] = []
     states = [_sorted(path, series, notes) for series in states]
@@ -43,8 +53,13 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
     main = max(states, key=lambda series: len(series.time))
     # what names no joint beside those of the main series: its rows lack joints that the others have
     states = [series for series in states if series is main or not set(series.columns) <= set(main.columns)]
-    start = max(series.time[0] for series in (*states, *commands))
-    stop = min(series.time[-1] for series in states)
+    rare = [series for series in states if len(series.time) < RARE and series is not main]
+    for series in rare:
+        joints = sorted({name.partition("_")[2] for name in series.columns})
+        notes.append(f"{', '.join(joints)}: {len(series.time)} messages in all, taken to stay as they say")
+    often = [series for series in states if not any(series is other for other in rare)]
+    start = max(series.time[0] for series in (*often, *commands))
+    stop = min(series.time[-1] for series in often)
     rows = (main.time >= start) & (main.time <= stop)
     clock = main.time[rows]
     if len(clock) < MIN_ROWS:
@@ -59,10 +74,19 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
             elif name in out:
                 continue
             else:
-                out[name] = _onto(clock, series.time, values, hold=name.split("_")[0] in HELD)
+                seldom = any(series is other for other in rare)
+                acts = name.split("_")[0] in HELD and not seldom
+                out[name] = (
+                    _acting(clock, series.time, values, False)
+                    if acts
+                    else _onto(clock, series.time, values, hold=seldom)
+                )
+    for name in [n for series in rare for n in series.columns if n.startswith("q_")]:
+        if any(n.startswith("v_") for n in out):
+            out.setdefault(f"v{name[1:]}", np.zeros(len(clock)))
     for series in commands:
         out |= {
-            name: _onto(clock, series.time, values, hold=True)
+            name: _acting(clock, series.time, values, series.straight)
             for name, values in series.columns.items()
             if name not in out
         }
@@ -85,7 +109,7 @@ def _sorted(path: str, series: Series, notes: list[str]) -> Series:
     if not keep.all():
         notes.append(f"{int((~keep).sum())} messages repeat a stamp: left out")
     columns = {name: values[order][keep] for name, values in series.columns.items()}
-    return Series(time[keep], columns, series.reordered)
+    return replace(series, time=time[keep], columns=columns)
 
 
 def _check_set_back(path: str, time: np.ndarray) -> None:
@@ -102,6 +126,31 @@ def _check_set_back(path: str, time: np.ndarray) -> None:
                 f"{path}: message {k + 2}: the clock was set back by {back:.4g} s; cut the bag there, and take the parts for "
                 "two trials"
             )
+
+
+def _acting(clock: np.ndarray, time: np.ndarray, values: np.ndarray, straight: bool) -> np.ndarray:
+    """Mean `[T]` of a command `values [K]` at `time [K]` from each row of `clock [T]` to the next, held or straight between its
+    rows; NaN where it never says anything."""
+    here = np.isfinite(values)
+    time, values = time[here], values[here]
+    if not len(time):
+        return np.full(len(clock), np.nan)
+    edges = np.append(clock, clock[-1] + (np.median(np.diff(clock)) if len(clock) > 1 else 0.0))
+    row = np.maximum(np.searchsorted(time, edges, side="right") - 1, 0)
+    held = values[row]
+    span = np.diff(edges)
+    # where nothing new comes within a row the command itself, to the bit
+    still = np.searchsorted(time, edges[1:], side="left") - 1 == np.searchsorted(time, edges[:-1], side="right") - 1
+    if straight:
+        at = np.interp(edges, time, values)
+        steps = np.diff(time) * 0.5 * (values[1:] + values[:-1])
+        part = (edges - time[row]) * 0.5 * (at + held)
+    else:
+        steps = np.diff(time) * values[:-1]
+        part = (edges - time[row]) * held
+    area = np.concatenate([[0.0], np.cumsum(steps)])[row] + part
+    mean = np.where(span > 0, np.diff(area) / np.where(span > 0, span, 1.0), held[:-1])
+    return mean if straight else np.where(still, held[:-1], mean)
 
 
 def _onto(clock: np.ndarray, time: np.ndarray, values: np.ndarray, *, hold: bool) -> np.ndarray:

@@ -18,6 +18,8 @@ STEMS = {
     "i": ("i", "current"),
 }
 """Our stem -> the words that open a column's name."""
+BASE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit quaternion."""
 INPUT_STEMS = ("tau", "target", "ctrl", "u", "i", "tau_commanded")
 NOT_JOINTS = (
     "d", "des", "desired", "cmd", "command", "commanded", "ref", "reference", "target", "goal", "error", "err", "raw",
@@ -48,6 +50,8 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
         return Role("time")
     if name in TRIAL:
         return Role("trial")
+    if name.startswith("base_") and name.removeprefix("base_") in BASE:
+        return Role("base", name.removeprefix("base_"))
     commanded = name.endswith("_commanded")
     found = _PATTERN.fullmatch(name.removesuffix("_commanded") if commanded else name)
     if not found:

@@ -6,7 +6,7 @@ Nothing here decides anything for good: a person reads the text, mends it, and t
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from adaptsim_jax.logs.columns import STEMS, TIME, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_checks import LARGE
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
+from adaptsim_jax.logs.scales import Scale, scales_of
 from adaptsim_jax.logs.table_checks import SLOWEST
 
 TIME_STEPS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
@@ -24,15 +25,16 @@ WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
     "efforts": "tau", "torques": "tau", "moment": "tau", "force": "tau",
     "command": "target", "cmd": "target", "desired": "target", "des": "target", "goal": "target", "reference": "target",
-    "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
+    "commands": "target", "targets": "target", "actions": "target", "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
 }  # fmt: skip
-TARGETS = ("target", "command", "cmd", "desired", "des", "goal", "reference", "ref", "setpoint", "action")
+TARGETS = ("commands", "targets", "actions", "target", "command", "cmd", "desired", "des", "goal", "reference", "ref", "setpoint", "action")
 CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
 
 
 @dataclass(frozen=True)
 class Guess:
-    """`columns`: our name -> the file's, those that need it; `units`: quantity -> (unit, why); `ignored`: columns."""
+    """`columns`: our name -> the file's, those that need it; `units`: quantity -> (unit, why), or a whole line of [units], known but for
+    words in capitals; `ignored`: columns."""
 
     columns: dict[str, str]
     units: dict[str, tuple[str, str]]
@@ -40,8 +42,9 @@ class Guess:
     unknown_joints: tuple[str, ...]
 
 
-def guess(columns: dict[str, np.ndarray], model: ModelNames | None) -> Guess:
-    """What the columns of one trial (by the file's names, as written) seem to be. `model`: its joints, where known."""
+def guess(columns: dict[str, np.ndarray], model: ModelNames | None, lerobot: bool = False) -> Guess:
+    """What the columns of one trial (by the file's names, as written) seem to be. `model`: its joints, where known; lerobot: whether
+    they are of a LeRobot data set."""
     joints = model.joints if model else ()
     actuators = {a.name for a in (model.actuators or ())} if model else set()
     names: dict[str, str] = {}
@@ -66,7 +69,7 @@ def guess(columns: dict[str, np.ndarray], model: ModelNames | None) -> Guess:
     by_ours = {ours: columns[name] for name, ours in names.items()}
     return Guess(
         columns={ours: name for name, ours in names.items() if ours != name},
-        units=guess_units(by_ours, joints),
+        units=guess_units(by_ours, joints, lerobot, model),
         ignored=tuple(ignored),
         unknown_joints=tuple(dict.fromkeys(unknown)),
     )
@@ -93,6 +96,8 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     stem = "target" if set(found) & set(TARGETS) else WORDS[found[-1]]
     if stem == "target" and {"tau", "torque", "effort"} & set(found):
         return None
+    if stem == "target" and "data" in tokens:  # an array of commands names no joints: it is in the order of the actuators
+        stem = "ctrl"
     inside = [joint for joint in joints if _contains(tokens, _tokens(joint))]
     if inside:
         return f"{stem}_{max(inside, key=len)}"
@@ -123,9 +128,11 @@ def _increases(values: np.ndarray) -> bool:
     return bool(np.all(np.diff(values) > 0))
 
 
-def guess_units(columns: dict[str, np.ndarray], joints: Sequence[str] = ()) -> dict[str, tuple[str, str]]:
+def guess_units(
+    columns: dict[str, np.ndarray], joints: Sequence[str] = (), lerobot: bool = False, model: ModelNames | None = None
+) -> dict[str, tuple[str | Scale, str]]:
     """Units that the numbers betray, and by what; a quantity that looks SI is not listed."""
-    out: dict[str, tuple[str, str]] = {}
+    out: dict[str, tuple[str | Scale, str]] = {}
     time = next((columns[name] for name in TIME if name in columns), None)
     scale = 1.0
     if time is not None and len(time) > 2:
@@ -136,6 +143,9 @@ def guess_units(columns: dict[str, np.ndarray], joints: Sequence[str] = ()) -> d
     roles = {name: r for name in columns if (r := role(name, joints)) is not None}
     angles = {r.joint: columns[name] for name, r in roles.items() if r.stem == "q"}
     speeds = {r.joint: columns[name] for name, r in roles.items() if r.stem == "v"}
+    scales = _scales(columns, roles, joints, lerobot, model)
+    out |= {scale.line.partition(" ")[0]: (scale, scale.why) for scale in scales.values()}
+    angles = {joint: x for joint, x in angles.items() if str(joint) not in scales}
     reach = max((float(np.nanmax(np.abs(q))) for q in angles.values() if np.isfinite(q).any()), default=0.0)
     gain = None if time is None else _gain(time * scale, angles, speeds)
     if gain is not None and abs(np.log(gain / (np.pi / 180))) < 0.1:
@@ -145,12 +155,23 @@ def guess_units(columns: dict[str, np.ndarray], joints: Sequence[str] = ()) -> d
     elif gain is not None and abs(np.log(gain * 2 * np.pi / 60)) < 0.1:
         out |= {"velocity": ("rpm", "speeds are 9.5 times the angles' slopes")}
     elif reach > LARGE:
-        percent = "; LeRobot's -100 to 100 of a joint's range is neither, log degrees" if reach <= 100.0 else ""
         out["angle"] = (
             "deg",
-            f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times{percent}",
+            f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times",
         )
     return out
+
+
+def _scales(
+    columns: dict[str, np.ndarray], roles: dict, joints: Sequence[str], lerobot: bool, model: ModelNames | None
+) -> dict[str, Scale]:
+    """Scales that are no units of angle, by joint as the columns name it."""
+    by_joint: dict[str, list[np.ndarray]] = {}
+    for name, found in roles.items():
+        if found.stem in ("q", "target") and found.joint is not None:
+            by_joint.setdefault(str(found.joint), []).append(columns[name])
+    ranges = {j: limits for k, j in enumerate(joints) if model and (limits := model.limits_of(k))}
+    return scales_of(by_joint, tuple(by_joint), lerobot, ranges)
 
 
 def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
@@ -178,8 +199,10 @@ def meta_text(
     topics: Sequence[str] = (),
     ros: dict[str, str] | None = None,
     kinds: Sequence[str] = (),
+    commands: Mapping[str, str] | None = None,
 ) -> str:
-    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds that the columns allow."""
+    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds that the columns allow; commands:
+    trial -> the file that seems to hold its commands."""
     line = lambda key, value: dumps({key: value}).strip()
     lines = [
         "# Written by 'adaptsim init' from the data. What is marked 'guess' was not declared by anyone: check it.",
@@ -202,8 +225,14 @@ def meta_text(
     if found.ignored:
         lines += ["", f"# columns that are not used: {', '.join(found.ignored)}"]
     lines += ["", "[units]   # s, rad, rad/s, N m, m, N, V, A where nothing else is said"]
-    lines += [f"{line(key, unit)}   # guess: {why}" for key, (unit, why) in found.units.items()]
-    if "angle" not in found.units:
+    for key, (unit, why) in found.units.items():
+        if isinstance(unit, Scale):
+            lines.append(
+                f"{'' if unit.known else '# '}{unit.line}   # guess: {why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}"
+            )
+        else:
+            lines.append(f"{line(key, unit)}   # guess: {why}")
+    if "angle" not in found.units and not any(isinstance(unit, Scale) for unit, _ in found.units.values()):
         lines.append('# angle = "rad"   # guess: the numbers look like radians')
     lines += [
         "",
@@ -219,6 +248,8 @@ def meta_text(
             *(line(key, value) + "   # guess" for key, value in (ros or {}).items()),
             *(f"# {t}" for t in topics),
         ]
+    given = ", ".join(f'"{trial}" = "{file}"' for trial, file in (commands or {}).items())
+    lines += ["", "[trials]", f"commands = {{{given}}}   # guess: files of commands, by their names"] if given else []
     lines += [
         "",
         "# [noise]   # standard deviations in SI units, where known",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from adaptsim_jax.logs.angles import flipped_joints, model_angles
 from adaptsim_jax.logs.joint_columns import Columns
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.quality.turns import followed_turns
+from adaptsim_jax.logs.sent import limited, within
 
 STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
 PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")
@@ -29,27 +32,44 @@ class Inputs:
     actuators: tuple[ActuatorName, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def of(self, columns: Columns, names: ModelNames, meta: LogMeta) -> np.ndarray:
-        """`u [T, m]` of one trial in SI units."""
+    def of(self, columns: Columns, names: ModelNames, meta: LogMeta, kept: np.ndarray) -> np.ndarray:
+        """`u [T, m]` of one trial in SI units; kept: numbers of the joints that move."""
         if self.kind == "none":
             return np.zeros((len(columns.time), 0))
         if self.kind != "command":
             u = columns.stacked(self.stem, len(names.joints))
             u[:, [joint not in self.driven for joint in names.joints]] = 0.0
-            _complete(columns, self.kind, self.names, u)
-            return np.where(flipped_joints(names, meta), -u, u)
+            _complete(columns, self.kind, names.joints, u)
+            return np.where(flipped_joints(names, meta), -u, u)[:, kept]
         targets = columns.stacked("target", len(names.joints))
         angles = model_angles(targets, names, meta)
         out = []
         for index, actuator in enumerate(self.actuators):
             told = columns.ctrl.get(actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint)))
-            if told is None:
+            if told is None and _idle(columns, actuator, names):
+                told = np.zeros(len(columns.time))
+            elif told is None:
                 j = names.joints.index(actuator.joint)
                 told = (angles if actuator.kind in ("position", "general") else targets)[:, j]
             out.append(told)
-        u = np.stack(out, axis=1)
+        u = np.stack([_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)], axis=1)
         _complete(columns, self.kind, self.names, u)
         return u
+
+
+def _sent(columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, told: np.ndarray) -> np.ndarray:
+    """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as `[commands]` says."""
+    if actuator.kind not in ("position", "general") or actuator.joint not in names.joints:
+        return told
+    j = names.joints.index(actuator.joint)
+    q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
+    if not np.isfinite(q).any():  # of a joint that is held
+        return told
+    if actuator.kind == "position" and actuator.joint not in names.slides:
+        told = followed_turns(q, told)
+    if actuator.joint in meta.rate:
+        told = limited(columns.time, told, q, meta.rate[actuator.joint])
+    return within(told, q, meta.within[actuator.joint]) if actuator.joint in meta.within else told
 
 
 def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
@@ -67,8 +87,11 @@ def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray
         )
 
 
-def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: LogMeta) -> Inputs:
-    """Which columns drive the model in all trials. Raises `BadInput` where trials differ or a motor has no column."""
+def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: LogMeta, moving: Sequence[str]) -> Inputs:
+    """Which columns drive the model in all trials; moving: its joints that move, of which alone something is needed.
+
+    Raises `BadInput` where trials differ or a motor has no column.
+    """
     kinds = [_kinds(columns) for columns in trials]
     kind: InputKind = meta.input or next((k for k in PREFERRED if all(k in have for have in kinds)), "none")  # type: ignore[assignment]
     for columns, have in zip(trials, kinds, strict=True):
@@ -84,25 +107,25 @@ def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: Log
             )
     first = trials[0]
     if kind == "none":
-        _motors_told(first, names, meta)
+        _motors_told(first, names, meta, moving)
         return Inputs(kind, "", (), ())
     notes = _notes(kind, kinds, meta)
     if kind == "command":
-        return _commands(trials, names, notes)
+        return _commands(trials, names, notes, moving)
     stem = STEM[kind]
     if kind == "torque" and not all("tau" in t.by_joint for t in trials):
         stem, notes = "tau_commanded", (*notes, "torques are commands, not measured")
-    driven = _driven(trials, stem, names)
-    lacking = [joint for joint in names.joints if joint not in driven]
+    driven = tuple(joint for joint in _driven(trials, stem, names) if joint in moving)
+    lacking = [joint for joint in moving if not {joint, *names.tied.get(joint, ())} & set(driven)]
     for actuator in names.actuators or ():
-        if actuator.joint in lacking:
+        if actuator.joint in lacking and not set(actuator.joints) & set(driven):
             raise BadInput(
                 f"{first.raw.path}: no {kind} of joint '{actuator.joint}', which has a motor in the model; add column "
                 f"{stem}_{actuator.joint}, or take actuator '{actuator.name}' out of the model"
             )
     if lacking:
         notes = (*notes, f"no {kind} column, taken as free to move: {', '.join(lacking)}")
-    return Inputs(kind, stem, names.joints, driven, notes=notes)
+    return Inputs(kind, stem, tuple(moving), driven, notes=notes)
 
 
 def _kinds(columns: Columns) -> set[str]:
@@ -137,7 +160,7 @@ def _driven(trials: list[Columns], stem: str, names: ModelNames) -> tuple[str, .
     return tuple(joint for j, joint in enumerate(names.joints) if j in here)
 
 
-def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...]) -> Inputs:
+def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], moving: Sequence[str]) -> Inputs:
     """A command for each actuator of the model; where the model's are not known, for each joint with a column."""
     if names.actuators is None:
         joints = _driven(trials, "target", names) if "target" in trials[0].by_joint else ()
@@ -151,30 +174,66 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...]) 
             f"{trials[0].raw.path}: has commands, but the model has no actuator; add <actuator> to it, "
             '<position joint="..." kp="..." kv="..."/> for position targets, or log torques'
         )
+    idle: dict[str, None] = {}
     for columns in trials:
         _check_ctrl(columns, actuators)
         for index, actuator in enumerate(actuators):
-            j = names.joints.index(actuator.joint)
-            told = {actuator.name, actuator.joint, index} & set(columns.ctrl)
-            if not told and j not in columns.by_joint.get("target", {}):
-                raise BadInput(
-                    f"{columns.raw.path}: no command for actuator '{actuator.name}' of joint '{actuator.joint}'; add column "
-                    f"target_{actuator.joint} or ctrl_{actuator.name}, or take the actuator out of the model"
-                )
-            if not told and actuator.kind == "motor":
-                raise BadInput(
-                    f"{columns.raw.path}: joint '{actuator.joint}' has a target, but its actuator '{actuator.name}' in the model "
-                    f'is a motor; make it <position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it '
-                    "is what the motor was told"
-                )
+            if _told(columns, actuator, index, names) or not (
+                actuator.kind == "other" or set(actuator.joints) & set(moving)
+            ):
+                continue
+            others = [a for a in actuators if a is not actuator and set(a.joints) & set(actuator.joints)]
+            if actuator.kind == "other" or any(_told(columns, a, actuators.index(a), names) for a in others):
+                idle[actuator.name] = None
+                continue
+            _no_command(columns, actuator, names)
         for j in columns.by_joint.get("target", {}):
-            if names.joints[j] not in {a.joint for a in actuators}:
+            if names.joints[j] in moving and not any(names.joints[j] in a.joints for a in actuators):
                 raise BadInput(
                     f"{columns.raw.path}: joint '{names.joints[j]}' has a target, but no actuator in the model; add "
                     f'<position joint="{names.joints[j]}" .../> to it, or write ignore = ["target{j + 1}"] in meta.toml'
                 )
-    driven = tuple(j for j in names.joints if any(a.joint == j for a in actuators))
+    if idle:
+        notes = (*notes, f"no command logged, taken as 0: {', '.join(idle)}")
+    driven = tuple(j for j in moving if any(j in a.joints for a in actuators))
     return Inputs("command", "target", tuple(a.name for a in actuators), driven, actuators, notes)
+
+
+def _told(columns: Columns, actuator: ActuatorName, index: int, names: ModelNames) -> bool:
+    """Whether a trial has what an actuator was told: its own column, or a servo the target of its joint."""
+    if {actuator.name, actuator.joint, index} & set(columns.ctrl):
+        return True
+    if actuator.kind not in ("position", "general") or actuator.joint not in names.joints:
+        return False
+    return names.joints.index(actuator.joint) in columns.by_joint.get("target", {})
+
+
+def _idle(columns: Columns, actuator: ActuatorName, names: ModelNames) -> bool:
+    """Whether nothing was logged that an actuator may have been told."""
+    servo = actuator.kind in ("position", "general") and actuator.joint in names.joints
+    return not (servo and names.joints.index(actuator.joint) in columns.by_joint.get("target", {}))
+
+
+def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> None:
+    path, joint = columns.raw.path, actuator.joint
+    if (
+        actuator.kind == "motor"
+        and joint in names.joints
+        and names.joints.index(joint) in columns.by_joint.get("target", {})
+    ):
+        raise BadInput(
+            f"{path}: joint '{joint}' has a target, but its actuator '{actuator.name}' in the model is a motor; make it "
+            f'<position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it is what the motor was told'
+        )
+    column = (
+        f"target_{joint} or ctrl_{actuator.name}"
+        if actuator.kind in ("position", "general")
+        else f"ctrl_{actuator.name}"
+    )
+    raise BadInput(
+        f"{path}: no command for actuator '{actuator.name}' of joint '{joint}'; add column {column}, or hold the joint: "
+        f"[hold] and {joint} = 0.0 in meta.toml"
+    )
 
 
 def _ctrl_joints(columns: Columns, names: ModelNames) -> tuple[str, ...]:
@@ -188,7 +247,7 @@ def _ctrl_joints(columns: Columns, names: ModelNames) -> tuple[str, ...]:
 
 
 def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
-    known = [name for a in actuators for name in (a.name, a.joint)]
+    known = [name for a in actuators for name in (a.name, a.joint) if name]
     for key in columns.ctrl:
         if isinstance(key, int) and not 0 <= key < len(actuators):
             raise BadInput(
@@ -202,9 +261,10 @@ def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
             raise BadInput(f"{columns.raw.path}: column ctrl_{key}: the model has no actuator '{key}'; {hint} {mend}")
 
 
-def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta) -> None:
-    if names.actuators and meta.input != "none":
-        a = names.actuators[0]
+def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta, moving: Sequence[str]) -> None:
+    needed = [a for a in names.actuators or () if set(a.joints) & set(moving)]
+    if needed and meta.input != "none":
+        a = needed[0]
         column = f"ctrl_{a.name}" if a.kind == "motor" else f"target_{a.joint}"
         raise BadInput(
             f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add column {column} (or "

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import finite_without_turns
-from adaptsim_jax.logs.columns import Role, role
+from adaptsim_jax.logs.columns import BASE, Role, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.log_units import column_scale
+from adaptsim_jax.logs.log_units import column_unit
+from adaptsim_jax.logs.meta import ANGLE_UNITS
+from adaptsim_jax.logs.quality.turns import followed_turns
 from adaptsim_jax.logs.table_checks import check_time_unit
 from adaptsim_jax.logs.tables import RawTrial
 
@@ -27,7 +29,8 @@ LIMIT = 1e5
 class Columns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
 
-    `turns`: whether whole turns were taken out of angles.
+    `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
+    `scaled`: joints whose angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of a free base.
     """
 
     raw: RawTrial
@@ -35,6 +38,9 @@ class Columns:
     by_joint: dict[str, dict[int, np.ndarray]]
     ctrl: dict[int | str, np.ndarray]
     turns: bool
+    written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    scaled: dict[int, bool] = field(default_factory=dict)
+    base: np.ndarray | None = None
 
     def stacked(self, stem: str, n: int) -> np.ndarray:
         """`[T, n]` of a quantity, NaN for joints without."""
@@ -50,19 +56,19 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     zero_based = _zero_based(roles.values())
     time = next(name for name, r in roles.items() if r.stem == "time")
     where = f"{trial.path}: column {time}"
-    scale = column_scale(where, meta.units, "time", (time,), slides=False)
+    scale = column_unit(where, meta.units, "time", (time,), slides=False).scale
     seconds = trial.columns[time] * scale
     check_time_unit(trial.path, seconds, scale)
     by_joint: dict[str, dict[int, np.ndarray]] = {}
     ctrl: dict[int | str, np.ndarray] = {}
     taken: dict[tuple[str, int], str] = {}
+    written: dict[tuple[str, int], np.ndarray] = {}
+    scaled: dict[int, bool] = {}
     for name, found in roles.items():
-        if found.stem in ("time", "trial"):
+        if found.stem in ("time", "trial", "base"):
             continue
         if found.stem == "ctrl":
-            ctrl[found.joint if isinstance(found.joint, str) else (found.joint or 1) - (not zero_based)] = (
-                trial.columns[name]
-            )
+            ctrl[_place(found, zero_based)] = trial.columns[name]
             continue
         j = _joint(trial, name, found, names, zero_based)
         if (found.stem, j) in taken:
@@ -73,13 +79,63 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         taken[found.stem, j] = name
         slides = names.joints[j] in names.slides
         words = found.words(name, names.joints[j])
-        scale = column_scale(f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides)
-        by_joint.setdefault(found.stem, {})[j] = _sized(trial, name, trial.columns[name] * scale)
+        unit = column_unit(
+            f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides, limits=names.limits_of(j)
+        )
+        if found.stem in ("q", "target"):
+            written[found.stem, j] = trial.columns[name]
+            scaled[j] = scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
+        by_joint.setdefault(found.stem, {})[j] = _sized(trial, name, unit.of(trial.columns[name]))
     angles = by_joint.get("q", {})
     whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
+    targets = {
+        j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
+        for j, u in by_joint.get("target", {}).items()
+    }
     turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
+    turns |= any(not np.array_equal(targets[j], u, equal_nan=True) for j, u in by_joint.get("target", {}).items())
     time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
-    return Columns(trial, time, by_joint | {"q": whole}, ctrl, turns)
+    return Columns(
+        trial,
+        time,
+        by_joint | {"q": whole} | ({"target": targets} if targets else {}),
+        ctrl,
+        turns,
+        written,
+        scaled,
+        _base(trial, roles),
+    )
+
+
+def _place(found: Role, zero_based: bool) -> int | str:
+    """The index or the name of the actuator that a column of commands speaks of."""
+    if isinstance(found.joint, str):
+        return found.joint
+    return (found.joint - (not zero_based)) if found.joint is not None else 0
+
+
+def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
+    """`[T, 7]` m and a unit quaternion whose sign does not jump. Raises `BadInput` where a column of them is missing."""
+    named = {str(found.joint): name for name, found in roles.items() if found.stem == "base"}
+    if not named:
+        return None
+    if missing := [name for name in BASE if name not in named]:
+        raise BadInput(
+            f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or ignore all of them"
+        )
+    pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
+    size = np.linalg.norm(pose[:, 3:], axis=1)
+    if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
+        raise BadInput(
+            f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length {size[bad[0]]:.3g}; write unit "
+            "quaternions"
+        )
+    pose[:, 3:] /= size[:, None]
+    flips = np.cumprod(
+        np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)) + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0)
+    )
+    pose[1:, 3:] *= flips[:, None]
+    return pose
 
 
 def _zero_based(roles: Iterable[Role]) -> bool:

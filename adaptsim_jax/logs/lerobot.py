@@ -8,6 +8,8 @@ episode (up to v2.1) and many episodes a file (v3).
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,33 @@ def read_lerobot(folder: Path) -> list[RawTrial]:
             parts.setdefault(episode, []).append((path, table))
     fps = info.get("fps")
     return [_trial(folder, episode, parts[episode], features, fps) for episode in sorted(parts)]
+
+
+def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
+    """BadInput where numbers of a trial have no names that fit, and `[columns]` gives none either. joints: the model's."""
+    for vector, stem in STEMS.items():
+        count = sum(
+            re.fullmatch(rf"{stem}_\d+", name) is not None and name[len(stem) + 1 :] not in joints
+            for name in trial.columns
+        )
+        named = any(name.startswith(f"{stem}_") and not re.fullmatch(rf"{stem}_\d+", name) for name in trial.columns)
+        if joints and count not in (0, len(joints)) and not named:
+            raise BadInput(
+                f"{folder}/meta/info.json: {vector} has {count} numbers without names, the model {len(joints)} joint(s); write names "
+                f"there, in the order of the numbers, or say in meta.toml which number is which: [columns] and {stem}_{joints[0]} = "
+                f'"{stem}_K", K from 1 to {count}, and ignore the others'
+            )
+    for vector in trial.doubt:
+        own = [name for name in trial.columns if name.startswith(f"{vector}[")]
+        width = int(own[-1].rpartition("[")[2][:-1]) + 1 if own else 0
+        stem = STEMS[vector]
+        if not own or any(name.startswith(f"{stem}_") for name in trial.columns):
+            continue  # some have been given by [columns]: the others are left
+        first = next(iter(joints), "JOINT")
+        raise BadInput(
+            f"{folder}/meta/info.json: {trial.doubt[vector]}; write all {width} names there, in the order of the numbers, or say in "
+            f'meta.toml which number is which: [columns] and {stem}_{first} = "{vector}[K]", K from 0 to {width - 1}'
+        )
 
 
 def _info(folder: Path) -> dict[str, Any]:
@@ -96,21 +125,53 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
         raise BadInput(f"{path}: {word} {rows[bad[0]]}: timestamp is {time[bad[0]]:g}; remove such rows")
     check_clock(path, time, rows, word)
     columns = {"time": time}
+    doubt: dict[str, str] = {}
     for name, stem in STEMS.items():
         if name in arrays:
             values = arrays[name].reshape(count, -1)
-            columns |= _named(stem, _names(features.get(name, {}), values.shape[1]), values)
-    return RawTrial(f"episode_{episode}", str(path), columns, np.arange(1, count + 1), "row", notes=notes)
+            feature, width = features.get(name, {}), values.shape[1]
+            if (names := _names(feature, width)) is not None:
+                columns |= _named(stem, names, values)
+                continue
+            written = _written(feature)
+            columns |= {column: values[:, k] for column, k in _unnamed(name, stem, written, width).items()}
+            if written:
+                said = ", ".join(dict.fromkeys(written))
+                doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({said})"
+    return RawTrial(f"episode_{episode}", str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt)
 
 
-def _names(feature: Any, width: int) -> list[str]:
-    """The names of a vector's entries; their numbers where info.json has none of them."""
+def _names(feature: Any, width: int) -> list[str] | None:
+    """The names of a vector's entries; None where info.json has none, or where they are not the entries' (another number of them, or
+    twice the same)."""
     names = feature.get("names") if isinstance(feature, dict) else None
-    if isinstance(names, dict):
+    if (
+        isinstance(names, dict)
+        and names
+        and all(isinstance(k, int) and not isinstance(k, bool) for k in names.values())
+    ):
+        names = sorted(names, key=names.__getitem__)
+    elif isinstance(names, dict):
         names = [name for group in names.values() if isinstance(group, list) for name in group]
     if isinstance(names, list) and len(names) == width == len({n for n in names if isinstance(n, str)}):
         return names
-    return [str(i) for i in range(1, width + 1)]
+    return None
+
+
+def _written(feature: Any) -> list[str]:
+    """The names that info.json has, fit or not."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = [n for k, v in names.items() for n in (v if isinstance(v, list) else [k])]
+    return [str(name) for name in names] if isinstance(names, list) else []
+
+
+def _unnamed(vector: str, stem: str, written: list[str], width: int) -> dict[str, int]:
+    """Columns of a vector whose entries have no names of their own: numbers of joints; where info.json names others, names that
+    only `[columns]` makes joints of."""
+    if written:
+        return {f"{vector}[{k}]": k for k in range(width)}
+    return {f"{stem}_{k + 1}": k for k in range(width)}
 
 
 def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:

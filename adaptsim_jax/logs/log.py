@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -20,11 +20,17 @@ GAP = 0.5
 
 @dataclass(frozen=True)
 class ActuatorName:
-    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity, general, dcmotor."""
+    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity, general, dcmotor, tendon (on several
+    joints) or other (on none: a site, a body); `moves`: all joints that it drives, those tied to them included."""
 
     name: str
     joint: str
     kind: str = "motor"
+    moves: tuple[str, ...] = ()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.moves or ((self.joint,) if self.joint else ())
 
 
 @dataclass(frozen=True)
@@ -33,18 +39,50 @@ class ModelNames:
 
     `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m, not rad);
     `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a serial chain);
-    `actuators`: in the model's order, None where nothing is known of them.
+    `actuators`: in the model's order, None where nothing is known of them; `tied`: joints that go with others, and with which;
+    `ranges`: of each joint in rad or m, None where it has none (empty: not known).
     """
 
     joints: tuple[str, ...]
     slides: tuple[str, ...] = ()
     parents: tuple[int, ...] = ()
     actuators: tuple[ActuatorName, ...] | None = None
+    tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    ranges: tuple[tuple[float, float] | None, ...] = ()
+
+    def turns_to(self, joint: int) -> bool:
+        """Whether a target of a joint is an angle: not where it slides, nor where all that drives it takes speeds or torques."""
+        kinds = [a.kind for a in self.actuators or () if a.joint == self.joints[joint]]
+        return self.joints[joint] not in self.slides and (not kinds or any(k in ("position", "general") for k in kinds))
+
+    def limits_of(self, joint: int) -> tuple[float, float] | None:
+        """The range of a joint, where the model declares one."""
+        return self.ranges[joint] if joint < len(self.ranges) else None
 
     @property
     def parent_of(self) -> tuple[int, ...]:
         """`parents`, those of a serial chain where none are given."""
         return self.parents or tuple(range(-1, len(self.joints) - 1))
+
+    def only(self, kept: Sequence[int]) -> ModelNames:
+        """The same of the joints with these numbers."""
+        place = {j: i for i, j in enumerate(kept)}
+
+        def before(j: int) -> int:
+            while (j := self.parent_of[j]) >= 0:
+                if j in place:
+                    return place[j]
+            return -1
+
+        joints = tuple(self.joints[j] for j in kept)
+        return ModelNames(
+            joints,
+            tuple(s for s in self.slides if s in joints),
+            tuple(before(j) for j in kept),
+            self.actuators,
+            self.tied,
+            tuple(self.ranges[j] for j in kept if self.ranges),
+        )
 
 
 @dataclass(frozen=True)
@@ -55,7 +93,7 @@ class LogTrial:
     `v [T, n]`: rad/s or m/s, None where no speed was logged; `u [T, m]`: the input, which holds from its row to the
     next: N m or N (torque), what the actuators were told (command), V, A. `extra`: other quantities of the file by
     their stem (`tau_commanded`, `target`, ...), each `[T, n]` and NaN for joints without; `group`: trials that
-    belong together; `payload`: kg at the tip.
+    belong together; `payload`: kg at the tip; `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not logged.
     """
 
     name: str
@@ -67,6 +105,7 @@ class LogTrial:
     payload: float = 0.0
     path: str = ""
     extra: dict[str, np.ndarray] = field(default_factory=dict)
+    base: np.ndarray | None = None
 
     @property
     def dt(self) -> float:
@@ -78,7 +117,8 @@ class LogTrial:
         part = slice(start, stop)
         v = None if self.v is None else self.v[part]
         extra = {name: values[part] for name, values in self.extra.items()}
-        return replace(self, time=self.time[part], q=self.q[part], v=v, u=self.u[part], extra=extra)
+        base = None if self.base is None else self.base[part]
+        return replace(self, time=self.time[part], q=self.q[part], v=v, u=self.u[part], extra=extra, base=base)
 
 
 @dataclass(frozen=True)
@@ -87,7 +127,9 @@ class Log:
 
     `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the model's actuators
     are not known); `driven`: joints that have an input column, torque is 0 at the others. `notes`: what a person
-    should know of how the files were read, a line each.
+    should know of how the files were read, a line each. `held`: joints that stand still in all trials, or that `[hold]` names, and
+    where they were (None: nothing was logged); they are not among `joint_names`. `input_columns [m]`: the column that each
+    actuator's command was read from.
     """
 
     path: str
@@ -98,6 +140,8 @@ class Log:
     input_names: tuple[str, ...]
     driven: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    held: dict[str, float | None] = field(default_factory=dict)
+    input_columns: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:

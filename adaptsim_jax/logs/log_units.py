@@ -1,14 +1,18 @@
-"""Units of a log's columns: what may be written in `[units]`, and the scale that makes each column SI."""
+"""Units of a log's columns: what may be written in `[units]`, and what makes each column SI."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief
+from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.logs.meta import ANGLE_UNITS, SPELLED, TIME_UNITS, TORQUE_UNITS, VELOCITY_UNITS
 
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -33,12 +37,34 @@ INPUT = {"u": "voltage", "i": "current"}
 """Stem -> quantity, for joints that turn and joints that slide; `ctrl` goes to the actuator as it is."""
 
 
-def check_unit(path: Path, key: str, value: Any) -> str:
-    """The short name of the unit that a line of `[units]` gives to the column, stem or quantity `key`; BadInput else."""
+@dataclass(frozen=True)
+class Affine:
+    """`si = scale * written + offset`: per cent of a range, encoder steps, a scale of one's own."""
+
+    scale: float
+    offset: float = 0.0
+
+    def of(self, written: np.ndarray) -> np.ndarray:
+        """In SI units."""
+        return written * self.scale + self.offset if self.offset else written * self.scale
+
+
+Unit = str | Affine
+PERCENT = "percent"
+"""Of the joint's range in the model, 0 to 100."""
+FORMS = "{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks = 4096, zero = 2048} or a number (SI a unit)"
+
+
+def check_unit(path: Path, key: str, value: Any) -> Unit:
+    """The unit that a line of `[units]` gives to the column, stem or quantity `key`; BadInput else."""
+    if isinstance(value, dict) or (isinstance(value, int | float) and not isinstance(value, bool)):
+        return _affine(path, key, value)
     if not isinstance(value, str):
-        raise BadInput(f"{path}: units.{key} must be text in quotes, not {brief(value)}")
+        raise BadInput(f"{path}: units.{key} must be text in quotes, {FORMS}, not {brief(value)}")
     words = "".join(c for c in value if c not in " *.·").split("/")
     name = "/".join(SPELT.get(w, w) for w in words)
+    if name in (PERCENT, "%", "percents"):
+        return PERCENT
     every = {unit: None for table in QUANTITIES.values() for unit in table}
     known = QUANTITIES.get(key, every)
     if name not in known:
@@ -46,29 +72,87 @@ def check_unit(path: Path, key: str, value: Any) -> str:
     return name
 
 
-def column_scale(where: str, units: Mapping[str, str], stem: str, words: tuple[str, ...], *, slides: bool) -> float:
-    """`si = scale * written` of a column of quantity `stem`; `words`: the names that `[units]` may give it, closest first.
+def _affine(path: Path, key: str, value: Any) -> Affine:
+    table = value if isinstance(value, dict) else {"scale": value}
+    pair = lambda name: (
+        [finite(x) for x in table[name]] if isinstance(table[name], list) and len(table[name]) == 2 else [None]
+    )
+    one = lambda name, default: finite(table.get(name, default))
+    made: Affine | None = None
+    if (
+        set(table) <= {"scale", "offset"}
+        and (scale := one("scale", None))
+        and (shift := one("offset", 0.0)) is not None
+    ):
+        made = Affine(scale, shift)
+    elif set(table) == {"percent"} and None not in (to := pair("percent")):
+        made = _between([0.0, 100.0], to)
+    elif set(table) == {"from", "to"} and None not in (ends := pair("from")) and None not in (to := pair("to")):
+        made = _between(ends, to)
+    elif set(table) <= {"ticks", "zero"} and (ticks := one("ticks", None)) and (zero := one("zero", 0.0)) is not None:
+        made = Affine(2.0 * math.pi / ticks, -2.0 * math.pi * zero / ticks)
+    if made is None or not math.isfinite(made.scale) or made.scale == 0.0:
+        raise BadInput(f"{path}: units.{key} = {brief(value)} is no unit; write one in quotes, {FORMS}")
+    return made
+
+
+def _between(ends: list, to: list) -> Affine | None:
+    if ends[0] == ends[1] or to[0] == to[1]:
+        return None
+    scale = (to[1] - to[0]) / (ends[1] - ends[0])
+    return Affine(scale, to[0] - scale * ends[0])
+
+
+def column_unit(
+    where: str,
+    units: Mapping[str, Unit],
+    stem: str,
+    words: tuple[str, ...],
+    *,
+    slides: bool,
+    limits: tuple[float, float] | None = None,
+) -> Affine:
+    """What makes a column of quantity `stem` SI; `words`: the names that `[units]` may give it, closest first; limits: the joint's
+    range in the model, of which per cent are taken.
 
     A velocity, and a target, follow the angle of their joint unless they are declared. BadInput where the declared unit
     belongs to another quantity; `where` opens its message.
     """
     quantity = "time" if stem == "time" else INPUT.get(stem) or (SLIDE if slides else HINGE).get(stem)
     if quantity is None:
-        return 1.0
-    name = next(
-        (units[word] for word in (*words, stem, quantity) if word in units and _fits(units, word, quantity)), None
-    )
-    if name is None and stem in ("v", "target"):
-        joint = tuple(word.replace(stem, "q", 1) for word in words if word.startswith(stem))
-        angle = next((units[w] for w in (*joint, "q", (SLIDE if slides else HINGE)["q"]) if w in units), None)
-        name = f"{angle}/s" if angle and stem == "v" else angle
+        return Affine(1.0)
+    joint = tuple(word.replace(stem, "q", 1) for word in words if word.startswith(stem))
+    angle = (HINGE if not slides else SLIDE)["q"]
+    # a target is in its angle's unit, whose own word is closer than that of all angles
+    order = (*words, stem, *((*joint, "q") if stem == "target" else ()), quantity)
+    name = next((units[word] for word in order if word in units and _fits(units, word, quantity)), None)
+    rate = name is None and stem == "v"
+    if rate:
+        name = next((units[w] for w in (*joint, "q", angle) if w in units), None)
     if name is None:
-        return 1.0
+        return Affine(1.0)
+    if name == PERCENT:
+        name = _of_range(where, words[0] if words else stem, limits)
+    if isinstance(name, Affine):
+        return Affine(name.scale) if rate or stem == "v" else name
+    name = f"{name}/s" if rate else name
     if name not in QUANTITIES[quantity]:
         raise BadInput(f"{where} is in {name}, which is no unit of {quantity}; {suggest(name, QUANTITIES[quantity])}")
-    return QUANTITIES[quantity][name]
+    return Affine(QUANTITIES[quantity][name])
 
 
-def _fits(units: Mapping[str, str], word: str, quantity: str) -> bool:
+def _of_range(where: str, word: str, limits: tuple[float, float] | None) -> Affine:
+    made = _between([0.0, 100.0], list(limits)) if limits else None
+    if made is None:
+        raise BadInput(
+            f"{where} is in per cent of a range that the model does not declare; write {word} = {{percent = [LOW, HIGH]}}, what 0 "
+            "and 100 are in rad or m, under [units]"
+        )
+    return made
+
+
+def _fits(units: Mapping[str, Unit], word: str, quantity: str) -> bool:
     # a stem speaks for turning and sliding joints alike: `q = "deg"` is not meant for the cart
-    return word not in ("q", "v", "tau", "target", "velocity") or units[word] in QUANTITIES[quantity]
+    if word not in ("q", "v", "tau", "target", "velocity") or not isinstance(units[word], str):
+        return True
+    return units[word] == PERCENT or units[word] in QUANTITIES[quantity]

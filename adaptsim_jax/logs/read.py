@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs import lerobot, ros
+from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
+from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
 from adaptsim_jax.logs.model_names import model_names
@@ -22,6 +23,7 @@ from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 
 if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.mjcf import Mechanism
+    from adaptsim_jax.mechanisms.spec import Source
 
 META = "meta.toml"
 
@@ -49,13 +51,29 @@ def read_with_model(
     source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
 ) -> tuple[Mechanism, Log]:
     """A log and the mechanism that it is of: `model` (a path, MJCF or URDF), else the one that meta.toml names."""
+    return joined(*read_source_and_log(source, model, meta))
+
+
+def read_source_and_log(
+    source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
+) -> tuple[Source, Log]:
+    """The same with the model file as it is, and the log of all its joints."""
     source, meta, notes = _declared(source, meta)
     path = str(model) if model is not None else meta.model
     if path is None:
         where = meta.path or source
         raise BadInput(f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by --model')
-    mechanism, names = _names_of(path)
-    return mechanism, _read(source, names, meta, notes)
+    file, names = _names_of(path)
+    return file, _read(source, names, meta, notes)
+
+
+def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
+    """The mechanism that moves in a log of a model, and the log of its coordinates."""
+    from adaptsim_jax.mechanisms.mjcf import mechanism_of  # loads JAX
+
+    hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
+    mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    return mechanism, followed(log, mechanism)
 
 
 def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Path, LogMeta, tuple[str, ...]]:
@@ -65,15 +83,15 @@ def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Pa
     return source, *_meta(source, meta)
 
 
-def _names_of(path: str) -> tuple[Mechanism, ModelNames]:
-    from adaptsim_jax.mechanisms.mjcf import read_mechanism  # loads JAX
+def _names_of(path: str) -> tuple[Source, ModelNames]:
+    from adaptsim_jax.mechanisms.spec import read_source
 
-    mechanism = read_mechanism(path)
-    return mechanism, model_names(mechanism)
+    source = read_source(path)
+    return source, model_names(source)
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
-    trials = read_raw(Path(meta.data) if meta.data else source, meta)
+    trials = read_raw(Path(meta.data) if meta.data else source, meta, names.joints if names else ())
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 
@@ -89,11 +107,18 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
     )
 
 
-def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files."""
+def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawTrial]:
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. joints: the model's."""
     if data.is_dir() and lerobot.is_lerobot(data):
-        return _renamed(lerobot.read_lerobot(data), meta)
+        trials = _renamed(lerobot.read_lerobot(data), meta)
+        lerobot.check_named(data, trials[0], joints)
+        return trials
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    folder = data if data.is_dir() else data.parent
+    commands = command_files.declared(meta.commands, folder, meta.path)
+    files = [path for path in files if path not in commands.values()]
+    if not commands and data.is_dir():
+        command_files.check_suspected(files)
     bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
     if not files and not bags:
         if data.is_dir():
@@ -102,8 +127,16 @@ def read_raw(data: Path, meta: LogMeta) -> list[RawTrial]:
             f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
         )
     # in a folder of both, [columns] speaks of the tables
-    recorded = [ros.read_bag(path, meta.ros) for path in bags]
-    trials = read_files(files, meta.columns, meta.ignore) + (recorded if files else _renamed(recorded, meta))
+    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()))
+    recorded = [ros.read_bag(path, wanted) for path in bags]
+    tables = [
+        command_files.with_commands(trial, commands, meta.columns, meta.ignore)
+        for trial in read_files(files, meta.columns, meta.ignore, tuple(commands.values()))
+    ]
+    if files and not data.is_dir() and not commands:
+        told = command_files.beside(data, table_files(folder))
+        tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
+    trials = tables + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
     return [
         replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t

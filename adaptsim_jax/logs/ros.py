@@ -1,42 +1,50 @@
 """ROS 1 and ROS 2 bags and MCAP files: joint states, and commands where a topic has them, as one raw trial a bag.
 
-Read by the library `rosbags` (extra `ros`). Messages: sensor_msgs/JointState for the state; for commands a JointState
-(position: targets; else effort), trajectory_msgs/JointTrajectory, control_msgs/JointTrajectoryControllerState,
-std_msgs/Float64MultiArray or Float64 (in the order of the model's actuators).
+Read by the libraries `rosbags` and `mcap` (extra `ros`). `messages.py` lists the types of messages: for the state JointState (ROS or
+foxglove), DynamicJointState, or a trajectory controller's own state, for commands these, JointTrajectory, Float64MultiArray and
+Float64 (in the order of the model's actuators).
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.bag import Bag, Topic
+from adaptsim_jax.logs.bag_files import ENDINGS, bags, is_bag, opened
 from adaptsim_jax.logs.clock import Series, merge
-from adaptsim_jax.logs.extras import need
+from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.messages import ARRAYS, TRAJECTORIES, command_of, nanoseconds, stamp_of, state_of
+from adaptsim_jax.logs.quality.hypotheses import Track
+from adaptsim_jax.logs.quality.servo_fit import unexplained
+from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
+from adaptsim_jax.logs.stamps import Stamped, stamped
 from adaptsim_jax.logs.tables import RawTrial
+from adaptsim_jax.logs.topics import choose
+from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
 
-ENDINGS = (".bag", ".mcap", ".db3")
-STATE = "sensor_msgs/msg/JointState"
-TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
-ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64")
-COMMANDS = (STATE, TRAJECTORY, CONTROLLER, *ARRAYS)
-COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "setpoint")
+__all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]
+
+POINTS = ("ramp", "hold")
+"""How the points of a trajectory command: moved to (as controllers do), or each held until the next."""
+BETTER = 0.5
+"""Share of what the other reading of a trajectory leaves that decides between the two."""
 
 
 @dataclass(frozen=True)
-class Topic:
-    """A topic of a bag: its name, message type and number of messages."""
+class Wanted:
+    """What is taken of a bag: `options` of `[ros]`; columns or joints that `ignore` names, `joints` of the model (empty: not known)
+    and the file's names that `[columns]` speaks of, which are kept whatever they are called."""
 
-    name: str
-    kind: str
-    count: int
+    options: Mapping[str, str]
+    ignore: Collection[str] = ()
+    joints: Collection[str] = ()
+    named: Collection[str] = ()
 
 
 @dataclass(frozen=True)
@@ -48,178 +56,229 @@ class Clock:
     late: int
 
 
-def bags(folder: Path) -> list[Path]:
-    """The bags that a folder holds: files, or folders with `metadata.yaml`; the folder itself where it is one."""
-    if is_bag(folder):
-        return [folder]
-    return sorted(p for p in folder.iterdir() if is_bag(p) and not p.name.startswith("."))
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag by its ending, or a ROS 2 bag's folder."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in ENDINGS
-
-
-def read_bag(path: Path, options: Mapping[str, str]) -> RawTrial:
+def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
     """One bag as a raw trial with columns `q_NAME`, `v_NAME`, `tau_NAME`, `target_NAME`, ... on one clock.
 
-    `options`: `state_topic`, `command_topic` where chosen. Raises `BadInput`: no such topic, a damaged bag, `rosbags` missing.
+    `options`: `state_topic`, `command_topic`, `trajectory` where chosen. Raises `BadInput`: no such topic, a damaged bag, a library
+    missing.
     """
-    with _opened(path) as reader:
-        state, command, notes = _choose(path, _topics(reader), options)
-        series, clock = _state(reader, state)
-        commands = _command(reader, command, clock) if command else []
-    if not series:
-        raise BadInput(f"{path}: topic {state.name} has no message with positions; name another by state_topic")
+    wanted = options if isinstance(options, Wanted) else Wanted(options)
+    with opened(path) as bag:
+        state, command, notes = choose(path, bag.topics, wanted.options)
+        series, clock, told = _state(bag, state)
+        notes += told
+        if not series:
+            raise BadInput(f"{path}: topic {state.name} has no message with positions; name another by state_topic")
+        series, left = _of_the_model(series, wanted)
+        notes += left
+        commands, told = _commands(path, bag, command, clock, series, wanted) if command else ([], ())
+        commands, _ = _of_the_model(commands, wanted)
+        commands = [_turned(s, series) for s in commands]
+        notes += told
     columns, told = merge(str(path), series, commands)
     notes += told
-    zero = [name for name, values in columns.items() if name.startswith("tau_") and not np.any(values)]
-    if zero and len(zero) == sum(name.startswith("tau_") for name in columns):
-        columns = {name: values for name, values in columns.items() if name not in zero}
-        notes = (*notes, "efforts are zero throughout: not taken for torques")
-    if not clock.stamped:
-        notes = (*notes, f"topic {state.name} has no stamps: the bag's time of arrival is taken")
-    if command and clock.stamped and clock.late and command.kind in ARRAYS:
-        notes = (
-            *notes,
-            f"topic {command.name} has no stamps: its arrival is taken, less the delay of the state's messages",
-        )
-    if command and command.kind in ARRAYS:
-        notes = (*notes, f"topic {command.name} names no joints: taken in the order of the model's actuators")
-    if command and command.kind == TRAJECTORY:
-        notes = (*notes, f"topic {command.name}: each point is held to the next, no interpolation by a controller")
+    columns, told = _without_zeros(columns)
+    notes += told
     rows = np.arange(1, len(columns["time"]) + 1)
     return RawTrial(path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes)
 
 
 def bag_topics(path: Path, options: Mapping[str, str]) -> tuple[tuple[Topic, ...], dict[str, str]]:
     """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and `command_topic`."""
-    with _opened(path) as reader:
-        topics = _topics(reader)
-        state, command, _ = _choose(path, topics, options)
+    with opened(path) as bag:
+        topics = bag.topics
+        state, command, _ = choose(path, topics, options)
     return topics, {"state_topic": state.name} | ({"command_topic": command.name} if command else {})
-
-
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """The library's reader of any bag; what it says of damaged ones in one line."""
-    highlevel, typesys = need(path, "rosbags.highlevel", "ros"), need(path, "rosbags.typesys", "ros")
-    try:
-        with highlevel.AnyReader([path], default_typestore=typesys.get_typestore(typesys.Stores.LATEST)) as reader:
-            yield reader
-    except BadInput:
-        raise
-    except Exception as error:  # the library raises many kinds for damaged bytes: struct, sqlite, yaml, assertions
-        why = " ".join(str(error).split())[:120] or type(error).__name__
-        mend = {".mcap": "mend it by 'mcap recover'", ".bag": "mend it by 'rosbag reindex'"}.get(
-            path.suffix, "record it again"
-        )
-        raise BadInput(f"{path}: is no readable bag ({why}); {mend}, or convert it to CSV") from None
-
-
-def _topics(reader: Any) -> tuple[Topic, ...]:
-    return tuple(Topic(name, info.msgtype or "", info.msgcount) for name, info in reader.topics.items())
-
-
-# ---------------------------------------------------------------- which topics
-
-
-def _choose(
-    path: Path, topics: tuple[Topic, ...], options: Mapping[str, str]
-) -> tuple[Topic, Topic | None, tuple[str, ...]]:
-    by_name = {topic.name: topic for topic in topics}
-    for key, name in options.items():
-        if name not in by_name:
-            raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
-    wanted = options.get("command_topic")
-    states = [topic for topic in topics if topic.kind == STATE and topic.count and topic.name != wanted]
-    if chosen := options.get("state_topic"):
-        state = by_name[chosen]
-        if state.kind != STATE:
-            raise BadInput(
-                f"{path}: topic {chosen} is {state.kind or 'of several types'}; name one of sensor_msgs/JointState"
-            )
-    elif not states:
-        kinds = ", ".join(f"{topic.name} ({topic.kind})" for topic in topics) or "none"
-        raise BadInput(f"{path}: has no topic of sensor_msgs/JointState; record one (topics: {kinds})")
-    else:
-        measured = [topic for topic in states if not _is_command(topic)] or states
-        state = max(measured, key=lambda topic: topic.count)
-    notes: tuple[str, ...] = ()
-    if len(states) > 1 and "state_topic" not in options:
-        notes = (f"state taken from topic {state.name} of {', '.join(topic.name for topic in states)}",)
-    if wanted:
-        command = by_name[wanted]
-        if command.kind not in COMMANDS:
-            known = ", ".join(COMMANDS)
-            raise BadInput(
-                f"{path}: topic {wanted} is {command.kind or 'of several types'}; commands are read of {known}"
-            )
-        return state, command, notes
-    others = [t for t in topics if t.count and t is not state and t.kind in COMMANDS]
-    named = [t for t in others if t.kind == CONTROLLER or _is_command(t)]
-    if len(named) == 1:
-        return state, named[0], (*notes, f"commands taken from topic {named[0].name}")
-    if others:
-        names = ", ".join(topic.name for topic in others)
-        notes = (*notes, f"topics that may hold commands: {names}; name one by command_topic")
-    return state, None, notes
-
-
-def _is_command(topic: Topic) -> bool:
-    return any(word in topic.name.lower() for word in COMMAND_WORDS)
 
 
 # ---------------------------------------------------------------- messages
 
 
-def _messages(reader: Any, topic: Topic) -> tuple[np.ndarray, np.ndarray | None, list[Any]]:
-    """Times of arrival `[K]` and the messages' own stamps `[K]` (None where they have none) in ns, and the messages."""
-    connections = [c for c in reader.connections if c.topic == topic.name]
+def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+    """Times of arrival `[K]` and the messages' own stamps `[K]` (0 for none) in ns, and the messages."""
     arrived, stamps, out = [], [], []
-    for connection, when, data in reader.messages(connections=connections):
-        message = reader.deserialize(data, connection.msgtype)
-        stamp = getattr(getattr(message, "header", None), "stamp", None)
+    for when, message in bag.messages(topic.name):
         arrived.append(when)
-        stamps.append(stamp.sec * 10**9 + stamp.nanosec if stamp is not None else 0)
+        stamps.append(stamp_of(message))
         out.append(message)
-    stamped = bool(stamps) and min(stamps) > 0 and len(set(stamps)) > len(stamps) // 2
-    return np.array(arrived, dtype=np.int64), np.array(stamps, dtype=np.int64) if stamped else None, out
+    return np.array(arrived, dtype=np.int64), np.array(stamps, dtype=np.int64), out
 
 
-def _state(reader: Any, topic: Topic) -> tuple[list[Series], Clock]:
-    arrived, stamps, messages = _messages(reader, topic)
-    times = arrived if stamps is None else stamps
-    first = int(times.min()) if len(times) else 0
-    late = int(np.median(arrived - times)) if len(times) else 0
+def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]]:
+    arrived, stamps, messages = _messages(bag, topic)
+    read = state_of(topic.kind)
+    assert read is not None
+    said = [read(m) for m in messages]
+    notes: list[str] = []
+    nameless = sum(not names and len(values.get("q", ())) > 0 for names, values in said)
+    if nameless:
+        notes.append(
+            f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of the model's joints"
+        )
+        numbers = lambda values: tuple(str(i) for i in range(1, len(values.get("q", ())) + 1))
+        said = [(names or numbers(values), values) for names, values in said]
+    whole = np.array([len(values.get("q", ())) == len(names) > 0 for names, values in said], bool)
+    some = sum(len(values.get("q", ())) > 0 for (_, values), here in zip(said, whole, strict=True) if not here)
+    if some and whole.any():
+        notes.append(f"topic {topic.name}: {some} messages with another number of positions than of names left out")
+    elif some:
+        one = next((names, values) for names, values in said if len(values.get("q", ())))
+        raise BadInput(
+            f"{topic.name}: its messages name {len(one[0])} joints and hold {len(one[1]['q'])} positions; record it so that they agree"
+        )
+    sender = {key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in said))}
+    group = np.array([sender[tuple(sorted(names))] for names, _ in said])
+    times = stamped(arrived, stamps, group) if len(arrived) else Stamped(arrived, arrived > 0, False, 0)
+    notes += times.notes(topic.name)
+    keep = times.kept & whole
+    first = int(times.time[keep].min()) if keep.any() else 0
+    rows = [
+        ((time - first) * 1e-9, *one) for time, one, here in zip(times.time.tolist(), said, keep, strict=True) if here
+    ]
+    late = times.late if times.stamped else 0
+    return _series(rows), Clock(times.stamped, first, late), tuple(notes)
+
+
+def _commands(
+    path: Path, bag: Bag, topic: Topic, clock: Clock, states: list[Series], wanted: Wanted
+) -> tuple[list[Series], tuple[str, ...]]:
+    """What a topic commands, and what was made of it."""
+    arrived, stamps, messages = _messages(bag, topic)
+    notes: list[str] = []
+    came = arrived - clock.late
+    own = (stamps > 0) & clock.stamped
+    if topic.kind not in TRAJECTORIES:
+        # a stamp of another clock, or of another computer's, says nothing beside those of the states
+        own &= np.abs(stamps - came) < 10**9
+    if np.mean(own) <= 0.5:
+        own[:] = False
+    since = lambda ns: (ns - clock.first) * 1e-9
+    if topic.kind in ARRAYS:
+        if clock.stamped and clock.late:
+            notes.append(
+                f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the state's messages"
+            )
+        notes.append(f"topic {topic.name} names no joints: taken in the order of the model's actuators")
+    if topic.kind in TRAJECTORIES:
+        plans = []
+        for m, a, s in zip(messages, came.tolist(), stamps.tolist(), strict=True):
+            begins = nanoseconds(m.goal.trajectory.header.stamp) if hasattr(m, "goal") else s
+            plans.append(plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a)))
+        return _trajectory(path, topic, plans, states, wanted, notes)
+    read = command_of(topic.kind)
+    assert read is not None
+    times = np.where(own, stamps, came)
     rows = []
-    for time, m in zip((times - first) * 1e-9, messages, strict=True):
-        if len(m.position) == len(m.name) > 0:
-            rows.append((float(time), tuple(m.name), {"q": m.position, "v": m.velocity, "tau": m.effort}))
-    return _series(rows), Clock(stamps is not None, first, late)
+    for time, m in zip(times.tolist(), messages, strict=True):
+        names, values = read(m)
+        most = max((len(x) for x in values.values()), default=0)
+        rows.append((since(time), names or tuple(str(i) for i in range(1, most + 1)), values))
+    return _series(rows), tuple(notes)
 
 
-def _command(reader: Any, topic: Topic, clock: Clock) -> list[Series]:
-    arrived, stamps, messages = _messages(reader, topic)
-    times = stamps if stamps is not None and clock.stamped else arrived - clock.late
-    rows = []
-    for time, m in zip((times - clock.first) * 1e-9, messages, strict=True):
-        if topic.kind == STATE:
-            given = {"target": m.position} if len(m.position) else {"tau_commanded": m.effort}
-            rows.append((float(time), tuple(m.name), given))
-        elif topic.kind == CONTROLLER:
-            # older messages say `desired`; those between have both, and fill one of them
-            points = [getattr(m, name) for name in ("reference", "desired") if hasattr(m, name)]
-            told = next((point.positions for point in points if len(point.positions)), ())
-            rows.append((float(time), tuple(m.joint_names), {"target": told}))
-        elif topic.kind == TRAJECTORY:
-            for point in m.points:
-                after = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
-                rows.append((float(time) + after, tuple(m.joint_names), {"target": point.positions}))
-        else:
-            values = np.atleast_1d(np.asarray(m.data, dtype=np.float64))
-            rows.append((float(time), tuple(str(i) for i in range(1, len(values) + 1)), {"ctrl": values}))
-    return _series(rows)
+def _trajectory(
+    path: Path, topic: Topic, plans: list, states: list[Series], wanted: Wanted, notes: list[str]
+) -> tuple[list[Series], tuple[str, ...]]:
+    """Points of trajectories as commands: as `[ros] trajectory` says, else in the way that the angles follow far better, else as
+    controllers take them."""
+
+    def angle(joint: str, at: float) -> float:
+        own = next((s for s in states if f"q_{joint}" in s.columns), None)
+        return float(np.interp(at, own.time, own.columns[f"q_{joint}"])) if own else 0.0
+
+    told = wanted.options.get("trajectory")
+    if told is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
+        return followed(plans, angle, True), tuple(notes)  # points that give no time to move are commands as they come
+    made = {how: followed(plans, angle, how == "hold") for how in POINTS if told in (None, how)}
+    if (
+        "ramp" in made
+    ):  # a controller that steps with the states holds what it has from row to row; a faster one does not wait
+        main = max(states, key=lambda s: len(s.time)).time
+        each = [sampled(series, main) for series in made["ramp"]]
+        made["ramp"] = min((each, made["ramp"]), key=lambda commands: _left(str(path), states, commands))
+    how = told or "ramp"
+    why = "as controllers take it"
+    if told is None:
+        left = {h: _left(str(path), states, made[h]) for h in POINTS}
+        best, other = sorted(POINTS, key=lambda h: left[h])
+        if left[best] < BETTER * left[other]:
+            how, why = best, "which the angles follow far better"
+    says = {"ramp": "points are moved to from one to the next", "hold": "each point is held to the next"}[how]
+    mend = f'; write trajectory = "{"hold" if how == "ramp" else "ramp"}" under [ros] if not' if told is None else ""
+    notes.append(
+        f"topic {topic.name}: {says}{'' if told else f', {why}'}, a new trajectory takes the place of what is ahead{mend}"
+    )
+    return made[how], tuple(notes)
+
+
+def _left(path: str, states: list[Series], commands: list[Series]) -> float:
+    """What commands leave of the joints' accelerations, in the middle; infinite where that cannot be told."""
+    try:
+        columns, _ = merge(path, states, commands)
+    except BadInput:
+        return float("inf")
+    left = []
+    for name in columns:
+        q = columns.get("q" + name.removeprefix("target"))
+        if name.startswith("target_") and q is not None:
+            left.append(unexplained([Track(columns["time"], q[:, None], None, columns[name][:, None])]))
+    left = [x for x in left if np.isfinite(x)]
+    return float(np.median(left)) if left else float("inf")
+
+
+def _turned(command: Series, states: list[Series]) -> Series:
+    """Targets with the whole turns of their angles, before they are brought onto the clock of these: a mean over a row of a target that
+    counts anew within it would be no target."""
+    out = dict(command.columns)
+    for name, values in command.columns.items():
+        joint = name.removeprefix("target_")
+        own = next((s for s in states if f"q_{joint}" in s.columns), None)
+        said = values[np.isfinite(values)]
+        if not name.startswith("target_") or own is None or len(said) < 4 or np.ptp(said) < np.pi:
+            continue
+        here = np.isfinite(own.columns[f"q_{joint}"])
+        time, first = np.unique(own.time[here], return_index=True)
+        if len(time) > 3:
+            q = without_turns(time, own.columns[f"q_{joint}"][here][first]).q
+            out[name] = followed_turns(np.interp(command.time, time, q), values)
+    return replace(command, columns=out)
+
+
+def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], tuple[str, ...]]:
+    """Without what `ignore` names, and without whole joints that the model lacks where all that it has are there: what speaks of others
+    decides nothing of the clock."""
+    joints = wanted.joints
+    has = {column.joint for s in series for name in s.columns if (column := role(name, joints)) and column.stem == "q"}
+    strange: set[str] = set()
+    if joints and set(joints) <= has:
+        strange = {joint for joint in has if isinstance(joint, str) and joint not in joints}
+
+    def keeps(name: str) -> bool:
+        if name in wanted.named:
+            return True
+        found = role(name, joints)
+        joint = found.joint if found else None
+        return name not in wanted.ignore and (not isinstance(joint, str) or joint not in {*wanted.ignore, *strange})
+
+    kept = [s.of({name for name in s.columns if keeps(name)}) for s in series]
+    out = sorted(strange - set(wanted.ignore))
+    notes = (f"joints that the model lacks are left out: {', '.join(out)}",) if out else ()
+    return [s for s in kept if s.columns], notes
+
+
+def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Without efforts, and without speeds, that are zero throughout, as drivers write them that have none."""
+    notes: tuple[str, ...] = ()
+    moves = any(
+        np.nanmax(x) - np.nanmin(x) > 1e-3 for n, x in columns.items() if n.startswith("q_") and np.isfinite(x).any()
+    )
+    for stem, told in (("tau_", "efforts are zero throughout: not taken for torques"),
+                       ("v_", "velocities are zero throughout though joints move: left out")):  # fmt: skip
+        own = [name for name in columns if name.startswith(stem) and not name.endswith("_commanded")]
+        if own and not any(np.any(columns[name]) for name in own) and (stem == "tau_" or moves):
+            columns = {name: values for name, values in columns.items() if name not in own}
+            notes = (*notes, told)
+    return columns, notes
 
 
 def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> list[Series]:

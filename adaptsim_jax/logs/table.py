@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.table_checks import check_clock, check_missing, without_blank
+from adaptsim_jax.logs.joined import apart
+from adaptsim_jax.logs.list_cells import split
+from adaptsim_jax.logs.table_checks import MIN_ROWS, check_clock, check_missing, without_blank
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-MIN_ROWS = 20
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -83,9 +84,13 @@ def checked(
     if n < least:
         raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
     columns, notes = without_blank(path, table.columns, least, ours)
+    lines = table.lines
+    if not gaps and (joined := apart(path, columns, lines, ours)):
+        columns, lines, told = joined
+        notes = (*notes, *told)
     filled = {name: np.where(np.isnan(values), 0.0, values) for name, values in columns.items() if name in gaps}
-    check_missing(path, columns | filled, table.lines, table.row_word, empty)
-    return replace(table, columns=columns, notes=notes)
+    check_missing(path, columns | filled, lines, table.row_word, empty, ours)
+    return replace(table, columns=columns, lines=lines, notes=notes)
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -149,9 +154,10 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.
     columns: dict[str, np.ndarray] = {}
     empty: dict[str, np.ndarray] = {}
     for name in (name for name in wanted if name in header):
-        columns[name], blank = _numbers(path, name, cells[header.index(name)], lines)
-        if blank is not None:
-            empty[name] = blank
+        for part, own in split(path, name, cells[header.index(name)], lines).items():
+            columns[part], blank = _numbers(path, name, own, lines)
+            if blank is not None:
+                empty[part] = blank
     return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import TIME, role
 
+MIN_ROWS = 20
 OPTIONAL = ("v", "tau_commanded", "target")
 """Stems of columns that a reader can do without: where they hold nothing they count as not there."""
 SLOWEST = 0.25
@@ -53,13 +54,15 @@ def check_missing(
     lines: np.ndarray,
     row_word: str,
     empty: Mapping[str, np.ndarray],
+    ours: Mapping[str, str] | None = None,
 ) -> None:
-    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all."""
+    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all; ours: what a column is to
+    us where the file names it otherwise."""
     bad = {name: ~np.isfinite(values) for name, values in columns.items()}
     bad = {name: rows for name, rows in bad.items() if rows.any()}
     if not bad:
         return
-    _check_joined(path, columns, len(lines))
+    _check_joined(path, columns, len(lines), ours or {})
     name, rows = min(bad.items(), key=lambda item: int(np.argmax(item[1])))
     at = np.flatnonzero(rows)
     where = f"{path}: {row_word} {lines[at[0]]}"
@@ -69,9 +72,10 @@ def check_missing(
     raise BadInput(f"{where}: column {name} is {columns[name][at[0]]}{more}; remove such rows")
 
 
-def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: int) -> None:
+def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: int, ours: Mapping[str, str]) -> None:
     """BadInput where rows hold parts of a sample in turn, as an outer join of topics on their times leaves them."""
-    names = [name for name in columns if name not in TIME]
+    clock = next((name for name in columns if ours.get(name, name) in TIME), "time")
+    names = [name for name in columns if name != clock]
     there = np.stack([np.isfinite(columns[name]) for name in names], 1)
     lacking = ~there.all(1)
     if count < 2 or lacking.mean() < JOINED:
@@ -88,8 +92,8 @@ def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: in
     quote = lambda words: ", ".join(repr(w) for w in words)
     raise BadInput(
         f"{path}: rows hold parts of a sample ({said}), as topics joined by time do; bring them onto one clock, with pandas: "
-        f"pd.merge_asof(df[['time', {quote(first)}]].dropna(), df[['time', {quote(others)}]].dropna(), on='time', "
-        f"direction='nearest').to_csv(...)"
+        f"pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), df[[{clock!r}, {quote(others)}]].dropna(), on={clock!r})"
+        f".dropna().to_csv(...)"
     )
 
 

@@ -6,13 +6,14 @@ import csv
 import io
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import TIME, TRIAL, is_ignored, role
+from adaptsim_jax.logs.list_cells import STEMS, is_list, stem_and_place
 from adaptsim_jax.logs.table import DELIMITERS, MIN_ROWS, Table, check_time, checked, read_table
 
 ENDINGS = (".csv", ".npz")
@@ -23,7 +24,8 @@ __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "r
 class RawTrial:
     """One trial as its file has it: `columns`: name -> `[T]` float64, no unit applied, NaN where a value is missing.
 
-    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of columns that are not ours.
+    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of columns that are not ours;
+    `doubt`: vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are joints only by `[columns]`.
     """
 
     name: str
@@ -34,6 +36,7 @@ class RawTrial:
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     group: str = ""
+    doubt: dict[str, str] = field(default_factory=dict)
 
 
 def table_files(folder: Path) -> list[Path]:
@@ -46,15 +49,21 @@ def table_files(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def read_files(files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
-    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out.
+def read_files(
+    files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = (), others: tuple[Path, ...] = ()
+) -> list[RawTrial]:
+    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out; others: files of commands,
+    whose columns `rename` may name too.
 
     Raises `BadInput` naming file and line.
     """
     stems = [path.stem for path in files]
+    elsewhere = {name for path in others for name in column_names(path)}
     trials = []
     for path in files:
-        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, rename, ignore)
+        here = column_names(path) if elsewhere else []
+        own = {ours: theirs for ours, theirs in rename.items() if theirs in here or theirs not in elsewhere}
+        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
     return trials
 
 
@@ -68,7 +77,8 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
             raise BadInput(
                 f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; {suggest(theirs, header)}"
             )
-    ours = {theirs: new for new, theirs in rename.items()}
+    lists = _lists(path, header, rename)
+    ours = lists | {theirs: new for new, theirs in rename.items()}
     named = {column: ours.get(column, column) for column in header if column in ours or column not in rename}
     told = {column for column in named if role(named[column]) is not None and not is_ignored(named[column], ignore)}
     wanted = tuple(dict.fromkeys(column for column in header if column in told))
@@ -84,8 +94,32 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     trials = []
     for label, part in by_label:
         check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
-        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, part.notes))
+        notes = part.notes
+        if lists:
+            notes = (*notes, f"cells hold lists, a number for each joint in order: {', '.join(f'{theirs} taken as {stem}' for theirs, stem in lists.items())}")
+        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes))
     return trials
+
+
+def list_columns(path: Path) -> list[str]:
+    """Columns of a CSV whose cells hold lists."""
+    if path.suffix.lower() == ".npz":
+        return []
+    first: dict[str, str] = {}
+    rows = _csv_rows(path, 40)  # topics of their own may begin some rows later
+    for row in rows[1:]:
+        for name, cell in zip(rows[0], row, strict=False):
+            if cell.strip():
+                first.setdefault(name, cell)
+    return [name for name, cell in first.items() if is_list(cell)]
+
+
+def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str, str]:
+    """Columns of a CSV that hold lists of all joints by their usual names: theirs -> our stem."""
+    lists = [name for name in list_columns(path) if role(name) is None]
+    out = {name: STEMS[name.lower()] for name in lists if name.lower() in STEMS}
+    taken = set(rename) | {name for name in header if name not in lists}
+    return {name: stem for name, stem in out.items() if stem not in taken}
 
 
 def _no_time(path: Path, header: list[str]) -> BadInput:
@@ -111,9 +145,8 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     archive = read_archive(path) if path.suffix.lower() == ".npz" else {}
     arrays = {name: archive[name] for name in named} if archive else {}
     if all(array.ndim == 1 for array in arrays.values()):
-        table = read_table(path, tuple(named), ours=named)
-        columns = {named[name]: values for name, values in table.columns.items()}
-        return replace(table, columns=columns)
+        table = read_table(path, tuple(named), ours=_Named(named))
+        return replace(table, columns={_ours(name, named): values for name, values in table.columns.items()})
     columns = {}
     for name, array in arrays.items():
         if array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
@@ -130,6 +163,20 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     count = next(iter(lengths.values()))
     others = tuple(name for name in archive if name not in named)
     return checked(path, Table(columns, np.arange(1, count + 1), others, row_word="row"), MIN_ROWS, {}, {})
+
+
+def _ours(name: str, named: Mapping[str, str]) -> str:
+    """Our name of a column, or of a place of one that holds lists: `positions[0]` is q1 where positions are q."""
+    part = None if name in named else stem_and_place(name)
+    return f"{named[part[0]]}{part[1] + 1}" if part else named[name]
+
+
+class _Named(dict):
+    """theirs -> ours, of places of lists too."""
+
+    def get(self, name, default=None):
+        part = None if name in self else stem_and_place(name)
+        return _ours(name, self) if name in self or (part and part[0] in self) else default
 
 
 def read_archive(path: Path) -> dict[str, np.ndarray]:

@@ -24,7 +24,8 @@ NO_RANGE = (float("nan"), float("nan"))
 
 @dataclass(frozen=True)
 class Actuator:
-    """One actuator. `joint` is an index into the tree; `delay` and `lag` (a first-order filter of the command) in s."""
+    """One actuator. `joint` is an index into the tree; `delay` and `lag` (a first-order filter of the command) in s; more: other
+    joints that it pulls by a tendon, each with its own gear."""
 
     name: str
     joint: int
@@ -38,6 +39,7 @@ class Actuator:
     ctrlrange: tuple[float, float] = NO_RANGE
     delay: float = 0.0
     lag: float = 0.0
+    more: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)

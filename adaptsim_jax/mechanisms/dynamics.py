@@ -8,9 +8,11 @@ Wensing, "Efficient analytical derivatives of rigid-body dynamics using spatial 
 Mansard, 2018), so that a derivative along many directions costs a small matrix product each.
 
 `inertial [n, 10]`, `gravity [3]` and `armature [n]` are arguments of their own and may carry the batch's axes. Rows of `inertial`
-of bodies that are `tree.massless` are not looked at.
+of bodies that are `tree.massless` are not looked at. Where joints follow others (`tree.whole`), all is computed for all joints and
+brought to the coordinates at the end; `inertial` is of the coordinates' own bodies, followers keep theirs.
 """
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -77,8 +79,9 @@ class Moving(NamedTuple):
 def mass_matrix(tree: Tree, inertial: Array, q: Array) -> jax.Array:
     """`[n, n, ...]` kg m^2 (kg m, kg where slides are concerned) at `q: [n, ...]`, without armature."""
     q = jnp.asarray(q)
-    still = _still(tree, inertial, q)
-    return _mass(tree, still, _up(tree, still.body), _like(tree, inertial, q))
+    whole, rows = _wholly(tree, inertial)
+    still = _still(whole, rows, _angles(tree, q))
+    return _on_both(tree, _mass(whole, still, _up(whole, still.body), _like(tree, inertial, q)))
 
 
 def bias_force(tree: Tree, inertial: Array, q: Array, v: Array, gravity: Array) -> jax.Array:
@@ -96,10 +99,33 @@ def inverse_dynamics(
 ) -> jax.Array:
     """`[n, ...]`: generalized forces that make `q, v, a: [n, ...]` come about, without armature; `v` or `a` None stands for 0."""
     q = jnp.asarray(q)
-    still = _still(tree, inertial, q)
-    wrench = _up(tree, _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype)).wrench)
-    like = _like(tree, inertial, q, v, a, gravity)
-    return jnp.broadcast_to(_filled(dot_pair(still.screw, wrench), tree.n, like), (tree.n, *like.shape))
+    whole, rows = _wholly(tree, inertial)
+    return _inverse_dynamics(tree, whole, rows, q, v, a, gravity)
+
+
+def _inverse_dynamics(tree: Tree, whole: Tree, rows: Array, q: jax.Array, v: Any, a: Any, gravity: Array) -> jax.Array:
+    """Of all joints `whole` with inertial parameters `rows`, brought to the coordinates of `tree`."""
+    still = _still(whole, rows, _angles(tree, q))
+    down = lifted(gravity, 1, q.ndim - 1, q.dtype)
+    wrench = _up(whole, _moving(whole, still, _rates(tree, v), _rates(tree, a), down).wrench)
+    like = _like(whole, rows, q, v, a, gravity)
+    return _on_one(
+        tree, jnp.broadcast_to(_filled(dot_pair(still.screw, wrench), whole.n, like), (whole.n, *like.shape))
+    )
+
+
+def compensation(tree: Tree, q: Array) -> jax.Array | None:
+    """`[n, ...]`: the force that holds declared shares of bodies up (MuJoCo's `qfrc_gravcomp`); None where nothing does."""
+    every = tree if tree.whole is None else tree.whole.tree
+    if not any(every.compensated):
+        return None
+    bare = replace(
+        every,
+        shapes=tuple(
+            replace(shape, massless=not on) for shape, on in zip(every.shapes, every.compensated, strict=True)
+        ),
+    )
+    return _inverse_dynamics(tree, bare, jnp.asarray(every.gravcomp), jnp.asarray(q), None, None, tree.gravity)
 
 
 def acceleration(
@@ -125,15 +151,21 @@ def derivatives(
 ) -> tuple[jax.Array, jax.Array]:
     """Of the generalized forces of `inverse_dynamics` by `q` and by `v`: `[n, n, ...]` each, the force first."""
     q = jnp.asarray(q)
-    return _derivatives(tree, _still(tree, inertial, q), q, v, a, gravity, _like(tree, inertial, q, v, a, gravity))
+    whole, rows = _wholly(tree, inertial)
+    still = _still(whole, rows, _angles(tree, q))
+    by_q, by_v = _derivatives(
+        whole, still, q, _rates(tree, v), _rates(tree, a), gravity, _like(tree, inertial, q, v, a, gravity)
+    )
+    return _on_both(tree, by_q), _on_both(tree, by_v)
 
 
 def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: Array) -> jax.Array:
     """`[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()` (Atkeson, An and Hollerbach, 1986)."""
     q = jnp.asarray(q)
     like = _like(tree, None, q, v, a, gravity)
-    still = _still(tree, None, q)
-    moving = _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype))
+    whole, _ = _wholly(tree, None)
+    still = _still(whole, None, _angles(tree, q))
+    moving = _moving(whole, still, _rates(tree, v), _rates(tree, a), lifted(gravity, 1, q.ndim - 1, q.dtype))
     rotation, origin = still.pose
     omega, u = (apply_transposed(rotation, x) for x in _about(moving.velocity, origin))
     alpha, linear = (apply_transposed(rotation, x) for x in _about(moving.acceleration, origin))
@@ -142,11 +174,13 @@ def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: A
     axes = tuple(pair(row) for row in rotation)
     angular, along = (tuple(y if known(y) else y[:, None] for y in x) for x in still.screw)
     turn, push = (apply_transposed(axes, x) for x in _about((angular, along), pair(origin)))
+    carried = _mask(_ancestry(whole) & ~np.array(whole.massless)[None], like)
+    own = slice(None) if tree.whole is None else np.array(tree.whole.own)
     columns = []
     for force, moment in _body_regressor(pair(omega), pair(alpha), pair(linear)):
-        columns.append(_table(add(dot(push, force), dot(turn, moment)), tree.n, like))
-    carried = _ancestry(tree) & ~np.array(tree.massless)[None]
-    out = jnp.stack(columns, 2) * _mask(carried, like)[:, :, None]  # [i, j, 10, ...]
+        table = _table(add(dot(push, force), dot(turn, moment)), whole.n, like) * carried
+        columns.append(_on_one(tree, table)[:, own])
+    out = jnp.stack(columns, 2)  # [i, j, 10, ...]
     return out.reshape(tree.n, 10 * tree.n, *like.shape)
 
 
@@ -169,7 +203,9 @@ def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
 
 def body_position(tree: Tree, q: Array, body: int, point: Array = (0.0, 0.0, 0.0)) -> jax.Array:
     """`[3, ...]` m, in the world: a point given in the frame of joint `body`, which sits on the body that it moves."""
-    q = jnp.asarray(q)
+    q = _angles(tree, jnp.asarray(q))
+    if tree.whole is not None:
+        tree, body = tree.whole.tree, tree.whole.own[body]
     poses = chain(tree, q)
     root = (body, *ancestors(tree, body))[-1]
     base = tuple(lifted(tree.place, 2, q.ndim - 1, q.dtype)[root])
@@ -190,14 +226,62 @@ def energy(tree: Tree, inertial: Array, q: Array, v: Array, armature: Array, gra
     """`[...]` J: kinetic (with armature) and potential (zero where all centres of mass are at their branch's first joint)."""
     q, v = jnp.asarray(q), jnp.asarray(v)
     like = _like(tree, inertial, q, v, armature, gravity)
-    still = _still(tree, inertial, q)
-    mass = _mass(tree, still, _up(tree, still.body), like)
+    whole, rows = _wholly(tree, inertial)
+    still = _still(whole, rows, _angles(tree, q))
+    mass = _on_both(tree, _mass(whole, still, _up(whole, still.body), like))
     down = tuple(x[None] for x in lifted(gravity, 1, q.ndim - 1, q.dtype))
-    height = _filled(dot(down, still.body.moment), tree.n, like)
+    height = _filled(dot(down, still.body.moment), whole.n, like)
     moving = jnp.sum(mass * v[:, None] * v[None], axis=(0, 1)) + jnp.sum(
         lifted(armature, 1, q.ndim - 1, q.dtype) * v**2, 0
     )
     return 0.5 * moving - jnp.sum(height, axis=0)
+
+
+def _wholly(tree: Tree, inertial: Any, change: bool = False) -> tuple[Tree, Any]:
+    """The tree of all joints, and the inertial parameters of all bodies with those of the coordinates' own in their place. change:
+    these are tangents, so that followers, which stay as they are, have none."""
+    if tree.whole is None:
+        return tree, inertial
+    every, own = tree.whole.tree, np.array(tree.whole.own)
+    if inertial is None:
+        return every, None
+    mine = jnp.asarray(inertial)
+    rows = lifted(every.inertial, 2, mine.ndim - 2, mine.dtype)
+    rows = jnp.broadcast_to(0.0 * rows if change else rows, (every.n, *mine.shape[1:]))
+    return every, rows.at[own].set(mine)
+
+
+def _angles(tree: Tree, q: jax.Array) -> jax.Array:
+    """`[m, ...]` of all joints at the coordinates `q: [n, ...]`."""
+    if tree.whole is None:
+        return q
+    factor, offset = (lifted(x, 1, q.ndim - 1, q.dtype) for x in (tree.whole.factor, tree.whole.offset))
+    return offset + factor * q[np.array(tree.whole.leader)]
+
+
+def _rates(tree: Tree, v: Any) -> Any:
+    """Speeds or accelerations of all joints of those of the coordinates (None: 0)."""
+    if tree.whole is None or v is None:
+        return v
+    v = jnp.asarray(v)
+    return lifted(tree.whole.factor, 1, v.ndim - 1, v.dtype) * v[np.array(tree.whole.leader)]
+
+
+def _on_one(tree: Tree, x: jax.Array) -> jax.Array:
+    """Forces `[m, ...]` on all joints, as forces on the coordinates `[n, ...]`."""
+    if tree.whole is None:
+        return x
+    scaled = lifted(tree.whole.factor, 1, x.ndim - 1, x.dtype) * x
+    return jnp.stack([
+        sum(scaled[k] for k, leader in enumerate(tree.whole.leader) if leader == j) for j in range(tree.n)
+    ])  # fmt: skip
+
+
+def _on_both(tree: Tree, x: jax.Array) -> jax.Array:
+    """`[m, m, ...]` of forces by motions of all joints, as `[n, n, ...]` of the coordinates'."""
+    if tree.whole is None:
+        return x
+    return jnp.swapaxes(_on_one(tree, jnp.swapaxes(_on_one(tree, x), 0, 1)), 0, 1)
 
 
 def _like(tree: Tree, inertial: Any, q: jax.Array, *others: Any) -> jax.Array:
@@ -428,11 +512,18 @@ def _acceleration(tree, inertial, q, v, force, armature, gravity):
 
 
 def _accelerated(tree, inertial, q, v, force, armature, gravity):
-    still = _still(tree, inertial, q)
-    moving = _moving(tree, still, v, None, lifted(gravity, 1, q.ndim - 1, q.dtype))
-    whole, wrench = _up(tree, (still.body, moving.wrench))
-    mass = _with_armature(_mass(tree, still, whole, q[0]), armature)
-    return solve(mass, force - _filled(dot_pair(still.screw, wrench), tree.n, q[0]))
+    whole, rows = _wholly(tree, inertial)
+    _, mass, bias = _mass_and_bias(tree, whole, rows, q, v, armature, gravity)
+    return solve(mass, force - bias)
+
+
+def _mass_and_bias(tree, every, rows, q, v, armature, gravity):
+    """(Still of all joints, mass matrix with armature and bias force of the coordinates)."""
+    still = _still(every, rows, _angles(tree, q))
+    moving = _moving(every, still, _rates(tree, v), None, lifted(gravity, 1, q.ndim - 1, q.dtype))
+    whole, wrench = _up(every, (still.body, moving.wrench))
+    mass = _with_armature(_on_both(tree, _mass(every, still, whole, q[0])), armature)
+    return still, mass, _on_one(tree, _filled(dot_pair(still.screw, wrench), every.n, q[0]))
 
 
 def _acceleration_jvp(primals, tangents):
@@ -440,19 +531,19 @@ def _acceleration_jvp(primals, tangents):
     on the direction, so under `vmap` over directions they are computed once."""
     tree, inertial, q, v, force, armature, gravity = primals
     d_tree, d_inertial, d_q, d_v, d_force, d_armature, d_gravity = tangents
-    still = _still(tree, inertial, q)
-    moving = _moving(tree, still, v, None, lifted(gravity, 1, q.ndim - 1, q.dtype))
-    whole, wrench = _up(tree, (still.body, moving.wrench))
-    inverse = _inverted(_with_armature(_mass(tree, still, whole, q[0]), armature))
-    a = _times_rows(inverse, force - _filled(dot_pair(still.screw, wrench), tree.n, q[0]))
-    by_q, by_v = _derivatives(tree, still, q, v, a, gravity, q[0])
+    every, rows = _wholly(tree, inertial)
+    still, mass, bias = _mass_and_bias(tree, every, rows, q, v, armature, gravity)
+    inverse = _inverted(mass)
+    a = _times_rows(inverse, force - bias)
+    by_q, by_v = _derivatives(every, still, q, _rates(tree, v), _rates(tree, a), gravity, q[0])
+    by_q, by_v = _on_both(tree, by_q), _on_both(tree, by_v)
     a, inverse, by_q, by_v = _computed((a, inverse, by_q, by_v), q)
     missing = [
         d_force,
         None if _zero(d_q) else -_times_rows(by_q, d_q),
         None if _zero(d_v) else -_times_rows(by_v, d_v),
         None if _zero(d_armature) else -d_armature * a,
-        None if _zero(d_inertial) else -inverse_dynamics(tree, d_inertial, q, v, a, gravity),
+        None if _zero(d_inertial) else -_inverse_dynamics(tree, *_wholly(tree, d_inertial, True), q, v, a, gravity),
         None if _zero(d_gravity) else gravity_force(tree, inertial, q, d_gravity),
     ]
     missing = [x for x in missing if x is not None and not _zero(x)]
@@ -477,17 +568,20 @@ _acceleration.defjvp(_acceleration_jvp, symbolic_zeros=True)
 
 @jax.custom_jvp
 def _inverse_mass(tree, inertial, q, armature):
-    still = _still(tree, inertial, q)
-    return _inverted(_with_armature(_mass(tree, still, _up(tree, still.body), q[0]), armature))
+    return _inverted(_with_armature(mass_matrix(tree, inertial, q), armature))
 
 
 def _inverse_mass_jvp(primals, tangents):
     tree, inertial, q, armature = primals
     d_tree, d_inertial, d_q, d_armature = tangents
-    still = _still(tree, inertial, q)
-    whole = _up(tree, still.body)
-    inverse = _inverted(_with_armature(_mass(tree, still, whole, q[0]), armature))
-    by_q = None if _zero(d_q) else _mass_by_q(tree, still, whole, q[0])
+    every, rows = _wholly(tree, inertial)
+    still = _still(every, rows, _angles(tree, q))
+    whole = _up(every, still.body)
+    inverse = _inverted(_with_armature(_on_both(tree, _mass(every, still, whole, q[0])), armature))
+    by_q = None
+    if not _zero(d_q):  # [i, j, k]: by the angle k
+        cube = jnp.moveaxis(_mass_by_q(every, still, whole, q[0]), 2, 0)
+        by_q = jnp.moveaxis(jax.vmap(lambda z: _on_both(tree, z))(_on_one(tree, cube)), 0, 2)
     inverse, by_q = _computed((inverse, by_q), q)
     change = jnp.zeros_like(inverse)
     if by_q is not None:
@@ -495,7 +589,9 @@ def _inverse_mass_jvp(primals, tangents):
     if not _zero(d_armature):
         change = _with_armature(change, d_armature)
     if not _zero(d_inertial):
-        change = change + mass_matrix(tree, d_inertial, q)
+        every, d_rows = _wholly(tree, d_inertial, True)
+        moved_by = _still(every, d_rows, _angles(tree, q))
+        change = change + _on_both(tree, _mass(every, moved_by, _up(every, moved_by.body), q[0]))
     if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
         change = change + jax.jvp(lambda tree: mass_matrix(tree, inertial, q), (tree,), (_made(d_tree),))[1]
 

@@ -1,30 +1,43 @@
-"""Mechanisms from MJCF and URDF, read by MuJoCo's own parser and compiler, and checked for what `dynamics.py` can simulate."""
+"""Mechanisms from MJCF and URDF, read by MuJoCo's own parser and compiler, as trees that `dynamics.py` can simulate."""
 
 import os
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.actuators import NO_RANGE, Actuator
+from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
-from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, make_tree
-from adaptsim_jax.mechanisms.urdf import is_urdf, urdf_for_mujoco
+from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles
+from adaptsim_jax.mechanisms.spec import Source, compiled, read_source, read_spec, without_shapes
+from adaptsim_jax.mechanisms.transmission import TENDON, WRAPPED, Added, Place, add_tendons, read_actuators
+from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, folded, make_tree
 
-HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+__all__ = [
+    "Frames",
+    "Mechanism",
+    "compiled",
+    "mechanism_of",
+    "read_mechanism",
+    "read_source",
+    "read_spec",
+    "without_shapes",
+]
+
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 OFF = {
     name: int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name.upper()}"))
-    for name in ("gravity", "frictionloss", "spring", "damper", "limit", "clampctrl")
+    for name in ("gravity", "frictionloss", "spring", "damper", "limit", "contact", "actuation")
 }
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Where MJCF's own bodies are: `carrier` is the joint whose body each is part of (-1: the base), and `place [3]`,
-    `rotation [3, 3]` its frame in that joint's frame (in the world at the base)."""
+    """Where MJCF's own bodies are: `carrier` is the coordinate whose body each is part of (-1: the base, or a follower), and
+    `place [3]`, `rotation [3, 3]` its frame in that joint's frame (in the world at the base)."""
 
     carrier: dict[str, int]
     place: dict[str, np.ndarray]
@@ -33,8 +46,9 @@ class Frames:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What a file says. `source` is mjcf or urdf; `notes` are sentences on what the file has and the dynamics leave out;
-    `force_limits [n, 2]` bound what all actuators of a joint together do (nan: nothing does)."""
+    """What a file says. `source` is mjcf or urdf; `notes` are sentences on how it was read; `beyond` on what the file has and a tree
+    has not, of the mechanism itself, and `drives_beyond` of its actuators; `force_limits [n, 2]` bound what all actuators of a joint
+    together do (nan: nothing does); `idle`: actuators of joints that are held; `roles`: what each joint of the file became."""
 
     tree: Tree
     actuators: tuple[Actuator, ...]
@@ -43,6 +57,10 @@ class Mechanism:
     notes: tuple[str, ...]
     force_limits: np.ndarray
     frames: Frames
+    beyond: tuple[str, ...] = ()
+    drives_beyond: tuple[str, ...] = ()
+    idle: tuple[str, ...] = ()
+    roles: Roles | None = None
 
     def point(self, body: str, at: Any = (0.0, 0.0, 0.0)) -> tuple[int, np.ndarray]:
         """Joint and point as `dynamics.body_position` takes them, of a point in the frame of a body of the file.
@@ -57,259 +75,269 @@ class Mechanism:
 
 
 def read_mechanism(path: str | os.PathLike) -> Mechanism:
-    """Read an MJCF or URDF file: a fixed base and 1 to 12 hinge or slide joints.
+    """Read an MJCF or URDF file with all its joints: a base that stands still and 1 to 64 hinges or slides (three for a ball).
 
     Raises BadInput, naming the file, the joint or element, and the mend.
     """
-    spec, source = read_spec(path)
-    notes = _check_spec(str(path), spec)
-    without_shapes(spec)
-    model = compiled(str(path), spec)
-    return _mechanism(str(path), source, model, notes)
+    return mechanism_of(read_source(path))
 
 
-def read_spec(path: str | os.PathLike) -> tuple[mujoco.MjSpec, str]:
-    """The file as MuJoCo's parser has it, not compiled; and `mjcf` or `urdf`. Links of a URDF stay bodies of their own."""
-    where = Path(path)
-    try:
-        text = where.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BadInput(f"{where}: there is no such model file; give the path of an MJCF (.xml) or URDF file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{where}: cannot be read ({_line(error)}); give the path of an MJCF or URDF file") from None
-    urdf = is_urdf(str(where), text)
-    try:
-        spec = (
-            mujoco.MjSpec.from_string(urdf_for_mujoco(str(where), text))
-            if urdf
-            else mujoco.MjSpec.from_file(str(where))
-        )
-    except BadInput:
-        raise
-    except Exception as error:  # MuJoCo raises ValueError and RuntimeError, with the line in the text
-        raise BadInput(f"{where}: MuJoCo cannot read it: {_line(error)}; mend the file") from None
-    spec.compiler.fusestatic = False
-    _named(spec)
-    return spec, "urdf" if urdf else "mjcf"
+def mechanism_of(
+    source: Source,
+    hold: Mapping[str, float | None] | None = None,
+    logged: Collection[str] | None = None,
+    where: str = "",
+) -> Mechanism:
+    """The tree of a file. hold, logged, where: see `roles.roles`.
 
-
-def compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    try:
-        return spec.compile()
-    except Exception as error:
-        text = _line(error)
-        if "Error opening file" in text or "mesh" in text.lower():
-            raise BadInput(
-                f"{where}: MuJoCo cannot compile it: {text}; give the bodies an <inertial>, then no mesh is needed"
-            ) from None
-        raise BadInput(f"{where}: MuJoCo cannot compile it: {text}; mend the file") from None
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
-
-
-def _named(spec: mujoco.MjSpec) -> None:
-    """Every body, joint and actuator gets a name that is not taken yet."""
-    for kind, items in (("body", spec.bodies), ("joint", spec.joints), ("actuator", spec.actuators)):
-        taken = {item.name for item in items}
-        for i, item in enumerate(items):
-            if not item.name:
-                name = f"{kind}{i + (kind != 'body')}"
-                while name in taken:
-                    name += "_"
-                taken.add(name)
-                item.name = name
-
-
-def _check_spec(where: str, spec: mujoco.MjSpec) -> tuple[str, ...]:
-    for joint in spec.joints:
-        if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            kind = "free" if joint.type == mujoco.mjtJoint.mjJNT_FREE else "ball"
-            mend = (
-                "remove it, so that the base is fixed as it hung in the experiment"
-                if kind == "free"
-                else "write three hinges in its place"
-            )
-            raise BadInput(f"{where}: joint '{joint.name}' is a {kind} joint; {mend}")
-    count = len(spec.joints)
-    if not count:
+    Raises BadInput, naming the file, the joint or element, and the mend.
+    """
+    model = source.model
+    role = roles(source, hold or {}, logged, where)
+    walk = _Walk(model, role)
+    if len(walk.kinds) - len(role.followers) > MOST_JOINTS:
         raise BadInput(
-            f"{where}: has no joint, so that nothing moves; give a model with 1 to {MOST_JOINTS} hinges or slides"
+            f"{source.path}: {len(walk.kinds) - len(role.followers)} joints move, more than {MOST_JOINTS}; hold some: [hold] in "
+            f"meta.toml, {walk.names[-1]} = 0.0"
         )
-    if count > MOST_JOINTS:
-        raise BadInput(
-            f"{where}: has {count} joints, '{spec.joints[MOST_JOINTS].name}' is one too many; remove joints that were held, "
-            f"down to {MOST_JOINTS}"
-        )
-    if spec.tendons:
-        raise BadInput(
-            f"{where}: tendon '{_name(spec.tendons[0])}' is not modelled; remove it, or give a model without tendons"
-        )
-    for equality in spec.equalities:
-        if equality.active:
-            raise BadInput(
-                f"{where}: equality '{_name(equality)}' closes a loop ({equality.name1} with {equality.name2 or 'a value'}), "
-                "which is not modelled; remove it, or give one that is a tree"
-            )
-    if spec.flexes:
-        raise BadInput(f"{where}: flex '{_name(spec.flexes[0])}' is not modelled; remove it")
-    for body in spec.bodies:
-        if body.gravcomp:
-            raise BadInput(
-                f"{where}: body '{body.name}' has gravcomp = {body.gravcomp:g}, which is not modelled; remove it, and give the "
-                "torques with what the controller adds against gravity"
-            )
-    notes = []
-    off = int(spec.option.disableflags)
-    if (
-        not off & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        and len([g for g in spec.geoms if g.contype or g.conaffinity]) > 1
-    ):
-        notes.append("contacts between bodies are not simulated")
-    if spec.option.density or spec.option.viscosity:
-        notes.append("density and viscosity of the medium are not simulated")
-    if spec.equalities:
-        notes.append("equality constraints that are not active are left out")
-    return tuple(notes)
+    tree = _tree(model, walk, source.weightless)
+    leader, factor, offset = walk.followed(role)
+    tree = _in_reach(folded(tree, leader, factor, offset))
+    place = walk.places(role, leader, factor, offset)
+    added = Added(*(np.zeros(tree.n) for _ in range(5)))
+    add_tendons(model, place, added)
+    own, added.beyond = tuple(added.beyond), []
+    actuators, idle = read_actuators(model, place, added)
+    tree = _with_added(tree, added)
+    notes = (
+        *source.notes,
+        *role.notes,
+        *((f"actuators of held joints do nothing: {', '.join(idle)}",) if idle else ()),
+    )
+    beyond = (*role.beyond, *walk.beyond, *own, *_medium(model))
+    return Mechanism(
+        tree, actuators, source.path, source.kind, notes, _force_limits(model, tree, place), walk.frames(tree), beyond,
+        tuple(added.beyond), idle, role,
+    )  # fmt: skip
 
 
-def _name(element: Any) -> str:
-    return element.name or f"number {element.id + 1}"
+class _Walk:
+    """The bodies of a model, from the base outwards: joints that move with their frames, and what each carries.
 
+    Lists by joint of the tree of all joints: kinds, parent, names, body_names, place, rotation, file (its number in the file, of a
+    ball with which of its three turns); inertial and gravcomp [m, 10].
+    """
 
-def without_shapes(spec: mujoco.MjSpec) -> None:
-    """Remove what only contact and drawing need, with the files it would be read from."""
-    from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    for kind in (spec.sensors, spec.keys, spec.pairs, spec.excludes, spec.skins, spec.equalities):
-        for item in list(kind):
-            spec.delete(item)
-    for body in spec.bodies:
-        static = body.name == "world"
-        for geom in list(body.geoms):
-            if static or (body.explicitinertial and not from_geoms):
-                spec.delete(geom)
-            else:
-                geom.material = ""
-    needed = {geom.meshname for geom in spec.geoms}
-    for kind in (spec.materials, spec.textures):
-        for item in list(kind):
-            spec.delete(item)
-    for mesh in list(spec.meshes):
-        if mesh.name not in needed:
-            spec.delete(mesh)
+    def __init__(self, model: mujoco.MjModel, role: Roles):
+        self.model, self.role = model, role
+        self.kinds: list[str] = []
+        self.parent: list[int] = []
+        self.names: list[str] = []
+        self.body_names: list[str] = []
+        self.place: list[np.ndarray] = []
+        self.rotation: list[np.ndarray] = []
+        self.file: list[tuple[int, int]] = []
+        self.beyond: list[str] = []
+        self.carrier: list[int] = [-1]
+        self.frame: list[tuple[np.ndarray, np.ndarray]] = [(np.zeros(3), np.eye(3))]
+        for b in range(1, model.nbody):
+            self._body(b)
+        self.inertial, self.gravcomp = np.zeros((2, len(self.kinds), 10))
+        for b in range(1, model.nbody):
+            self._weigh(b)
 
-
-def _mechanism(where: str, source: str, model: mujoco.MjModel, notes: tuple[str, ...]) -> Mechanism:
-    off = int(model.opt.disableflags)
-    n = model.njnt
-    kinds, parent, body_names, place, rotation = [], [], [], [], []
-    inertial = np.zeros((n, 10))
-    carrier: list[int] = [-1]
-    frames: list[tuple[np.ndarray, np.ndarray]] = [(np.zeros(3), np.eye(3))]  # of each body, in its carrier's frame
-    for b in range(1, model.nbody):
-        name = model.body(b).name
-        at, turn = moved(frames[model.body_parentid[b]], (model.body_pos[b], rotation_of(model.body_quat[b])))
-        on = carrier[model.body_parentid[b]]
-        first = model.body_jntadr[b]
-        for k in range(first, first + model.body_jntnum[b]):
-            start = model.qpos0[k]
+    def _body(self, b: int) -> None:
+        model = self.model
+        up = int(model.body_parentid[b])
+        at, turn = moved(self.frame[up], (model.body_pos[b], rotation_of(model.body_quat[b])))
+        on = self.carrier[up]
+        first = int(model.body_jntadr[b])
+        for k in range(first, first + int(model.body_jntnum[b])):
+            name, kind = model.joint(k).name, int(model.jnt_type[k])
+            rest = model.qpos0[model.jnt_qposadr[k]]
+            if name in self.role.held:
+                at, turn = _held((at, turn), model, k, self.role.held[name])
+                continue
+            if kind == BALL:
+                at, turn, on = self._ball((at, turn), on, k, b)
+                continue
             along = frame_along(model.jnt_axis[k])
-            hinge = model.jnt_type[k] == HINGE
-            kinds.append("hinge" if hinge else "slide")
-            parent.append(on)
+            hinge = kind == HINGE
             anchor = at + turn @ model.jnt_pos[k]
-            place.append(anchor if hinge else anchor - turn @ model.jnt_axis[k] * start)
-            rotation.append(turn @ along @ (_about_z(-start) if hinge else np.eye(3)))
-            last = k == first + model.body_jntnum[b] - 1
-            body_names.append(name if last else f"{name}:{model.joint(k).name}")
-            at, turn, on = -along.T @ model.jnt_pos[k], along.T, k
-        carrier.append(on)
-        frames.append((at, turn))
-        if on >= 0:
-            inertial[on] += inertial_about(
-                model.body_mass[b],
-                at + turn @ model.body_ipos[b],
-                turn @ rotation_of(model.body_iquat[b]),
-                model.body_inertia[b],
+            self._joint(
+                "hinge" if hinge else "slide", on, name, b, (k, 0),
+                anchor if hinge else anchor - turn @ model.jnt_axis[k] * rest,
+                turn @ along @ (_about_z(-rest) if hinge else np.eye(3)),
+            )  # fmt: skip
+            at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
+        self.carrier.append(on)
+        self.frame.append((at, turn))
+
+    def _joint(self, kind, parent, name, body, file, place, rotation) -> None:
+        self.kinds.append(kind)
+        self.parent.append(parent)
+        self.names.append(name)
+        self.place.append(place)
+        self.rotation.append(rotation)
+        self.file.append(file)
+        body_name = self.model.body(body).name
+        for i, other in enumerate(self.body_names):
+            if other == body_name:  # only the last joint of a body carries it
+                self.body_names[i] = f"{body_name}:{self.names[i]}"
+        self.body_names.append(body_name)
+
+    def _ball(self, frame, on: int, k: int, body: int):
+        """Three hinges about x, then y, then z, which turn the body as the ball does."""
+        model, (at, turn) = self.model, frame
+        name = model.joint(k).name
+        self.beyond.append(f"ball joint '{name}' as more than three hinges in turn")
+        for axis, unit in zip(TURNS, np.eye(3), strict=True):
+            along = frame_along(unit)
+            self._joint(
+                "hinge", on, f"{name}_{axis}", body, (k, TURNS.index(axis)), at + turn @ model.jnt_pos[k], turn @ along
             )
-    actuators, armature, damping = _actuators(where, model)
+            at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
+        return at, turn, on
+
+    def _weigh(self, b: int) -> None:
+        model, (on, (at, turn)) = self.model, (self.carrier[b], self.frame[b])
+        if on < 0:
+            return
+        own = inertial_about(
+            model.body_mass[b],
+            at + turn @ model.body_ipos[b],
+            turn @ rotation_of(model.body_iquat[b]),
+            model.body_inertia[b],
+        )
+        self.inertial[on] += own
+        self.gravcomp[on] += model.body_gravcomp[b] * own
+
+    def followed(self, role: Roles) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """leader, factor and offset of each joint, as `tree.folded` takes them."""
+        number = {name: i for i, name in enumerate(self.names)}
+        leader, factor, offset = list(range(len(self.names))), np.ones(len(self.names)), np.zeros(len(self.names))
+        for f in role.followers.values():
+            i = number[f.joint]
+            leader[i], factor[i], offset[i] = number[f.leader], f.factor, f.offset
+        return leader, factor, offset
+
+    def places(self, role: Roles, leader, factor, offset) -> Place:
+        """Of each joint of the file."""
+        model = self.model
+        own = [i for i in range(len(leader)) if leader[i] == i]
+        number = {i: j for j, i in enumerate(own)}
+        out = Place(np.full(model.njnt, -1), np.ones(model.njnt), np.zeros(model.njnt))
+        for i, (k, _) in enumerate(self.file):
+            out.coordinate[k], out.factor[k], out.offset[k] = number[leader[i]], factor[i], offset[i]
+        for k in range(model.njnt):
+            value = role.held.get(model.joint(k).name)
+            if value is not None and len(value) == 1:
+                out.offset[k] = value[0]
+        return out
+
+    def frames(self, tree: Tree) -> Frames:
+        own = tuple(range(tree.n)) if tree.whole is None else tree.whole.own
+        number = {i: j for j, i in enumerate(own)}
+        names = [self.model.body(b).name for b in range(self.model.nbody)]
+        return Frames(
+            {name: number.get(on, -1) for name, on in zip(names, self.carrier, strict=True)},
+            {name: frame[0] for name, frame in zip(names, self.frame, strict=True)},
+            {name: frame[1] for name, frame in zip(names, self.frame, strict=True)},
+        )
+
+
+def _held(frame, model: mujoco.MjModel, k: int, value: np.ndarray):
+    """The frame of a body after its joint k, which is held at a value."""
+    kind, adr = int(model.jnt_type[k]), int(model.jnt_qposadr[k])
+    if kind == FREE:
+        return value[:3].copy(), rotation_of(value[3:] / np.linalg.norm(value[3:]))
+    at, turn = frame
+    if kind == BALL:
+        own = rotation_of(value)
+    elif kind == HINGE:
+        along = frame_along(model.jnt_axis[k])
+        own = along @ _about_z(value[0] - model.qpos0[adr]) @ along.T
+    else:
+        return at + turn @ model.jnt_axis[k] * (value[0] - model.qpos0[adr]), turn
+    pivot = model.jnt_pos[k]
+    return at + turn @ (pivot - own @ pivot), turn @ own
+
+
+def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tree:
+    """The tree of all joints that are not held."""
+    off = int(model.opt.disableflags)
     keep = lambda name: 0.0 if off & OFF[name] else 1.0
-    tree = make_tree(
-        kinds, parent, np.array(place), np.array(rotation), inertial,
-        gravity=model.opt.gravity * keep("gravity"),
-        joint_names=[model.joint(k).name for k in range(n)], body_names=body_names,
-        limited=[bool(x) and not off & OFF["limit"] for x in model.jnt_limited],
-        damping=model.dof_damping * keep("damper") + damping, damping_poly=model.dof_dampingpoly * keep("damper"),
-        armature=model.dof_armature + armature, frictionloss=model.dof_frictionloss * keep("frictionloss"),
-        stiffness=model.jnt_stiffness * keep("spring"), stiffness_poly=model.jnt_stiffnesspoly * keep("spring"),
-        springref=model.qpos_spring.copy(), range=model.jnt_range.copy(),
+    joint = np.array([k for k, _ in walk.file], int)
+    turn = np.array([t for _, t in walk.file], int)
+    ball = model.jnt_type[joint] == BALL
+    dof, adr = model.jnt_dofadr[joint] + turn, model.jnt_qposadr[joint]
+    inertial = walk.inertial.copy()
+    for i in range(len(joint)):  # a link without any inertia was given a little, so that MuJoCo reads it
+        own = [model.body(b).name for b in range(model.nbody) if walk.carrier[b] == i]
+        if own and all(name in weightless for name in own):
+            inertial[i] = 0.0
+    stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1)
+    if not off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
+        stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], 2 * model.opt.timestep), stop[:, 0])
+    return make_tree(
+        walk.kinds, walk.parent, np.array(walk.place).reshape(-1, 3), np.array(walk.rotation).reshape(-1, 3, 3), inertial,
+        gravity=model.opt.gravity * keep("gravity"), joint_names=walk.names, body_names=walk.body_names,
+        limited=[bool(model.jnt_limited[k]) and not off & OFF["limit"] and not b for k, b in zip(joint, ball, strict=True)],
+        damping=model.dof_damping[dof] * keep("damper"), damping_poly=model.dof_dampingpoly[dof] * keep("damper"),
+        armature=model.dof_armature[dof], frictionloss=model.dof_frictionloss[dof] * keep("frictionloss"),
+        stiffness=model.jnt_stiffness[joint] * keep("spring"),
+        stiffness_poly=model.jnt_stiffnesspoly[joint] * keep("spring"),
+        springref=np.where(ball, 0.0, model.qpos_spring[adr]), range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
+        stop=stop, gravcomp=walk.gravcomp * keep("gravity"),
     )  # fmt: skip
-    names = [model.body(b).name for b in range(model.nbody)]
-    limits = np.where(model.jnt_actfrclimited[:, None] != 0, model.jnt_actfrcrange, np.nan)
-    where_bodies = Frames(
-        dict(zip(names, carrier, strict=True)),
-        {name: frame[0] for name, frame in zip(names, frames, strict=True)},
-        {name: frame[1] for name, frame in zip(names, frames, strict=True)},
-    )
-    return Mechanism(tree, actuators, where, source, notes, limits, where_bodies)
 
 
-def _actuators(where: str, model: mujoco.MjModel) -> tuple[tuple[Actuator, ...], np.ndarray, np.ndarray]:
-    """Also what actuators add to the joints' armature and damping."""
-    out, armature, damping = [], np.zeros(model.njnt), np.zeros(model.njnt)
+def _with_added(tree: Tree, added: Added) -> Tree:
+    """With what tendons and actuators add to the joints' own."""
+    stiff = tree.stiffness + added.stiffness
+    pull = tree.stiffness * tree.springref + added.pull
+    return replace(
+        tree, armature=tree.armature + added.armature, damping=tree.damping + added.damping,
+        frictionloss=tree.frictionloss + added.frictionloss, stiffness=stiff,
+        springref=np.where(added.stiffness > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref),
+    )  # fmt: skip
+
+
+def _force_limits(model: mujoco.MjModel, tree: Tree, place: Place) -> np.ndarray:
+    """[n, 2] of what actuators together do to each coordinate, nan where nothing bounds it: summed over its driven joints."""
+    driven = set()
     for k in range(model.nu):
-        actuator = _actuator(where, model, k)
-        out.append(actuator)
-        armature[actuator.joint] += actuator.gear**2 * model.actuator_armature[k]
-        damping[actuator.joint] += actuator.gear**2 * model.actuator_damping[k]
-    return tuple(out), armature, damping
+        target = int(model.actuator_trnid[k, 0])
+        if model.actuator_trntype[k] in JOINTS:
+            driven.add(target)
+        elif model.actuator_trntype[k] == TENDON:
+            rows = range(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+            driven |= {int(model.wrap_objid[i]) for i in rows if model.wrap_type[i] == WRAPPED}
+    out = np.zeros((tree.n, 2))
+    bounded = np.zeros(tree.n, bool)
+    for k in sorted(driven):
+        if (j := int(place.coordinate[k])) >= 0:
+            own = place.factor[k] * model.jnt_actfrcrange[k] if model.jnt_actfrclimited[k] else [-np.inf, np.inf]
+            out[j] += np.sort(own)
+            bounded[j] = True
+    return np.where(bounded[:, None] & np.isfinite(out), out, np.nan)
 
 
-def _actuator(where: str, model: mujoco.MjModel, k: int) -> Actuator:
-    name = model.actuator(k).name
-    refuse = lambda what: BadInput(
-        f"{where}: actuator '{name}' {what}; write it as motor, position, velocity, or general with fixed gain and affine bias"
-    )
-    if model.actuator_trntype[k] not in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
-        raise refuse("does not act on a joint")
-    gain, bias, dyn = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_dynprm[k]
-    gaintype, biastype, dyntype = model.actuator_gaintype[k], model.actuator_biastype[k], model.actuator_dyntype[k]
-    limited = lambda on, values: tuple(map(float, values)) if on else NO_RANGE
-    shared: dict[str, Any] = {
-        "gear": float(model.actuator_gear[k, 0]),
-        "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
-        "ctrlrange": limited(
-            model.actuator_ctrllimited[k] and not int(model.opt.disableflags) & OFF["clampctrl"],
-            model.actuator_ctrlrange[k],
-        ),
-        "delay": float(model.actuator_delay[k]),
-    }
-    joint = int(model.actuator_trnid[k, 0])
-    if gaintype == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
-        if np.any(gain[2:]) or np.any(bias) or np.any(dyn):
-            raise refuse("is a dcmotor with more than motorconst and resistance")
-        return Actuator(name, joint, "dcmotor", gain=gain[1] / gain[0], kv=gain[1] ** 2 / gain[0], **shared)
-    lagged = dyntype in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-    if not lagged and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
-        raise refuse("has a memory other than a first-order filter")
-    affine = gaintype == int(mujoco.mjtGain.mjGAIN_AFFINE)
-    if not (gaintype == int(mujoco.mjtGain.mjGAIN_FIXED) or (affine and not np.any(gain[1:3]))):
-        raise refuse("has a gain that is not one number")
-    if biastype not in (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)):
-        raise refuse("has a bias that is not affine")
-    offset, kp, kv = (bias[0], -bias[1], -bias[2]) if biastype == int(mujoco.mjtBias.mjBIAS_AFFINE) else (0.0, 0.0, 0.0)
-    plain = offset == 0
-    kind = (
-        "motor" if plain and kp == 0 and kv == 0
-        else "position" if plain and kp == gain[0]
-        else "velocity" if plain and kp == 0 and kv == gain[0]
-        else "general"
-    )  # fmt: skip
-    return Actuator(
-        name, joint, kind, gain=float(gain[0]), offset=float(offset), kp=float(kp), kv=float(kv),
-        lag=float(dyn[0]) if lagged else 0.0, **shared,
-    )  # fmt: skip
+def _in_reach(tree: Tree) -> Tree:
+    """With the ranges of joints that follow others put on their leaders'."""
+    if tree.whole is None:
+        return tree
+    every, bounds, limited = tree.whole.tree, np.array(tree.range, float), list(tree.limited)
+    for k, j in enumerate(tree.whole.leader):
+        if every.limited[k] and k != tree.whole.own[j]:
+            own = np.sort((np.asarray(every.range)[k] - tree.whole.offset[k]) / tree.whole.factor[k])
+            bounds[j] = [max(bounds[j, 0], own[0]), min(bounds[j, 1], own[1])] if limited[j] else own
+            limited[j] = True
+    return replace(tree, range=bounds, limited=tuple(limited))
+
+
+def _medium(model: mujoco.MjModel) -> tuple[str, ...]:
+    return ("the drag of a medium (density, viscosity)",) if model.opt.density or model.opt.viscosity else ()
 
 
 def rotation_of(quaternion: np.ndarray) -> np.ndarray:

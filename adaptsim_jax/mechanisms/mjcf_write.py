@@ -9,8 +9,8 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inverse
-from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_spec, without_shapes
+from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inertial_about, inverse
+from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_source, read_spec, rotation_of, without_shapes
 
 LEAST_MOMENT = 1e-9  # kg m^2
 
@@ -51,11 +51,19 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
         without_shapes(spec)
     if changes.inertial is not None:
         _put_inertias(spec, mechanism, np.asarray(changes.inertial))
+    tree = mechanism.tree
     for joint in spec.joints:
         for key, table in changes.joints.items():
-            if joint.name in table:
-                turns = key == "springref" and joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-                _put(joint, key, float(np.rad2deg(table[joint.name]) if turns else table[joint.name]))
+            if joint.name not in table:
+                continue
+            value = float(table[joint.name])
+            if key == "springref":
+                turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+                _put(joint, key, float(np.rad2deg(value)) if turns else value)
+            elif joint.name in tree.joint_names:  # what followers, tendons and actuators add stays with them
+                more = value - float(np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)])
+                now = float(np.ravel(getattr(joint, key))[0])
+                _put(joint, key, value if more + now == value else max(0.0, now + more))
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
     for joint, gear in changes.motors.items():
@@ -113,19 +121,26 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
 
 
 def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
-    """Each joint's body gets what is left of its inertia once the bodies that are welded to it have theirs."""
+    """Each joint's body gets what is left of its inertia once the bodies that are part of it have theirs: those that are welded to it
+    become part of it, those behind a joint that is held keep their own."""
     tree, frames = mechanism.tree, mechanism.frames
+    kept = _kept(spec, mechanism)
     for j, name in enumerate(tree.body_names):
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
-        others = [b for b in spec.bodies if frames.carrier.get(b.name, -1) == j and b.name != name]
+        others = [
+            b for b in spec.bodies if frames.carrier.get(b.name, -1) == j and b.name not in kept and b.name != name
+        ]
+        left = inertial[j] - sum((kept[b] for b in kept if frames.carrier.get(b, -1) == j and b != name), np.zeros(10))
+        if not _possible(left):
+            continue
         for other in others:  # welded bodies become part of the one that moves them
             other.explicitinertial = True
             other.mass, other.inertia, other.fullinertia = 0.0, [0.0] * 3, [np.nan, 0, 0, 0, 0, 0]
             for geom in other.geoms:
                 geom.mass, geom.density = 0.0, 0.0
         body = next(b for b in spec.bodies if b.name == name)
-        mass, com, about = central(in_frame(inertial[j], inverse((frames.place[name], frames.rotation[name]))))
+        mass, com, about = central(in_frame(left, inverse((frames.place[name], frames.rotation[name]))))
         value, vector = np.linalg.eigh(0.5 * (about + about.T))
         value = np.maximum(value, LEAST_MOMENT)
         value[-1] = min(value[-1], value[0] + value[1])  # rounding must not break the triangle inequality
@@ -136,6 +151,38 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         body.explicitinertial = True
         body.mass, body.ipos, body.iquat, body.inertia = mass, com, quaternion, value
         body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+
+
+def _kept(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
+    """Bodies behind joints that are held, which must go on weighing something: inertial parameters [10] in their joint's frame."""
+    held = mechanism.roles.held if mechanism.roles is not None else {}
+    if not held:
+        return {}
+    model, frames = read_source(mechanism.path).model, mechanism.frames
+    behind: set[str] = set()
+    out = {}
+    for b in range(1, model.nbody):
+        name, up = model.body(b).name, model.body(int(model.body_parentid[b])).name
+        joints = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+        own = [model.joint(k).name for k in joints]
+        if any(k not in held for k in own) or not (own or up in behind):
+            continue
+        behind.add(name)
+        place, turn = frames.place[name], frames.rotation[name]
+        out[name] = inertial_about(
+            model.body_mass[b],
+            place + turn @ model.body_ipos[b],
+            turn @ rotation_of(model.body_iquat[b]),
+            model.body_inertia[b],
+        )
+    return out
+
+
+def _possible(inertial: np.ndarray) -> bool:
+    """Whether a body may have such inertial parameters."""
+    if inertial[0] <= 0.0:
+        return False
+    return bool(np.linalg.eigvalsh(central(inertial)[2]).min() > -LEAST_MOMENT)
 
 
 def commented(xml: str, comments: Sequence[str]) -> str:

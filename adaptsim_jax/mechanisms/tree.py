@@ -11,6 +11,10 @@ weigh nothing.
 
 Arrays are numpy in double precision until a function of `dynamics.py` casts them to the type of `q`; they may carry lanes on
 trailing axes, as if each mechanism of a batch had its own.
+
+**Followers.** A joint that follows another (a mimic, an equality of two joints) is no coordinate of its own: `whole` then is the
+tree of all joints, and says which coordinate each of them goes with. The fields of the tree itself are those of its coordinates,
+each at the joint that it is named after; what followers have of friction, inertia of rotors and springs is added to theirs.
 """
 
 from collections.abc import Sequence
@@ -23,7 +27,7 @@ import numpy as np
 Array = Any
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-MOST_JOINTS = 12
+MOST_JOINTS = 64
 EXACT = 1e-14  # rotations by quarter turns come out of a quaternion this close to -1, 0 and 1
 
 
@@ -38,13 +42,33 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class Whole:
+    """All joints of a tree of which some follow others: joint k is at `offset[k] + factor[k] * q[leader[k]]`.
+
+    tree: of all joints, each a coordinate; leader [m] the coordinate that each goes with, own [n] the joint that each coordinate
+    is (static); factor [m] in units of the joint over those of its leader, offset [m] rad or m.
+    """
+
+    tree: "Tree"
+    leader: tuple[int, ...]
+    own: tuple[int, ...]
+    factor: Array
+    offset: Array
+
+
+jax.tree_util.register_dataclass(Whole, data_fields=["tree", "factor", "offset"], meta_fields=["leader", "own"])
+
+
+@dataclass(frozen=True)
 class Tree:
     """See the module's text. `n` joints; joint i moves body i. SI units; angles in rad.
 
     place [n, 3] m, rotation [n, 3, 3], gravity [3] m/s^2 in the world; inertial [n, 10]; damping N m s/rad (N s/m for a slide),
     armature kg m^2 (kg), frictionloss N m (N), stiffness N m/rad (N/m) about springref rad (m), each [n]. `damping_poly` and
     `stiffness_poly` [n, 2] are MuJoCo's higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref.
-    range [n, 2] rad or m, of use where `limited`. linear: its equations of motion are those about rest at zero (`equations.py`).
+    range [n, 2] rad or m, of use where `limited`; stop [n, 8] what a limit does there: MuJoCo's two numbers of `solref`, five of
+    `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). gravcomp [n, 10]: inertial parameters of what is held up
+    against gravity, where `compensated`. linear: its equations of motion are those about rest at zero (`equations.py`).
     """
 
     joint_names: tuple[str, ...]
@@ -52,6 +76,7 @@ class Tree:
     parent: tuple[int, ...]
     body_names: tuple[str, ...]
     limited: tuple[bool, ...]
+    compensated: tuple[bool, ...]
     shapes: tuple[Shape, ...]
     place: Array
     rotation: Array
@@ -65,6 +90,9 @@ class Tree:
     damping_poly: Array
     stiffness_poly: Array
     range: Array
+    stop: Array
+    gravcomp: Array
+    whole: Whole | None = None
     linear: bool = False
 
     @property
@@ -89,10 +117,11 @@ class Tree:
         return "N m" if self.kinds[joint] == "hinge" else "N"
 
 
-_OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "shapes")
+_OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")
 _META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)
-_OF_JOINTS = tuple(name for name in _DATA if name != "gravity")
+_OF_JOINTS = tuple(name for name in _DATA if name not in ("gravity", "whole"))
+_SIZES = {"damping_poly": (2,), "stiffness_poly": (2,), "range": (2,), "stop": (8,), "gravcomp": (10,)}
 jax.tree_util.register_dataclass(Tree, data_fields=_DATA, meta_fields=_META)
 
 
@@ -118,7 +147,7 @@ def make_tree(
         raise ValueError(f"kinds {tuple(kinds)} must be 'hinge' or 'slide'")
     if len(parent) != n or any(not -1 <= p < i for i, p in enumerate(parent)):
         raise ValueError(f"parent {tuple(parent)} must name an earlier joint, or -1, for each of {n} joints")
-    sizes = {"damping_poly": (n, 2), "stiffness_poly": (n, 2), "range": (n, 2)}
+    sizes = {name: (n, *own) for name, own in _SIZES.items()}
     arrays: dict[str, Any] = {"place": place, "rotation": rotation, "inertial": inertial}
     shapes = {"place": (n, 3), "rotation": (n, 3, 3), "inertial": (n, 10)}
     for name in _OF_JOINTS:
@@ -133,7 +162,8 @@ def make_tree(
     snapped = {name: _snapped(arrays[name]) for name in ("place", "rotation")}
     tree = Tree(
         tuple(joint_names) or tuple(f"joint{i + 1}" for i in range(n)), tuple(kinds), tuple(int(p) for p in parent),
-        tuple(body_names) or tuple(f"body{i + 1}" for i in range(n)), tuple(map(bool, limited)) or (False,) * n, (),
+        tuple(body_names) or tuple(f"body{i + 1}" for i in range(n)), tuple(map(bool, limited)) or (False,) * n,
+        tuple(bool(np.any(row)) for row in arrays["gravcomp"]), (),
         gravity=np.asarray(gravity, float), **(arrays | snapped),
     )  # fmt: skip
     return reshaped(tree)
@@ -168,10 +198,21 @@ def ancestors(tree: Tree, joint: int) -> tuple[int, ...]:
 
 def subtrees(tree: Tree) -> list[tuple[int, ...]]:
     """Groups of joints that share no moving body, hence no inertia: each may be simulated and fitted by itself."""
+    if tree.whole is not None:
+        return _tied(tree.whole, tree.n)
     root: list[int] = []
     for i, p in enumerate(tree.parent):
         root.append(i if p < 0 else root[p])
     return [tuple(i for i in range(tree.n) if root[i] == r) for r in sorted(set(root))]
+
+
+def _tied(whole: Whole, n: int) -> list[tuple[int, ...]]:
+    """Groups of coordinates that share a moving body, or a follower's."""
+    group = list(range(n))
+    for part in subtrees(whole.tree):
+        mine = {group[whole.leader[k]] for k in part}
+        group = [min(mine) if g in mine else g for g in group]
+    return [tuple(j for j in range(n) if group[j] == g) for g in sorted(set(group))]
 
 
 def take(tree: Tree, indices: Sequence[int]) -> Tree:
@@ -189,4 +230,58 @@ def take(tree: Tree, indices: Sequence[int]) -> Tree:
     at = np.asarray(indices, int)
     meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _OF_EACH}
     meta["parent"] = tuple(new.get(p, -1) for p in meta["parent"])
-    return replace(tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS})
+    whole = None if tree.whole is None else _taken(tree.whole, new)
+    return replace(tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS}, whole=whole)
+
+
+def _taken(whole: Whole, new: dict[int, int]) -> Whole | None:
+    """What of `whole` goes with the coordinates `new` (old number: new one); None where nothing follows anything."""
+    joints = [k for k, leader in enumerate(whole.leader) if leader in new]
+    if len(joints) == len(new):
+        return None
+    place = {k: i for i, k in enumerate(joints)}
+    own = {new[whole.leader[k]]: place[k] for k in joints if whole.own[whole.leader[k]] == k}
+    at = np.asarray(joints, int)
+    return Whole(
+        take(whole.tree, joints), tuple(new[whole.leader[k]] for k in joints), tuple(own[j] for j in range(len(new))),
+        np.asarray(whole.factor)[at], np.asarray(whole.offset)[at],
+    )  # fmt: skip
+
+
+def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
+    """`tree` of m joints with those that follow others taken out of its coordinates.
+
+    leader [m]: the joint that each follows (itself where it follows none); factor, offset [m]: it is at
+    offset + factor * (its leader's angle). What is linear in the joints' own motion is added up; a spring of a follower keeps its
+    force (its rest moves the leader's). Raises ValueError where a leader follows another.
+    """
+    m = tree.n
+    if any(leader[leader[k]] != leader[k] for k in range(m)):
+        raise ValueError(f"leader {tuple(leader)}: a joint that is followed must follow none")
+    own = [k for k in range(m) if leader[k] == k]
+    if len(own) == m:
+        return tree
+    number = {k: j for j, k in enumerate(own)}
+    goes = tuple(number[leader[k]] for k in range(m))
+    c, d = np.asarray(factor, float), np.asarray(offset, float)
+    summed = lambda x: np.stack([sum(x[k] for k in range(m) if goes[k] == j) for j in range(len(own))])
+    size = np.abs(c)
+    values = {
+        "damping": summed(c**2 * tree.damping), "armature": summed(c**2 * tree.armature),
+        "frictionloss": summed(size * tree.frictionloss), "stiffness": summed(c**2 * tree.stiffness),
+        "damping_poly": summed(size[:, None] ** [3, 4] * tree.damping_poly),
+        "stiffness_poly": summed(size[:, None] ** [3, 4] * tree.stiffness_poly),
+    }  # fmt: skip
+    pull = summed(c * tree.stiffness * (tree.springref - d))
+    stiff = values["stiffness"]
+    values["springref"] = np.where(stiff > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref[own])
+    meta = {name: tuple(getattr(tree, name)[k] for k in own) for name in _OF_EACH}
+    meta["parent"] = tuple(_parent(tree, k, goes, j) for j, k in enumerate(own))
+    rest = {name: getattr(tree, name)[np.asarray(own)] for name in _OF_JOINTS if name not in values}
+    whole = Whole(tree, goes, tuple(own), c, d)
+    return replace(tree, **meta, **values, **rest, whole=whole)
+
+
+def _parent(tree: Tree, joint: int, goes: Sequence[int], coordinate: int) -> int:
+    """The nearest coordinate before a joint that is not its own and has a smaller number."""
+    return next((goes[k] for k in ancestors(tree, joint) if goes[k] < coordinate), -1)

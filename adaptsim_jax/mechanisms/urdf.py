@@ -1,12 +1,39 @@
 """URDF before MuJoCo reads it: checked in its own words, and without what only drawing and contact need."""
 
 import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief
 
 MOVING = ("revolute", "continuous", "prismatic")
+SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+TINY = 1e-6
+LEAST = 1e-12
+"""kg, kg m^2: more than MuJoCo's least, and nothing beside any machine."""
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint at offset + factor * (angle of its leader)."""
+
+    joint: str
+    leader: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A URDF as MuJoCo can read it; what it cannot hold: `mimics`, and links `weightless` that got a little inertia; `notes`."""
+
+    text: str
+    mimics: tuple[Mimic, ...]
+    weightless: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def is_urdf(where: str, text: str) -> bool:
@@ -22,8 +49,8 @@ def is_urdf(where: str, text: str) -> bool:
     return tag == "robot"
 
 
-def urdf_for_mujoco(where: str, text: str) -> str:
-    """The URDF without shapes, materials and extensions. Raises BadInput for what is not modelled."""
+def urdf_for_mujoco(where: str, text: str) -> Urdf:
+    """The URDF without shapes, materials and extensions, but for MuJoCo's own compiler. Raises BadInput for what is not modelled."""
     robot = ElementTree.fromstring(text)
     for element in robot.iter():
         if isinstance(element.tag, str) and "xacro" in element.tag:
@@ -32,7 +59,12 @@ def urdf_for_mujoco(where: str, text: str) -> str:
     joints = robot.findall("joint")
     for joint in joints:
         _check_joint(where, joint, links)
-    _check_inertias(where, links, joints)
+    notes = _once(robot)
+    mimics = _mimics(where, joints)
+    asked = robot.find("mujoco/compiler")
+    compiler = {} if asked is None else dict(asked.attrib)
+    weightless = _inertias(where, links, joints, compiler, notes)
+    notes += _placeholders(joints)
     for child in list(robot):
         if child.tag not in ("link", "joint"):
             robot.remove(child)
@@ -42,25 +74,56 @@ def urdf_for_mujoco(where: str, text: str) -> str:
                 link.remove(child)
     _free_world(robot, links, joints)
     extension = ElementTree.Element("mujoco")
-    ElementTree.SubElement(extension, "compiler", fusestatic="false", discardvisual="true")
+    ElementTree.SubElement(extension, "compiler", compiler | {"fusestatic": "false", "discardvisual": "true"})
     robot.insert(0, extension)
-    return ElementTree.tostring(robot, encoding="unicode")
+    return Urdf(ElementTree.tostring(robot, encoding="unicode"), mimics, weightless, tuple(notes))
+
+
+def _once(robot: Any) -> list[str]:
+    """Elements of which a link or joint may have one: of several the first counts, as in ROS' own parser."""
+    told = []
+    for owner in (*robot.findall("link"), *robot.findall("link/inertial"), *robot.findall("joint")):
+        for tag in ("origin", "mass", "inertia", "inertial", "axis", "limit", "dynamics", "mimic"):
+            for extra in owner.findall(tag)[1:]:
+                owner.remove(extra)
+                name = owner.get("name") or next(
+                    (k.get("name") for k in robot.findall("link") if k.find("inertial") is owner), ""
+                )
+                told.append(f"<{tag}> stands twice in '{name}': the first counts, as in ROS")
+    return told
+
+
+def _number(where: str, joint: str, element: Any, key: str, default: float) -> float:
+    try:
+        return float(element.get(key, default))
+    except ValueError:
+        raise BadInput(f"{where}: joint '{joint}' has {key} = {brief(element.get(key))}; give a number") from None
+
+
+def _mimics(where: str, joints: list) -> tuple[Mimic, ...]:
+    names = {j.get("name") for j in joints if j.get("type") in MOVING}
+    out = []
+    for joint in joints:
+        mimic, name = joint.find("mimic"), joint.get("name")
+        if mimic is None or joint.get("type") not in MOVING:
+            continue
+        leader = mimic.get("joint")
+        if leader not in names or leader == name:
+            raise BadInput(
+                f"{where}: joint '{name}' mimics {brief(leader)}, which is no other joint that moves; mend the name"
+            )
+        factor = _number(where, name, mimic, "multiplier", 1.0)
+        if factor == 0.0:
+            raise BadInput(f"{where}: joint '{name}' mimics '{leader}' with multiplier 0; make it fixed")
+        out.append(Mimic(name, leader, factor, _number(where, name, mimic, "offset", 0.0)))
+        joint.remove(mimic)
+    return tuple(out)
 
 
 def _check_joint(where: str, joint: Any, links: dict[str, Any]) -> None:
     name, kind = joint.get("name"), joint.get("type")
-    if joint.find("mimic") is not None:
-        leader = joint.find("mimic").get("joint")
-        raise BadInput(
-            f"{where}: joint '{name}' mimics '{leader}', which is not modelled; make it fixed, or a joint of its own"
-        )
-    if kind not in (*MOVING, "fixed"):
-        mend = (
-            "make it fixed, as the base hung in the experiment"
-            if kind == "floating"
-            else "write single joints in its place"
-        )
-        raise BadInput(f"{where}: joint '{name}' is of type {brief(kind)}; {mend}")
+    if kind not in (*MOVING, "fixed", "floating"):
+        raise BadInput(f"{where}: joint '{name}' is of type {brief(kind)}; write single joints in its place")
     for end in ("parent", "child"):
         element = joint.find(end)
         if element is None or element.get("link") not in links:
@@ -70,35 +133,125 @@ def _check_joint(where: str, joint: Any, links: dict[str, Any]) -> None:
             )
 
 
-def _check_inertias(where: str, links: dict[str, Any], joints: list) -> None:
-    """Links that are fixed to each other are one body; each that moves needs a mass and an inertia."""
-    fixed = {j.find("child").get("link"): j.find("parent").get("link") for j in joints if j.get("type") == "fixed"}
+def _inertias(where: str, links: dict[str, Any], joints: list, compiler: dict, notes: list[str]) -> tuple[str, ...]:
+    """Links that are fixed to each other are one body. Of those that move, the links that weigh nothing but carry something, and
+    points without moments, get as little as MuJoCo reads; what stands still needs nothing. Raises BadInput where the last of a
+    chain weighs nothing, or moments are negative."""
+    parent = {j.find("child").get("link"): (j.find("parent").get("link"), j.get("type")) for j in joints}
 
-    def head(link: str) -> str:
-        seen = set()
-        while link in fixed and link not in seen:
-            seen.add(link)
-            link = fixed[link]
-        return link
+    def head(link: str) -> str | None:
+        """The link of a body that moves; None where it stands still."""
+        for _ in range(len(links) + 1):
+            if link not in parent:
+                return None
+            up, kind = parent[link]
+            if kind != "fixed":
+                return link
+            link = up
+        return None
 
-    weighed = {head(name) for name, link in links.items() if _weighs(link)}
-    moved = [j.find("child").get("link") for j in joints if j.get("type") in MOVING]
-    bare = [name for name in moved if head(name) not in weighed]
-    if bare:
+    for name, link in links.items():
+        if head(name) is None:
+            for inertial in link.findall("inertial"):
+                link.remove(inertial)
+    bodies: dict[str, list[str]] = {}
+    for name in links:
+        if (own := head(name)) is not None:
+            bodies.setdefault(own, []).append(name)
+    weighed = {own for own, names in bodies.items() if any(_mass(links[n]) > 0 for n in names)}
+    carries = set()
+    for own in weighed:
+        link = own
+        for _ in range(len(links)):
+            carries.add(link)
+            up = head(parent[link][0])
+            if up is None:
+                break
+            link = up
+    if bare := [own for own in bodies if own not in carries]:
         raise BadInput(
-            f"{where}: no inertia for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}; give each that moves an <inertial> "
-            "with mass and inertia"
+            f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for what it carries; give each that "
+            "moves an <inertial> with mass and inertia"
         )
+    odd = [name for own in bodies if own in weighed for name in _point(where, links, bodies[own], compiler)]
+    if odd:
+        compiler["balanceinertia"] = "true"
+        notes.append(
+            f"moments of inertia that no body can have (the largest is more than the other two together), balanced as MuJoCo does: "
+            f"{', '.join(odd)}"
+        )
+    out = [own for own in bodies if own not in weighed]
+    for own in out:
+        for inertial in links[own].findall("inertial"):
+            links[own].remove(inertial)
+        links[own].append(_inertial(LEAST, LEAST))
+    return tuple(out)
 
 
-def _weighs(link: Any) -> bool:
-    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
-    if mass is None or inertia is None:
-        return False
+def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) -> list[str]:
+    """Masses without moments, as points; negative moments are named. Returns the links whose moments no body can have."""
+    odd = []
+    for name in names:
+        inertial, inertia = links[name].find("inertial"), links[name].find("inertial/inertia")
+        if _mass(links[name]) <= 0.0:
+            for weightless in links[name].findall("inertial"):
+                links[name].remove(weightless)
+            continue
+        given = {k: 0.0 if inertia is None else _number(where, name, inertia, k, 0.0) for k in SIX}
+        if inertia is None:
+            inertia = ElementTree.SubElement(inertial, "inertia")
+        for k in SIX:
+            line = k[1] == k[2] and not any(
+                given[other] for other in SIX if k[1] in other[1:]
+            )  # a point, or along a rod
+            inertia.set(k, f"{LEAST:g}" if line else repr(given[k]))
+        xx, xy, xz, yy, yz, zz = (given[k] for k in SIX)
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if compiler.get("balanceinertia") == "true":
+            continue
+        if moments[0] < -TINY * abs(moments[2]):
+            told = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0] or [
+                f"{moments[0]:.3g} about a main axis"
+            ]
+            raise BadInput(
+                f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend their sign"
+            )
+        if moments[0] + moments[1] < moments[2] * (1.0 - TINY):
+            odd.append(name)
+    return odd
+
+
+def _inertial(mass: float, moment: float) -> Any:
+    out = ElementTree.Element("inertial")
+    ElementTree.SubElement(out, "mass", value=f"{mass:g}")
+    ElementTree.SubElement(out, "inertia", {k: f"{moment if k[1] == k[2] else 0.0:g}" for k in SIX})
+    return out
+
+
+def _mass(link: Any) -> float:
+    mass = link.find("inertial/mass")
     try:
-        return float(mass.get("value", 0)) > 0 and any(float(inertia.get(k, 0)) > 0 for k in ("ixx", "iyy", "izz"))
+        return 0.0 if mass is None else float(mass.get("value", 0))
     except ValueError:
-        return True  # MuJoCo's parser says what is wrong with the number
+        return 1.0  # MuJoCo's parser says what is wrong with the number
+
+
+def _placeholders(joints: list) -> list[str]:
+    """Friction as large as the effort limit holds a joint for ever: a number that was put in for want of one."""
+    told = []
+    for joint in joints:
+        limit, dynamics = joint.find("limit"), joint.find("dynamics")
+        try:
+            effort = 0.0 if limit is None else float(limit.get("effort", 0))
+            friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0))
+        except ValueError:
+            continue
+        if friction > 0.0 and friction >= effort > 0.0:
+            told.append(
+                f"joint '{joint.get('name')}' declares friction of {friction:g}, as much as its effort limit: it could not move; "
+                "put in a measured friction, or 0"
+            )
+    return told
 
 
 def _free_world(robot: Any, links: dict[str, Any], joints: list) -> None:

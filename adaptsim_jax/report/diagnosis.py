@@ -113,7 +113,6 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "quiet": report["verdict"] in ("within_noise", "underpowered"),
         "remains": any((row.get("p_value") or 0.0) < 0.05 for row in evidence.get("leftover") or []),
         "power": rows_of.power_rows(report),
-        "torque_share": all(row.get("unit") == rows_of.TORQUE_SHARE for row in report.get("power") or [{}]),
         "candidates": rows_of.candidate_rows(report),
         "most_candidates": MOST_CANDIDATES,
         "one_by_one": bool(report.get("fit_coordinates")),

@@ -153,32 +153,20 @@ def leftover_rows(evidence: Mapping) -> list[dict[str, Any]]:
     ]
 
 
-TORQUE_SHARE = "share of torque RMS"
-
-
 def power_rows(report: Mapping) -> list[dict[str, str]]:
-    """What would have been found: `power: [{name, where, size, unit, power}]`, where it has this form; where sizes are
-    shares of the joint's torque, the bluntest first."""
+    """What would have been found: `power: [{name, where, size, unit, power}]`, where it has this form."""
     rows = report.get("power")
     rows = [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
     rows = [row for row in rows if {"name", "size", "power"} <= set(row)]
-    if all(row.get("unit") == TORQUE_SHARE for row in rows):
-        rows = sorted(rows, key=lambda row: -(row["size"] or 0.0))
     return [
         {
             "name": words.plain(str(row["name"])),
             "where": words.plain(str(row.get("where", ""))),
-            "size": _size(row["size"], row.get("unit")),
+            "size": fmt.quantity(row["size"], row.get("unit")),
             "power": fmt.percent(row["power"]),
         }
         for row in rows
     ]
-
-
-def _size(size: float | None, unit: str | None) -> str:
-    if unit != TORQUE_SHARE or size is None:
-        return fmt.quantity(size, unit)
-    return "more than all of the torque" if size > 1.0 else f"{100 * size:.2g} % of the torque"
 
 
 def trial_rows(report: Mapping) -> list[dict[str, Any]]:

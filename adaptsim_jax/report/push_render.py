@@ -90,7 +90,7 @@ def with_text(frame: np.ndarray, text: str, time: str) -> np.ndarray:
     brush = ImageDraw.Draw(image)
     font = ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), 16)
     brush.text((14, 10), text, fill=(32, 38, 46), font=font)
-    brush.text((WIDTH - 14, 10), time, fill=(70, 80, 92), font=font, anchor="ra")
+    brush.text((frame.shape[1] - 14, 10), time, fill=(70, 80, 92), font=font, anchor="ra")
     return np.asarray(image)
 
 

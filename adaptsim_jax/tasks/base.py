@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from adaptsim_jax.space import Gaussian, Space
 
@@ -23,6 +23,21 @@ class Episode(Protocol):
 
     @property
     def obs(self) -> Array: ...  # [..., I + 1, D + obs_dim], behind the mean what was observed
+
+
+class Preparation(NamedTuple):
+    """What a task learns once, before Phase 1, such as one policy for all of Omega.
+
+    * `blank(key) -> prepared`: a pytree of arrays with its structure and shapes
+    * `make(key, report) -> prepared`: not pure, may take minutes; `report(done, total, note)`
+    * `ready(prepared) -> Task`: the task with it
+    * digest: of what it depends on beside the task's options, such as a model file
+    """
+
+    blank: Callable[[Array], Any]
+    make: Callable[..., Any]
+    ready: Callable[[Any], "Task"]
+    digest: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,6 +67,14 @@ class Task:
     rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
     # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`; None where there is none
     pretrain: Callable[[Array], Policy] | None = None
+    # what is learned before all else, and is the same for all that Phase 1 and 2 do; None where nothing is
+    preparation: Preparation | None = None
+    # (a setting's name) -> the task with rollouts in that target, which has more than parameters of Omega; None: `params` say it all
+    world: Callable[[str], "Task"] | None = None
+    # (policy, obs [O]) -> action [A]: of tasks whose policies are called at each step
+    act: Callable[[Policy, Array], Array] | None = None
+    # (obs [T, O], action [T, A], reward [T]) -> trajectory: of a measured episode of theirs
+    read: Callable[[Any, Any, Any], Trajectory] | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ TASKS: Registry[TaskKind] = Registry(
         "pendulum": "adaptsim_jax.tasks.pendulum.kind:TASK",
         "pushing": "adaptsim_jax.tasks.pushing.kind:TASK",
         "scooping": "adaptsim_jax.tasks.scooping.kind:TASK",
+        "environment": "adaptsim_jax.environments.kind:TASK",
     },
     type="TaskKind",
 )

@@ -55,6 +55,24 @@ def test_the_rule_that_failed_is_told(change, says):
     assert says in judged(**change)
 
 
+@pytest.mark.parametrize(("floor", "stays"), [(1e-4, False), (1e-5, True)])
+def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
+    """0.3 N m of friction on bristles of 1e-4 rad/(N m) breaks away after 3e-5 rad."""
+    level = Entry("coulomb", "level", (0,), 0.0, 0.0, 0.0, 9.0, "N m")
+    entry = Entry("presliding", "compliance", (0,), 0.0, 0.0, 0.0, 9.0, "rad/(N m)")
+    vector: Any = SimpleNamespace(entries=(level, entry), values=np.array([0.3, 1e-4]))
+    of: Any = lambda size: SimpleNamespace(
+        fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), (size * floor) ** 2))
+    )
+    problem: Any = SimpleNamespace(
+        reach=SimpleNamespace(dt=DT, torque=np.array([1.0])), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor),
+        effect=lambda name: SimpleNamespace(describes=False),
+    )  # fmt: skip
+    candidate = Candidate("presliding", (0,), "joint", (entry,))
+    why = why_not(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())
+    assert (why == "") is stays and ("break away within" in why) is not stays
+
+
 def test_steadiness_is_that_of_an_effect_all_else_held():
     """Two folds' equations in an effect and an inertia that trade places: each fold wants the effect, whatever it wants of both."""
     entries = tuple(Entry(k, k, (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in ("coulomb", "inertia"))

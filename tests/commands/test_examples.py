@@ -11,6 +11,7 @@ from adaptsim_jax.adaptation.presets import PRESETS
 from adaptsim_jax.baselines.registry import exact_methods, learned_methods
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.commands.common import task_word
 from adaptsim_jax.tasks.pushing.engines import registry as pushing
 from adaptsim_jax.tasks.scooping.engines import registry as scooping
 
@@ -35,11 +36,15 @@ def examples():
 
 
 @pytest.mark.parametrize("line, where", sorted({line: where for where, line in examples()}.items()))
-def test_an_example_is_taken(line, where):
+def test_an_example_is_taken(line, where, monkeypatch):
     args = parse(shlex.split(line))
     assert callable(args.run)
     command = shlex.split(line)[0]
     if command in ("train", "compare") and "--config" not in line and "--model" not in line:
+        if args.task.endswith(".toml") and not (ROOT / args.task).exists():
+            return  # a file that the reader has just made
+        monkeypatch.chdir(ROOT)
+        args.task = task_word(args)
         check_config(command, args)
 
 

@@ -34,6 +34,24 @@ def test_a_plant_that_is_the_model_has_nothing_named(seed):
     assert power["leak"] < 0.9 and set(power) == {c.name for c in TANKS["CANDIDATES"]}
 
 
+def test_an_error_is_held_against_doing_nothing():
+    report = diagnose_simulator(recorded({"leak": 0.004}, seed=3))
+    error = report["error"]
+    assert error["after"] < error["straight_line"] < error["hold_still"]
+    assert error["skill"]["after"] == pytest.approx(1.0 - error["after"] / error["straight_line"])
+
+
+def test_a_model_that_predicts_nothing_names_nothing():
+    """Tanks that nothing flows out of, under noise that is said to be a hundredth of what it is: any leak helps, and is no finding."""
+    tanks = recorded({"gain": 0.02, "drain_1": 0.001, "drain_2": 0.001}, seed=4)
+    noisy = tanks.stretches.measured + 20.0 * np.random.default_rng(0).standard_normal(tanks.stretches.measured.shape)
+    ramp = 3.0 * np.arange(noisy.shape[1])[None, :, None] * np.random.default_rng(1).standard_normal((len(noisy), 1, 2))
+    object.__setattr__(tanks, "stretches", replace(tanks.stretches, measured=noisy + ramp))
+    report = diagnose_simulator(tanks)
+    assert not report["effects"] and report["message"].startswith("The model predicts nothing")
+    assert report["error"]["skill"]["after"] < 0.0
+
+
 def test_few_trials_are_left_out_by_blocks():
     report = diagnose_simulator(recorded({"leak": 0.004}, seed=5, trials=3))
     assert [e["name"] for e in report["effects"]] == ["leak"]

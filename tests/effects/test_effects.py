@@ -86,7 +86,7 @@ def test_entry_is_complete(effect):
     for p in effect.parameters:
         assert p.low <= p.default <= p.high and p.low < p.high
         assert p.off is None or p.low <= p.off <= p.high
-        assert p.sign <= 0 or p.low >= 0 or p.plausible is not None
+        assert p.sign <= 0 or p.low >= 0 or p.off == 0.0
     for point in effect.grid_points(REACH, 1):
         assert set(point) >= {p.name for p in effect.shapes if not p.optional} or effect.jump
         for p in effect.parameters:
@@ -156,17 +156,6 @@ def test_units_scale_as_declared(effect, torque, time):
         for a, b, unit in zip(base, other, names, strict=False):
             i, j = UNITS["rad" if unit == "1" else unit]
             np.testing.assert_allclose(np.asarray(a) * torque**i * time**j, b, rtol=1e-5, atol=1e-6 * torque)
-
-
-def test_layout_masks_amplitudes_and_keeps_shapes():
-    layout = Layout(catalogue(), ("joint1", "joint2"))
-    eff = jnp.arange(1.0, layout.size + 1)
-    on = layout.mask([("stribeck", "joint2")])
-    kept = np.asarray(layout.masked(eff, on))
-    instance = layout.instances[layout.index("stribeck", "joint2")]
-    np.testing.assert_array_equal(kept[instance.at], np.asarray(eff)[instance.at])
-    other = layout.instances[layout.index("stribeck", "joint1")]
-    np.testing.assert_array_equal(kept[other.at], [0.0, 0.0, *np.asarray(eff[other.at][2:])])
 
 
 def test_layout_has_one_of_what_the_base_does_and_two_of_the_others():

@@ -169,9 +169,35 @@ def renamed(c, rng, kind):
 
 
 def messages(c, rng, kind):
-    """Of a bag: stamps that are missing, names in another order, arrays that lack a joint, another robot on the same topic."""
-    name = str(rng.choice(["unstamped", "reordered", "short", "other"]))
-    return c | {name: (rng.random(len(c["time"])) < 0.2) & (np.arange(len(c["time"])) > 0)}
+    """Of a bag: stamps that are missing or far off, names in another order or empty, arrays that lack a joint, another robot on the same
+    topic, often or once, and a channel of another kind beside."""
+    name = str(rng.choice(["unstamped", "reordered", "short", "other", "far", "seldom", "foreign"]))
+    n = len(c["time"])
+    share = {"far": 0.05, "seldom": 0.004, "foreign": 0.1}.get(name, 0.2)
+    # the very first row is left, for it is the zero of the trial's times
+    first = (np.arange(n) > 0) & (np.arange(n) < int(rng.integers(2, 5))) & bool(name in ("unstamped", "far"))
+    return c | {name: ((rng.random(n) < share) & (np.arange(n) > 0)) | first}
+
+
+def nameless(c, rng, kind):
+    """All names of a bag's joint states are empty."""
+    return c | {"nameless": np.ones(len(c["time"]), bool)}
+
+
+def named(c, rng, kind):
+    """Names of a data set that are not its numbers': one too few, twice the same, none."""
+    return c | {"named": [str(rng.choice(["fewer", "twice", "none"]))] * len(c["time"])}
+
+
+def scale(c, rng, kind):
+    """Angles in per cent of a range that the motion reaches the ends of, or in steps of an encoder."""
+    out = dict(c)
+    steps = bool(rng.integers(2))
+    for name in kind.angles:
+        low, high = np.quantile(c[name], [0.02, 0.98])
+        share = np.clip((c[name] - low) / (high - low), 0.0, 1.0)
+        out[name] = np.round(2048 + c[name] * 4096 / (2 * np.pi)) if steps else 200.0 * share - 100.0
+    return out
 
 
 def beside(c, rng, kind):
@@ -200,8 +226,9 @@ def actions(recording, rng, kind):
 
 
 LOGS = tuple(map(on_trials, (scaled_time, epoch, wrapped, emptied, one_cell, rows, clock, commas)))
-BAGS = tuple(map(on_trials, (scaled_time, epoch, wrapped, emptied, one_cell, rows, clock, messages)))
+BAGS = tuple(map(on_trials, (scaled_time, epoch, wrapped, emptied, one_cell, rows, clock, messages, nameless)))
 ARRAYS = LOGS[:-1]
+SETS = (*ARRAYS, on_trials(named), on_trials(scale))
 TRACKS = tuple(
     map(on_trials, (scaled_time, epoch, emptied, one_cell, rows, clock, commas, unit, elsewhere, renamed, beside))
 )

@@ -144,7 +144,10 @@ def write_lerobot(folder: Path, recording: Recording) -> Path:
 
     c = recording.trials[0]
     pairs = lambda stem: np.stack([numbers(c[f"{stem}{j}"]) for j in (1, 2)], 1).tolist()
-    vector = lambda stem: {"dtype": "float32", "shape": [2], "names": [f"{joint}.{stem}" for joint in ARM]}
+    how = c["named"][0] if "named" in c else "all"
+    joints = {"fewer": ARM[:1], "twice": ARM[:1] * 2, "none": (), "all": ARM}[how]
+    names = lambda stem: [f"{joint}.{stem}" for joint in joints] if how != "none" else None
+    vector = lambda stem: {"dtype": "float32", "shape": [2], "names": names(stem)}
     scalar = {"timestamp": {"dtype": "float32", "shape": [1]}, "episode_index": {"dtype": "int64", "shape": [1]}}
     features = {"observation.state": vector("pos"), "action": vector("effort")} | scalar
     for part in ("meta", "data/chunk-000"):
@@ -179,10 +182,16 @@ def write_bag(storage: str) -> Callable[[Path, Recording], Path]:
                 names, row = names[::-1], {s: x[::-1] for s, x in row.items()}
             if flag("short", i):
                 names, row = names[:1], {s: x[:1] for s, x in row.items()}
-            if flag("other", i):
+            if flag("nameless", i):
+                names = []
+            if flag("foreign", i):
+                bag.array("/chatter", START + i * 10**7, [0.0])
+            if flag("other", i) or flag("seldom", i):
                 bag.joints("/joint_states", START + i * 10**7 + 5, ("gripper",), [0.1 * i], [0.0], [0.0])
             when = table["time"][i]
             untold = flag("unstamped", i) or not np.isfinite(when)
+            if flag("far", i):
+                when = when + 7.0
             bag.joints("/joint_states", 0 if untold else base + round(when * 1e9), names, row.get("q", ()), row.get("v", ()),
                        row.get("tau", ()), stamp=not untold)  # fmt: skip
             bag.rows[-1] = (START + LATE + i * 10**7, *bag.rows[-1][1:])
@@ -229,5 +238,5 @@ READERS = [
     Reader("mechanism, ROS 1 bag", 52, ROS, damage.BAGS, arms, write_bag("bag"), read_mechanism, cases=BAGS),
     Reader("mechanism, ROS 2 bag", 53, ROS, damage.BAGS, arms, write_bag("ros2"), read_mechanism, cases=BAGS),
     Reader("mechanism, MCAP", 54, ROS, damage.BAGS, arms, write_bag("mcap"), read_mechanism, cases=BAGS),
-    Reader("mechanism, LeRobot", 55, LOG, damage.ARRAYS, arms, write_lerobot, read_mechanism),
+    Reader("mechanism, LeRobot", 55, LOG, damage.SETS, arms, write_lerobot, read_mechanism),
 ]

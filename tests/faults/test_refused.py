@@ -21,13 +21,6 @@ def comma(x):
     return '"' + f"{x:.6f}".replace(".", ",") + '"'
 
 
-def joined(c):
-    """Two topics on one time axis by an outer join."""
-    rows = [{k: f"{c[k][i]:.7g}" for k in names} | {"time": f"{c['time'][i] + late:.4f}"}
-            for i in range(len(c["time"])) for late, names in ((0.0, ("q1", "q2")), (0.0013, ("tau1", "tau2")))]  # fmt: skip
-    return {k: [row.get(k, "") for row in rows] for k in ("time", "q1", "q2", "tau1", "tau2")}
-
-
 def swapped(c):
     return {k if k == "time" else k[:-1] + {"1": "2", "2": "1"}[k[-1]]: x for k, x in c.items()}
 
@@ -42,7 +35,6 @@ SPOILED = {
     "one degrees": (lambda c: c | {"q1": np.degrees(c["q1"]), "v1": np.degrees(c["v1"])}, 'q1 = "deg" under [units]'),
     "absolute": (lambda c: c | {"q2": c["q1"] + c["q2"], "v2": c["v1"] + c["v2"]}, "q2 looks absolute"),
     "late": (late, "are logged about 20 ms (2 rows) late"),
-    "joined": (joined, "as topics joined by time do"),
     "commas": (lambda c: {k: [comma(v) for v in x] for k, x in c.items()}, "decimal comma"),
     "float32": (lambda c: c | {"time": (c["time"] + EPOCH).astype(np.float32)}, "save it as float64"),
     "ms": (lambda c: c | {"time": 1e3 * c["time"]}, 'time = "ms"'),

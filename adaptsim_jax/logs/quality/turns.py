@@ -52,6 +52,28 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     return Turns(out, int(np.count_nonzero(taken)), period, tuple(np.flatnonzero(unsure).tolist()))
 
 
+BESIDE = 0.25
+"""Share of the square of its distance from the angle that a target must lose by turns to be given them."""
+
+
+def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """A target `[T]` rad with the whole turns of the angle `q [T]` that it commands, from which turns were taken out: it jumps where the
+    driver counts anew, at rows of its own. Both may be NaN; as it is where turns do not bring it to the angle."""
+    here = np.flatnonzero(np.isfinite(q) & np.isfinite(target))
+    if len(here) < 4:
+        return target
+    angle, u = q[here], target[here]
+    begins = np.concatenate([[True], np.abs(np.diff(u)) > 0.5 * TURN])
+    first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
+    turns = np.round((angle - u) / TURN)[first]
+    moved = u + TURN * turns
+    if not turns.any() or np.mean((moved - angle) ** 2) > BESIDE * np.mean((u - angle) ** 2):
+        return target
+    out = target.copy()
+    out[here] = moved
+    return out
+
+
 def _mean_of_sides(speed: np.ndarray) -> np.ndarray:
     """For each step the mean of the speeds just before and after it, of three steps each; 0 where there are none."""
     n = len(speed)

@@ -1,0 +1,84 @@
+"""Which simulator replays a recording: the tree of joints where it can, MuJoCo itself where it must or is asked for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.meta import declared_task
+from adaptsim_jax.logs.read import read_source_and_log
+from adaptsim_jax.mechanisms.roles import roles
+from adaptsim_jax.mechanisms.spec import Source
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.replay import replayed
+from adaptsim_jax.simulators.mujoco.touching import touching
+
+OWN = 1e-6
+"""rad (m): of MuJoCo's median error over a sample of stretches, below which a recording is the file's own simulation."""
+SAMPLE = 6  # stretches
+MOVED = 1e-3  # m, or of a quaternion's entries: by which a base that moves does
+
+
+@dataclass(frozen=True)
+class Choice:
+    """simulator: tree or mujoco; why, in a sentence ('' where nothing needs to be said); file and log where they were read."""
+
+    simulator: str
+    why: str
+    source: Source | None = None
+    log: Log | None = None
+
+
+def choose(data: str | Path, model: str | Path | None, asked: str | None, horizon: float) -> Choice:
+    """For a recording and a model file. asked: `tree`, `mujoco`, or None: what meta.toml says, else what the model needs.
+
+    Raises BadInput where the files cannot be read, or MuJoCo is asked for what is no model file.
+    """
+    own = model is not None and Path(model).suffix.lower() == ".toml"
+    if not Path(data).exists():
+        raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
+    if own or declared_task(data) == "pendulum":
+        if asked == "mujoco":
+            raise BadInput(
+                f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give model.xml beside it"
+            )
+        return Choice("tree", "")
+    source, log = read_source_and_log(data, model)
+    asked = asked or log.meta.simulator
+    if asked:
+        return Choice(asked, "as asked for", source, log)
+    if log.input_kind in ("voltage", "current") or turns_of_balls(source, log):
+        return Choice("tree", "", source, log)
+    if why := _needs(source, log):
+        return Choice("mujoco", why, source, log)
+    if source.kind == "mjcf" and _own(source, log, horizon):
+        return Choice("mujoco", f"the recording is the file's own simulation to {OWN:g} rad", source, log)
+    return Choice("tree", "", source, log)
+
+
+def _needs(source: Source, log: Log) -> str:
+    """What a tree of joints cannot do of a file over a recording, in words; '' where it can do all."""
+    from adaptsim_jax.mechanisms.mjcf import mechanism_of
+
+    if base_moves(log):
+        return "its base moves"
+    if not log.joint_names:
+        return "it has no joint but its base's"
+    hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
+    if roles(source, hold, log.joint_names, log.meta.path).beyond:
+        return "; ".join(roles(source, hold, log.joint_names, log.meta.path).beyond[:2])
+    mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    beyond = mechanism.beyond + (mechanism.drives_beyond if log.input_kind == "command" else ())
+    return "; ".join(beyond[:2]) or touching(stepped(source, log), log)
+
+
+def base_moves(log: Log) -> bool:
+    """Whether a logged base moves in any trial."""
+    return any(t.base is not None and float(np.ptp(t.base, axis=0).max()) > MOVED for t in log.trials)
+
+
+def _own(source: Source, log: Log, horizon: float) -> bool:
+    """Whether MuJoCo at the file's own step makes the recording, to `OWN`."""
+    return float(np.median(replayed(source, log, horizon, SAMPLE).error)) < OWN

@@ -1,0 +1,91 @@
+"""Commands that the motion contradicts (`logs.quality.commands`): exchanged between joints, cut on their way to the drive, or with another
+gain in some trials. Told with what to write; never taken."""
+
+import numpy as np
+
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.quality.commands import Cut, cut, exchanged, gains_by_trial
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
+from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.hypotheses import Track
+
+MOST_TRIALS = 8
+"""Trials that are named one by one."""
+
+
+def check_commands(machine: Machine) -> tuple[Finding, ...]:
+    """What the motion says of the commands of actuators. Raises BadInput where they are another joint's, or were cut on their way."""
+    if machine.log.input_kind != "command":
+        return ()
+    tracks = [Track(t.time, t.q, t.v, t.u) for t in machine.tracks]
+    driven = [j for j in range(machine.tree.n) if machine.actuator[0, j] != 0.0]
+    _check_order(machine, tracks, driven)
+    found = []
+    for j in driven:
+        stiff, damped = -machine.actuator[2, j], -machine.actuator[3, j]
+        if stiff > 0 and (told := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
+            raise BadInput(
+                f"{machine.log.path}: {_cut(machine.tree.joint_names[j], told, machine.tree.unit(j))}; {AS_DECLARED}"
+            )
+        gains = gains_by_trial(tracks, j)
+        if gains is not None:
+            found.append(_gains(machine, j, gains))
+    return tuple(found)
+
+
+def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> None:
+    told = exchanged(tracks, driven)
+    if told is None:
+        return
+    names, log = machine.tree.joint_names, machine.log
+    moved = [(j, k) for j, k in zip(driven, told.order, strict=True) if j != k]
+    times = float(
+        np.exp(np.mean([np.log(a / max(b, 1e-6)) for a, b in zip(told.left, told.other, strict=True) if a != b]))
+    )
+    says = ", ".join(f"{names[j]} moves as that of {names[k]} says" for j, k in moved)
+    columns = {j: _columns(machine, j) for j, _ in moved}
+    lines = ", ".join(f'{columns[j][0]} = "{columns[k][1]}"' for j, k in moved)
+    raise BadInput(
+        f"{log.path}: the commands are in another order than the actuators: {says} (which leaves {float(f'{min(times, 9999.0):.2g}'):g} times less "
+        f"of the motion unexplained); exchange them, under [columns] in meta.toml: {lines}; {AS_DECLARED}"
+    )
+
+
+def _columns(machine: Machine, joint: int) -> tuple[str, str]:
+    """Our name of the column of a joint's command, and the file's."""
+    log, name = machine.log, machine.tree.joint_names[joint]
+    for k, told in enumerate(log.input_names):
+        own = next((a for a in machine.mechanism.actuators if a.name == told), None)
+        if (own is not None and own.joint == joint) or told == name:
+            theirs = log.input_columns[k] if k < len(log.input_columns) else f"ctrl{k + 1}"
+            return (f"target_{name}" if theirs.startswith("target") else f"ctrl_{told}"), log.meta.columns.get(
+                theirs, theirs
+            )
+    return f"ctrl_{name}", f"ctrl_{name}"
+
+
+def _cut(joint: str, told: Cut, unit: str) -> str:
+    size = float(f"{told.size:.3g}")
+    if told.how == "rate":
+        says, line = f"by a rate limit of about {size:g} {unit}/s", f"rate = {{{joint} = {size:g}}}"
+    else:
+        says, line = f"to within about {size:g} {unit} of the angle", f"within = {{{joint} = {size:g}}}"
+    return (
+        f"the targets of {joint} are not what acted: it moves as if they were cut {says} on their way (of its acceleration "
+        f"{100 * told.left:.0f} % is unexplained as recorded, {100 * told.other:.2g} % so); log what was sent, or write {line} under "
+        "[commands] in meta.toml"
+    )
+
+
+def _gains(machine: Machine, joint: int, gains: np.ndarray) -> Finding:
+    name = machine.tree.joint_names[joint]
+    size = gains / gains[0]
+    order = sorted(range(len(size)), key=lambda k: -abs(np.log(size[k])))[:MOST_TRIALS]
+    told = ", ".join(f"{machine.tracks[k].name} {size[k]:.2f}" for k in sorted(order))
+    more = "" if len(size) <= MOST_TRIALS else f", and {len(size) - MOST_TRIALS} more"
+    text = (
+        f"what the commands of {name} do differs from trial to trial, its actuator's gain or what it moves: times that of "
+        f"{machine.tracks[0].name}: {told}{more}; diagnose trials of one gain (--without), or give each its own model"
+    )
+    return Finding("gain_by_trial", "warn", "", name, text, float(np.max(gains) / np.min(gains)))

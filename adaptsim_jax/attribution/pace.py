@@ -1,0 +1,139 @@
+"""Clocks and efforts that gravity contradicts: the declared masses say how fast a motion is, and what torque it needs.
+
+The inverse dynamics of the declared tree are `tau = alpha D(q, v, a) + G(q)`. With a clock that runs slow by a factor s the
+accelerations and squared speeds come out s^2 too small, gravity as it is: alpha is s^2 (Khalil and Dombre 2002, ch. 9, for the
+regression). With efforts that are no torques each joint needs a multiple of its own.
+"""
+
+import numpy as np
+
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log_units import Affine
+from adaptsim_jax.logs.meta import TIME_UNITS
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, NEAR, POOR
+from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Motion, Track, blocks, motion_of, rubbing
+from adaptsim_jax.logs.quality.servo_fit import SMOOTH
+
+GOOD = 0.03
+"""Share of the torque's square that another clock, or efforts of another scale, may leave to be told."""
+TIMES = 10.0
+"""A clock is told where it leaves so many times less than a rotor's inertia at every joint does."""
+OFF = 1.2
+"""Times that a clock is off, from which on it is told."""
+NOMINAL = 1e-4
+"""Of an interval: steps this even are counted, not measured."""
+
+
+def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+    """Raises BadInput where gravity says that time runs otherwise than it was stamped."""
+    motion = motion_of(tracks)
+    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or np.linalg.norm(machine.tree.gravity) == 0.0:
+        return ()
+    n = motion.q.shape[1]
+    moving, weight = _parts(motion, design)
+    rest = motion.tau - weight
+    spread = np.maximum(np.std(rest, axis=0), 1e-9)
+    if np.max(spread) < 1e-6:
+        return ()
+    told = lambda columns: (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
+    y = (rest / spread).reshape(-1)
+    rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
+    rotors = told(motion.a[:, :, None] * np.eye(n))
+    pace = told(moving[:, :, None])
+    as_is = _left(y - pace[:, 0], np.concatenate([rubs, rotors], 1))[0]
+    left, x = _left(y, np.concatenate([pace, rubs], 1))
+    factor = float(np.sqrt(x[0])) if x[0] > 0 else 0.0
+    if left > GOOD or not 1.0 / 20.0 < factor < 20.0 or 1.0 / OFF < factor < OFF:
+        return ()
+    step = float(np.median(np.concatenate([np.diff(t.time) for t in tracks])))
+    even = all(np.max(np.abs(np.diff(t.time) - step)) < NOMINAL * step for t in tracks)
+    counted = f"; its stamps are exactly {1e3 * step:.4g} ms apart, as if counted" if even else ""
+    how = "slow" if factor > 1 else "fast"
+    size = max(factor, 1.0 / factor)
+    line = f"time = {float(f'{_seconds(machine) / factor:.3g}'):g}"
+    says = (
+        f"time runs too {how}, {size:.3g} times: with the declared masses gravity moves the machine in {step / factor:.3g} s from row to row, not in "
+        f"{step:.3g} s{counted}"
+    )
+    mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
+    if as_is > TIMES * left and as_is > POOR:
+        raise BadInput(f"{machine.log.path}: {says}; {mend}; {AS_DECLARED}")
+    if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
+        return ()
+    text = f"{says}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
+    return (Finding("pace", "warn", "", "time", text, factor),)
+
+
+def _seconds(machine: Machine) -> float:
+    unit = machine.log.meta.units.get("time", "s")
+    return unit.scale if isinstance(unit, Affine) else TIME_UNITS.get(unit, 1.0)
+
+
+def _parts(motion: Motion, design: Design) -> tuple[np.ndarray, np.ndarray]:
+    """Torque `[K, n]` of the declared masses that motion needs, and that gravity does."""
+    n = motion.q.shape[1]
+    whole, moving = (design(motion, gravity)[:, :, :n].sum(2) for gravity in (True, False))
+    return moving, whole - moving
+
+
+def _left(y: np.ndarray, columns: np.ndarray) -> tuple[float, np.ndarray]:
+    """Share of the square of `y [K]` that the best multiples of `columns` leave, and these."""
+    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
+    x, *_ = np.linalg.lstsq(columns / size, y, rcond=1e-9)
+    return float(np.sum((y - columns / size @ x) ** 2) / max(float(np.sum((y - y.mean()) ** 2)), 1e-12)), x / size
+
+
+def _sharp(tracks: list[Track]) -> Motion:
+    """Short blocks of as many trials as a design takes: exact where motion is fast."""
+    parts: list[tuple[np.ndarray, ...]] = []
+    for track in tracks:
+        room = MOST - sum(len(p[0]) for p in parts)
+        parts.append(tuple(x[:room] for x in blocks(track, sharp=True)[:4]))
+    return Motion(*(np.concatenate([p[k] for p in parts]) for k in range(4)))
+
+
+def _smoothed(columns: np.ndarray) -> np.ndarray:
+    """Both sides of an equation `[K, P]` over some blocks: the same equation, with less of the sensors' noise."""
+    mean = np.ones(SMOOTH) / SMOOTH
+    return np.stack([np.convolve(c, mean, "valid") for c in columns.T], 1)
+
+
+def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+    """A question where every driven joint needs several times its logged effort, a multiple of its own: motors' currents are like that."""
+    if machine.log.input_kind != "torque":
+        return ()
+    motion = _sharp(tracks)
+    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)):
+        return ()
+    names = machine.tree.joint_names
+    moving, weight = _parts(motion, design)
+    driven = [j for j in range(motion.q.shape[1]) if np.ptp(motion.tau[:, j]) > 1e-9]
+    need = {}
+    for j in driven:
+        rubs = rubbing(motion)[:, j, [4 * j, 4 * j + 1, 4 * j + 2]]
+        columns = np.column_stack([motion.tau[:, j], -rubs, -motion.a[:, j]])
+        whole = _smoothed(np.column_stack([moving[:, j] + weight[:, j], columns]))
+        left, x = _left(whole[:, 0], whole[:, 1:])
+        if left > POOR or x[0] <= 0:
+            return ()
+        need[j] = float(x[0])
+    if len(need) < 2 or not all(x > NEAR or x < 1.0 / NEAR for x in need.values()):
+        return ()
+    if max(need.values()) < 1.5 * min(need.values()):
+        return ()  # of one scale all: a unit
+    told = ", ".join(f"{float(f'{x:.2g}'):g} at {names[j]}" for j, x in need.items())
+    lines = ", ".join(f'i_{names[j]} = "{_column(machine, j)}"' for j in need)
+    text = (
+        f"the masses of {machine.mechanism.path} need {told} times the logged efforts: are these currents (A), not torques? Then write "
+        f'input = "current" and, under [columns], {lines} in meta.toml, or the efforts in N m'
+    )
+    return (Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),)
+
+
+def _column(machine: Machine, joint: int) -> str:
+    log, name = machine.log, machine.tree.joint_names[joint]
+    known = dict(zip(log.input_names, log.input_columns, strict=False))
+    ours = known.get(name) or f"tau_{name}"
+    return log.meta.columns.get(ours, ours)

@@ -1,0 +1,51 @@
+"""Ends of declared ranges, as MuJoCo has them: a soft constraint whose force brings about a reference acceleration.
+
+MuJoCo's documentation, "Computation", constraint model: of a joint r beyond its range at the speed v the reference acceleration is
+-b v - k d(r) r with the impedance d; b, k and d come from `solref` and `solimp`.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.mechanisms.tree import Tree
+
+
+def limited(tree: Tree) -> np.ndarray:
+    """Joints [k] whose range may end the motion."""
+    return np.flatnonzero(tree.limited)
+
+
+def rates(stop: Any) -> tuple[Any, Any]:
+    """Stiffness 1/s^2 and damping 1/s of the reference acceleration, of rows `stop [.., 8]` (solref, solimp, inverse weight)."""
+    time, ratio, most = stop[..., 0], stop[..., 1], stop[..., 3]
+    direct = time <= 0
+    safe = jnp.where(direct, 1.0, time)
+    stiffness = jnp.where(direct, -time / most**2, 1.0 / jnp.maximum(most * safe * ratio, 1e-9) ** 2)
+    return stiffness, jnp.where(direct, -ratio / most, 2.0 / (most * safe))
+
+
+def impedance(stop: Any, far: Any) -> Any:
+    """Share d of the reference that a joint `far` [..] rad (m) beyond its range gets."""
+    first, last, width, middle, power = (stop[..., k] for k in (2, 3, 4, 5, 6))
+    x = jnp.clip(far / jnp.maximum(width, 1e-12), 0.0, 1.0)
+    low = x**power / jnp.maximum(middle, 1e-9) ** (power - 1.0)
+    high = 1.0 - (1.0 - x) ** power / jnp.maximum(1.0 - middle, 1e-9) ** (power - 1.0)
+    return jnp.clip(first + jnp.where(x <= middle, low, high) * (last - first), 1e-4, 1.0 - 1e-4)
+
+
+def hold_within(tree: Tree, q: Any, v: Any) -> tuple[Any, Any, Any, Any]:
+    """Of the limited joints, at q, v [n, W]: (which side the force goes, +-1; the reference acceleration towards it; what softness
+    adds to the inverse inertia; whether the range is left), [k, W] each."""
+    at = limited(tree)
+    stop = jnp.asarray(np.asarray(tree.stop))[at] if isinstance(tree.stop, np.ndarray) else tree.stop[at]
+    low, high = tree.range[at, 0][:, None], tree.range[at, 1][:, None]
+    q, v, stop = q[at], v[at], stop[:, None, :]
+    above, below = q - high, low - q
+    side = jnp.where(above > below, -1.0, 1.0)
+    far = jnp.maximum(above, below)
+    stiffness, damping = rates(stop)
+    share = impedance(stop, jnp.maximum(far, 0.0))
+    reference = -damping * side * v + stiffness * share * jnp.maximum(far, 0.0)
+    return side, reference, (1.0 - share) / share * stop[..., 7], far > 0.0

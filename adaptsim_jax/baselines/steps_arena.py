@@ -1,0 +1,122 @@
+"""Where methods meet targets of many steps: the arena of `arena.py` for tasks whose trial is an episode of a policy.
+
+A visit's own trials and the episodes that score it are rolled out together; what a method is told is its own trials alone.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.baselines.arena import Seen, Trials
+from adaptsim_jax.environments.rollout import Acting, look
+from adaptsim_jax.environments.rollout import episode as one_episode
+from adaptsim_jax.environments.task import Prepared, Setting, Tuned, acting_of, network_acting, play_in, ready
+
+
+class One(NamedTuple):
+    """What `learned.py` asks of a task: the task itself, episodes of a visit; nothing is mended or probed."""
+
+    task: Any
+    trials: int
+    remember: None = None
+    probe: None = None
+
+
+class Told(NamedTuple):
+    """Of a batch of policies: `obs [B, C]` and return `score [B]` of their own trials, and the mean return of the tests `[B]`."""
+
+    obs: np.ndarray
+    score: np.ndarray
+    tests: np.ndarray
+
+
+class StepsArena:
+    """The named targets of an environment's task, with the policy of one seed. `tests`: episodes that score a policy.
+
+    own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over the tests `[B]`.
+    """
+
+    def __init__(self, setting: Setting, prepared: Prepared, names: list[str], tests: int, seed: int):
+        self.setting, self.prepared, self.names, self.tests, self.seed = setting, prepared, names, tests, seed
+        self.one = One(ready(setting, prepared), setting.config.trials)
+        self.targets = np.array([setting.targets[name].values[: setting.space.dim] for name in names], np.float32)
+        self.failed, self.made, self.fresh = np.zeros(len(names), int), np.zeros(len(names), int), []
+        self.own: list[np.ndarray] = []
+        self.scored: list[np.ndarray] = []
+        self._train = jax.jit(jax.vmap(self.one.task.train))
+        self._plays = {name: play_in(setting, setting.targets[name]) for name in names}
+        self._run: dict[tuple[str, bool], Any] = {}
+        self._last: tuple[Any, Told] | None = None
+
+    def train(self, keys, dists, policies):
+        """Policies `[B, ...]` trained on `dists [B]`."""
+        return self._train(keys, dists, policies)
+
+    def untrained(self, keys):
+        """Policies `[B, ...]` as the task starts them."""
+        return jax.vmap(self.one.task.init_policy)(keys)
+
+    def visit(self, keys, where: np.ndarray, policies) -> Seen:
+        """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
+        told = self._told(where, policies)
+        self.own.append(told.score)
+        np.add.at(self.made, where, self.one.trials)
+        np.add.at(self.failed, where, np.where(np.isfinite(told.score), 0, self.one.trials))
+        return Seen(told.obs, told.score, Trials(None, None, None))  # type: ignore[arg-type]
+
+    def score(self, where: np.ndarray, policies) -> np.ndarray:
+        """Mean return `[B]` of the tests, the same starts for every policy."""
+        tests = self._told(where, policies).tests
+        self.scored.append(tests)
+        return tests
+
+    def _told(self, where, policies) -> Told:
+        if self._last is not None and _same(self._last[0], policies):
+            return self._last[1]
+        parts = {}
+        for t in np.unique(where):
+            rows = np.flatnonzero(where == t)
+            some = jax.tree.map(lambda x, rows=rows: jnp.asarray(x)[rows], policies)
+            parts[t] = (rows, self._rolled(self.names[t], some))
+        columns = [np.zeros((len(where), *np.shape(part)[1:]), np.float32) for part in next(iter(parts.values()))[1]]
+        for rows, part in parts.values():
+            for column, values in zip(columns, part, strict=True):
+                column[rows] = values
+        told = Told(*columns)
+        self._last = (policies, told)
+        return told
+
+    def _rolled(self, name: str, policies) -> Told:
+        own = isinstance(policies, Tuned)
+        if (name, own) not in self._run:
+            acting = network_acting(self.setting) if own else acting_of(self.setting, self.prepared.learned)
+            self._run[name, own] = jax.jit(self._runner(name, acting))
+        count = len(jax.tree.leaves(policies)[0])
+        visits = jax.random.fold_in(jax.random.key(self.seed), len(self.own) + 1)
+        keys = jax.random.split(visits, count)
+        return Told(*map(np.asarray, self._run[name, own](keys, policies)))
+
+    def _runner(self, name: str, acting: Acting):
+        play, values = self._plays[name]
+        task, trials, tests = self.one.task, self.one.trials, self.tests
+        fixed = jax.random.split(jax.random.key(20_000), tests)
+
+        def run(keys, policies):
+            def one(key, policy):
+                every = jnp.concatenate([jax.random.split(key, trials), fixed])
+                return jax.vmap(lambda k: look(one_episode(k, play, acting, policy, values)[0]))(every)
+
+            found = jax.vmap(one)(keys, policies)
+            mean = jax.tree.map(lambda x: x[:, :trials].mean(1), found)
+            return jax.vmap(task.observe)(mean), mean.score, found.score[:, trials:].mean(1)
+
+        return run
+
+
+def _same(a: Any, b: Any) -> bool:
+    x, y = jax.tree.leaves(a), jax.tree.leaves(b)
+    return len(x) == len(y) and all(
+        np.shape(p) == np.shape(q) and np.array_equal(p, q) for p, q in zip(x, y, strict=True)
+    )

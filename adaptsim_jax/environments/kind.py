@@ -1,0 +1,30 @@
+"""An environment's task as the registry holds it: `env.toml`, or the cart-pole where nothing is said."""
+
+from adaptsim_jax.environments.config import EnvironmentConfig
+from adaptsim_jax.environments.simulated import OWN, load
+from adaptsim_jax.environments.task import Setting, setting_of, task_of
+from adaptsim_jax.tasks.base import Task, TaskKind
+
+# Phase 1 at a fifth of the pendulum's size: a trajectory costs eleven episodes, and eight more that scale its reward
+TRAIN = {
+    "every": 5,
+    "phase1": {
+        "trajectories": 1000, "parallel": 50, "horizon": 10, "updates": 400, "capacity": 10000, "archive": 2000,
+        "hidden": [64, 64], "guided": 0.3,
+    },
+    "hyper": {"delta": 0.2, "shrink": 0.8, "gain": 2.0},
+}  # fmt: skip
+
+
+def make_environment(config: EnvironmentConfig) -> Task:
+    """The task of `config`; its policy is trained by its `preparation`. BadInput names a field, a target or a key at fault."""
+    return task_of(environment_setting(config))
+
+
+def environment_setting(config: EnvironmentConfig) -> Setting:
+    """All that the task of `config` is made of, before anything is learned."""
+    where = config.env if config.env in OWN else "env.toml"
+    return setting_of(load(config.env, config.options, where), config, where=where)
+
+
+TASK = TaskKind(EnvironmentConfig, make_environment, train=TRAIN)

@@ -1,0 +1,109 @@
+"""One episode of a policy in a world: its return, and what of it an adaptation sees."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.environments.interface import Live, Play
+
+WINDOWS, EARLY, LATE = 4, 8, 4
+
+
+class Acting(NamedTuple):
+    """A policy at work: `start(policy) -> memory`, `act(key, policy, memory, live) -> (action [A], memory)`; pure."""
+
+    start: Callable[[Any], Any]
+    act: Callable[[jax.Array, Any, Any, Live], tuple[jax.Array, Any]]
+
+
+class Rollout(NamedTuple):
+    """Of one visit, means over its episodes: return `score []`, `length []` in steps, `features [K]`."""
+
+    score: jax.Array
+    length: jax.Array
+    features: jax.Array
+
+
+class Steps(NamedTuple):
+    """Of one episode, `[T, ...]`: observation before each step, action, reward, and 1 while it goes on."""
+
+    obs: jax.Array
+    action: jax.Array
+    reward: jax.Array
+    on: jax.Array
+
+
+def episode(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array) -> tuple[Steps, Live]:
+    """One episode of `policy` in the world of `values [F]`: its steps, and the environment's end."""
+    reset_key, act_key = jax.random.split(key)
+    world = play.world(values)
+    live = play.reset(world, reset_key)
+
+    def step(carry, key):
+        live, memory, on = carry
+        action, memory = acting.act(key, policy, memory, live)
+        after = play.step(world, live, action)
+        row = Steps(live.obs, jnp.clip(action, -1.0, 1.0), on * after.reward, on)
+        return (after, memory, on * (1.0 - after.done)), row
+
+    keys = jax.random.split(act_key, play.sim.length)
+    (live, _, _), steps = jax.lax.scan(step, (live, acting.start(policy), jnp.ones(())), keys)
+    return steps, live
+
+
+def look(steps: Steps) -> Rollout:
+    """What is kept of an episode: means, spreads and step changes of each observed channel and action in each of four quarters, and
+    the observation at twelve moments, most of them early, where a policy has not yet forgotten where it began."""
+    T = steps.obs.shape[0]
+    rows = jnp.concatenate([steps.obs, steps.action], -1)
+    part = max(T // WINDOWS, 1)
+    count = min(WINDOWS, T)
+    cut = lambda x: x[: part * count].reshape(count, part, *x.shape[1:])
+    on = cut(steps.on)[..., None]
+    size = jnp.maximum(on.sum(1), 1.0)
+    quarters = cut(rows)
+    mean = (quarters * on).sum(1) / size
+    spread = jnp.sqrt((jnp.square(quarters - mean[:, None]) * on).sum(1) / size + 1e-12)
+    change = jnp.abs(jnp.diff(quarters, axis=1) * on[:, 1:]).sum(1) / size
+    early = np.unique(np.linspace(1, max(T // 4, 2), EARLY).astype(int))
+    late = np.unique(np.linspace(T // 4, T - 1, LATE + 1).astype(int)[1:])
+    moments = np.minimum(np.resize(np.concatenate([early, late]), EARLY + LATE), T - 1)
+    snaps = steps.obs[moments] * steps.on[moments][:, None]
+    score, length = steps.reward.sum(), steps.on.sum()
+    flat = [x.reshape(-1) for x in (mean, spread, change, snaps, score / T, length / T)]
+    return Rollout(score, length, jnp.concatenate(flat))
+
+
+def visit(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array, trials: int) -> Rollout:
+    """`trials` episodes from fresh starts, averaged."""
+    one = lambda k: look(episode(k, play, acting, policy, values)[0])
+    if trials == 1:
+        return one(key)
+    return jax.tree.map(lambda x: x.mean(0), jax.vmap(one)(jax.random.split(key, trials)))
+
+
+class Shown(NamedTuple):
+    """How features become an observation: centre `[K]`, and principal axes `[C, K]` scaled to unit variance."""
+
+    centre: jax.Array
+    axes: jax.Array
+
+    def __call__(self, features: jax.Array) -> jax.Array:
+        """`[K] -> [C]`; near enough linear to 1, logarithmic far out."""
+        x = self.axes @ jnp.clip(jnp.nan_to_num(features - self.centre, posinf=1e6, neginf=-1e6), -1e6, 1e6)
+        return jnp.sign(x) * jnp.log1p(jnp.abs(x))
+
+
+def whitened(features: np.ndarray, components: int) -> Shown:
+    """Principal axes of `features [N, K]`, each channel to unit variance first, since units differ."""
+    data = features[np.isfinite(features).all(1)].astype(np.float64)
+    centre, spread = data.mean(0), data.std(0) + 1e-6
+    _, sizes, axes = np.linalg.svd((data - centre) / spread, full_matrices=False)
+    deviation = np.maximum(sizes / np.sqrt(len(data)), 1e-6)
+    scaled = np.zeros((components, data.shape[1]))
+    used = min(components, len(axes))
+    scaled[:used] = axes[:used] / deviation[:used, None] / spread
+    return Shown(jnp.asarray(centre, jnp.float32), jnp.asarray(scaled, jnp.float32))

@@ -1,0 +1,120 @@
+"""Targets: the same model in MuJoCo C, with another integrator, a smaller step, and what Omega cannot say.
+
+A target is a table of values by field name, of Omega or not: dry friction, a delay beyond the box, a weaker motor, a payload. What it
+does not name is as the file has it. Beside them it may say its `engine`: `mujoco` (C; by default) or `simulator`; `integrator`;
+`steps`: how many of its steps make one of the file's.
+"""
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx, rollout
+
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.environments.fields import Field, edit_native, field_of
+
+ENGINE = {"engine": "mujoco", "integrator": "implicitfast", "steps": 2}
+INTEGRATORS = {
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+
+
+class Target(NamedTuple):
+    """values `[F]` of all fields, those of Omega first; the engine's name, integrator and steps."""
+
+    values: np.ndarray
+    engine: str
+    integrator: str
+    steps: int
+
+
+def hidden_fields(model: Any, targets: Mapping[str, Any], omega: tuple[Field, ...]) -> tuple[Field, ...]:
+    """The fields that some target names and Omega does not have, in the order in which they come."""
+    names: dict[str, str] = {}
+    for target, table in targets.items():
+        if not isinstance(table, Mapping):
+            raise BadInput(f"targets.{target}: is no table; write [targets.{target}] and a line for each field")
+        for name in table:
+            if name not in ENGINE and name not in {f.name for f in omega}:
+                names.setdefault(name, target)
+    return tuple(field_of(model, name, f"targets.{target}") for name, target in names.items())
+
+
+def target_of(name: str, table: Mapping[str, Any], fields: tuple[Field, ...], compiled: bool) -> Target:
+    """The target called `name`. compiled: there is a MuJoCo model, so that C can run it."""
+    values = np.array([f.nominal for f in fields], np.float64)
+    for i, field in enumerate(fields):
+        if field.name not in table:
+            continue
+        value = finite(table[field.name])
+        if value is None or value < field.least:
+            what = f"targets.{name}: '{field.name}' = {brief(table[field.name])}"
+            raise BadInput(f"{what}; give a number of {field.least:g} {field.unit} or more")
+        values[i] = value
+    said = {key: table.get(key, ENGINE[key]) for key in ENGINE}
+    engine = configs.pick("engine", str(said["engine"]), ("mujoco", "simulator"))
+    configs.pick("integrator", str(said["integrator"]), INTEGRATORS)
+    if type(said["steps"]) is not int or said["steps"] < 1:
+        raise BadInput(f"targets.{name}: steps = {brief(said['steps'])}; give a whole number of 1 or more")
+    return Target(values, engine if compiled else "simulator", said["integrator"], said["steps"])
+
+
+def native_physics(model: mujoco.MjModel, fields: tuple[Field, ...], target: Target, threads: int = 2) -> Callable:
+    """`physics(model, data, ctrl [nu], substeps) -> data`: MuJoCo C with the target's values, whatever the model that is given says.
+
+    Derived quantities are those of the state before the last of the file's steps, as MJX leaves them.
+    """
+    c = copy.deepcopy(model)
+    edit_native(c, fields, target.values)
+    c.opt.timestep = model.opt.timestep / target.steps
+    c.opt.integrator = INTEGRATORS[target.integrator]
+    nq, nv, na = c.nq, c.nv, c.na
+    pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads)]
+    spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    size = mujoco.mj_stateSize(c, spec)
+
+    def run(time, qpos, qvel, act, ctrl, warm, count):
+        lead = np.shape(qpos)[:-1]
+        B, n = int(np.prod(lead, dtype=int)), int(np.max(count)) * target.steps
+        start = np.zeros((B, size))
+        parts = [np.asarray(x, np.float64).reshape(B, -1) for x in (time, qpos, qvel, act)]
+        start[:, : 1 + nq + nv + na] = np.concatenate(parts, 1)
+        control = np.repeat(np.asarray(ctrl, np.float64).reshape(B, 1, -1), n, 1)
+        warmed = np.asarray(warm, np.float64).reshape(B, nv)
+        sound = np.isfinite(start).all(1) & np.isfinite(control).all((1, 2))
+        start[~sound], control[~sound], warmed[~sound] = 0.0, 0.0, 0.0
+        states, _ = pool.rollout(c, datas, start, control, nstep=n, initial_warmstart=warmed)
+        before = states[:, -1 - target.steps] if n > target.steps else start
+        both = np.concatenate([before[:, : 1 + nq + nv + na], states[:, -1, : 1 + nq + nv + na]], 1)
+        both[~sound] = np.nan
+        return both.astype(np.float32).reshape(*lead, -1)
+
+    def physics(given, data, ctrl, substeps):
+        out = jax.ShapeDtypeStruct((2 * (1 + nq + nv + na),), jnp.float32)
+        time, count = jnp.asarray(data.time, jnp.float32), jnp.asarray(substeps, jnp.int32)
+        ctrl = jnp.broadcast_to(ctrl, (c.nu,))
+        args = (time, data.qpos, data.qvel, data.act, ctrl, data.qacc_warmstart, count)
+        both = jax.pure_callback(run, out, *args, vmap_method="broadcast_all")
+        before, after = both[: both.shape[0] // 2], both[both.shape[0] // 2 :]
+
+        def put(data, row):
+            return data.replace(
+                time=row[0].astype(data.time.dtype) if hasattr(data.time, "dtype") else row[0],
+                qpos=row[1 : 1 + nq],
+                qvel=row[1 + nq : 1 + nq + nv],
+                act=row[1 + nq + nv :],
+            )
+
+        return put(mjx.forward(given, put(data.replace(ctrl=ctrl), before)), after)
+
+    return physics

@@ -1,0 +1,197 @@
+"""Policies over many steps: the protocol `Trainer`, and PPO in worlds drawn from a box.
+
+One program trains what differs only in numbers: a policy that knows E's mean (every world is told to it), one for all of Omega that
+is told nothing (UDR), one at a single point (nominal values, an oracle in its target).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.interface import Live, Play
+from adaptsim_jax.learners.ppo import Actor, Batch, PPOConfig, PPOHyper, PPOState, carried, make_ppo
+from adaptsim_jax.space import Space
+
+
+class Worlds(NamedTuple):
+    """Where a trainer's worlds are drawn: unit coordinates between low and high `[D]`; known `[]`: 1 where the policy is told them,
+    0 where it is told the middle of Omega; rest `[R]`: values of the fields that are not of Omega, the same for all."""
+
+    low: jax.Array
+    high: jax.Array
+    known: jax.Array
+    rest: jax.Array
+
+
+class Trainer(NamedTuple):
+    """How policies are trained, as pure functions that the caller jits; `train` may be vmapped over states and worlds.
+
+    * `init(key) -> learned`, a pytree of arrays: all that training leaves, such as weights and the optimiser's state
+    * `begin(key, learned) -> state`: ready to train from there
+    * `train(key, state, worlds, rounds) -> (state, info)`: `rounds`, static, of training on
+    * `learned(state) -> learned`; `policy(learned) -> policy`, any pytree
+    * `act(policy, obs [O], told [D]) -> action [A]` in [-1, 1]; told: E's mean, -1 to 1 over Omega
+    """
+
+    init: Callable[[jax.Array], Any]
+    begin: Callable[[jax.Array, Any], Any]
+    train: Callable[..., tuple[Any, Any]]
+    learned: Callable[[Any], Any]
+    policy: Callable[[Any], Any]
+    act: Callable[[Any, jax.Array, jax.Array], jax.Array]
+
+
+@dataclass(frozen=True)
+class PPOTraining:
+    """PPO at work: steps of environments in all, `parallel` of them at once, an update after each has made `unroll` steps.
+
+    decay: the learning rate falls to this share of its start. stagger: episodes end at different times, so that an update sees all
+    of them; else all begin together.
+    """
+
+    steps: int = 3_000_000
+    parallel: int = 256
+    unroll: int = 40
+    hidden: tuple[int, ...] = (64, 64)
+    activation: str = "tanh"
+    epochs: int = 4
+    minibatches: int = 8
+    decay: float = 0.1
+    stagger: bool = True
+    hyper: PPOHyper = field(default_factory=PPOHyper)
+
+    def __post_init__(self):
+        for name in ("steps", "parallel", "unroll"):
+            if getattr(self, name) < 1:
+                raise BadInput(f"training.{name} = {getattr(self, name)}: give at least 1")
+        if self.parallel * self.unroll % self.minibatches:
+            raise BadInput(
+                f"training: {self.parallel} environments of {self.unroll} steps do not divide into {self.minibatches} minibatches"
+            )
+
+    @property
+    def rounds(self) -> int:
+        return max(1, self.steps // (self.parallel * self.unroll))
+
+
+class TrainerState(NamedTuple):
+    """The learner, environments `[B]` with the values `[B, F]` and what is told of them `[B, D]`, discounted rewards so far `[B]`,
+    and updates so far."""
+
+    ppo: PPOState
+    live: Live
+    values: jax.Array
+    told: jax.Array
+    carried: jax.Array
+    gained: jax.Array
+    number: jax.Array
+
+
+class TrainerInfo(NamedTuple):
+    """Of each update: mean return of the episodes that ended in it (not a number where none did), reward of a step, the
+    exploration's standard deviation, KL."""
+
+    episode: jax.Array
+    reward: jax.Array
+    spread: jax.Array
+    kl: jax.Array
+
+
+def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int) -> Trainer:
+    """PPO in the worlds of `play`, whose first fields are those of `space` (Omega), the rest after them."""
+    A, B, D = play.sim.action_dim, config.parallel, space.dim
+    ppo = make_ppo(PPOConfig(obs_dim, A, D, config.hidden, config.activation, config.epochs, config.minibatches))
+
+    def draw(key, worlds: Worlds):
+        u = worlds.low + (worlds.high - worlds.low) * jax.random.uniform(key, (D,))
+        values = jnp.concatenate([space.physical(u), worlds.rest])
+        return values, worlds.known * (2.0 * u - 1.0)
+
+    def fresh_one(key, worlds):
+        """A fresh environment in a fresh world."""
+        world_key, reset_key = jax.random.split(key)
+        values, told = draw(world_key, worlds)
+        return play.reset(play.world(values), reset_key), values, told
+
+    def begin(key, learned):
+        R = len(play.fields) - D
+        centre = jnp.full(D, 0.5)
+        nominal = jnp.asarray([f.nominal for f in play.fields[D:]], jnp.float32).reshape(R)
+        live, values, told = jax.vmap(fresh_one, (0, None))(
+            jax.random.split(key, B), Worlds(centre, centre, jnp.ones(()), nominal)
+        )
+        if config.stagger:
+            live = live._replace(time=jax.random.randint(key, (B,), 0, play.sim.length))
+        zero = jnp.zeros(B)
+        return TrainerState(learned, live, values, told, zero, zero, jnp.zeros((), jnp.int32))
+
+    def one_round(key, state: TrainerState, worlds: Worlds):
+        fresh_key, act_key, learn_key = jax.random.split(key, 3)
+        fresh, fresh_values, fresh_told = jax.vmap(fresh_one, (0, None))(jax.random.split(fresh_key, B), worlds)
+        first = state.number == 0
+        choose = lambda on, a, b: jax.tree.map(lambda x, y: jnp.where(_like(on, x), x, y), a, b)
+        every = jnp.broadcast_to(first, (B,))
+        clock = state.live.time
+        live = choose(every, fresh, state.live)._replace(time=clock)
+        values = jnp.where(every[:, None], fresh_values, state.values)
+        told = jnp.where(every[:, None], fresh_told, state.told)
+        world = jax.vmap(play.world)(values)
+        actor = ppo.actor(state.ppo)
+
+        def step(carry, key):
+            live, gained, over = carry
+            action, log_prob = ppo.act(key, actor, live.obs, told)
+            after = jax.vmap(play.step)(world, live, action)
+            reward = jnp.where(jnp.isfinite(after.reward), after.reward, 0.0)
+            sound = jnp.isfinite(after.obs).all(-1) & jnp.isfinite(after.reward)
+            obs_after = jnp.where(sound[:, None], after.obs, live.obs)
+            ended = jnp.maximum(after.done, 1.0 - sound)
+            cut = (after.time >= play.sim.length) * (1.0 - ended)
+            stop = jnp.maximum(ended, cut) > 0
+            total = gained + reward
+            row = (live.obs, action, log_prob, reward, obs_after, ended, cut, total, stop)
+            live = choose(stop, fresh, after)  # for the rest of this batch; then it begins once more, in a fresh world
+            return (live, jnp.where(stop, 0.0, total), over | stop), row
+
+        (live, gained, over), rows = jax.lax.scan(
+            step, (live, state.gained, jnp.zeros(B, bool)), jax.random.split(act_key, config.unroll)
+        )
+        obs, action, log_prob, reward, obs_after, ended, cut, totals, stops = rows
+        cut = cut.at[-1].set(jnp.maximum(cut[-1], over * (1.0 - ended[-1])))  # those begin anew, in another world
+        extra = jnp.broadcast_to(told, (config.unroll, *told.shape))
+        batch = Batch(obs, extra, action, log_prob, reward, obs_after, ended, cut, state.carried)
+        share = jnp.clip(state.number / config.rounds, 0.0, 1.0)
+        hyper = config.hyper
+        rate = hyper.learning_rate * (1.0 - (1.0 - config.decay) * share)
+        learned, info = ppo.update(learn_key, state.ppo, batch, replace(hyper, learning_rate=rate))
+        _, kept = carried(batch, hyper.discount)
+        state = TrainerState(
+            learned,
+            choose(over, fresh, live),
+            jnp.where(over[:, None], fresh_values, values),
+            jnp.where(over[:, None], fresh_told, told),
+            jnp.where(over, 0.0, kept),
+            jnp.where(over, 0.0, gained),
+            state.number + 1,
+        )
+        episode = jnp.sum(totals * stops) / jnp.sum(stops)
+        return state, TrainerInfo(episode, reward.mean(), info.spread, info.kl)
+
+    def train(key, state, worlds, rounds):
+        def on(state, _):
+            return one_round(jax.random.fold_in(key, state.number), state, worlds)
+
+        return jax.lax.scan(on, state, None, rounds)
+
+    def act(policy: Actor, obs, told):
+        return ppo.deployed(policy, obs, told)
+
+    return Trainer(ppo.init, begin, train, lambda state: state.ppo, ppo.actor, act)
+
+
+def _like(on: jax.Array, x: jax.Array) -> jax.Array:
+    return on.reshape(*on.shape, *(1,) * (x.ndim - on.ndim))

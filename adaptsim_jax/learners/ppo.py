@@ -1,0 +1,284 @@
+"""Proximal policy optimisation for actions on a continuum (Schulman et al. 2017), with advantages by GAE (2016).
+
+A Gaussian about the policy's output, clipped into `[-1, 1]^d`; a value network of its own. Observations are standardised by what was
+seen so far, rewards by the spread of discounted returns. What a policy may know beside the observation (`extra`) goes to both
+networks as it is. Sizes are static (`PPOConfig`), rates traced (`PPOHyper`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.learners.bdq import ACTIVATIONS
+from adaptsim_jax.learners.flat import flat
+
+LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Sizes, static under jit. obs_dim: standardised; extra_dim: what a policy knows beside them; epochs x minibatches: Adam steps of
+    an update."""
+
+    obs_dim: int
+    action_dim: int
+    extra_dim: int = 0
+    hidden: tuple[int, ...] = (64, 64)
+    activation: str = "tanh"
+    epochs: int = 4
+    minibatches: int = 8
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PPOHyper:
+    """Rates: a pytree, each leaf a scalar, or `[S]` under vmap.
+
+    learning_rate: Adam's; discount: gamma; trace: lambda of GAE; clip: how far the ratio of probabilities may go; entropy: bonus on
+    the exploration; value: weight of the value's loss; max_grad_norm: gradients are scaled down to this global norm.
+    """
+
+    learning_rate: float = 1e-3
+    discount: float = 0.99
+    trace: float = 0.95
+    clip: float = 0.2
+    entropy: float = 1e-3
+    value: float = 0.5
+    max_grad_norm: float = 1.0
+
+
+class Scale(NamedTuple):
+    """Count, mean and sum of squares about it, of numbers seen so far."""
+
+    count: jax.Array
+    mean: jax.Array
+    squares: jax.Array
+
+    @property
+    def std(self) -> jax.Array:
+        return jnp.sqrt(self.squares / jnp.maximum(self.count, 1.0)) + 1e-4
+
+
+class Actor(NamedTuple):
+    """What is deployed: weights `[n]`, mean and standard deviation `[O]` of observations."""
+
+    weights: jax.Array
+    mean: jax.Array
+    std: jax.Array
+
+
+class PPOState(NamedTuple):
+    """What the next update needs. `gain`: of discounted returns, whose spread scales rewards."""
+
+    weights: jax.Array
+    opt: optax.OptState
+    obs: Scale
+    gain: Scale
+
+
+class Batch(NamedTuple):
+    """`T` steps of `B` environments, `[T, B, ...]`: `after` is the observation that a step led to; ended: it was the last of its
+    episode, and no reward follows; cut: what follows is another episode, but this one would have gone on. carried `[B]`:
+    discounted rewards of the episode before this batch, for the spread of returns."""
+
+    obs: jax.Array
+    extra: jax.Array
+    action: jax.Array
+    log_prob: jax.Array
+    reward: jax.Array
+    after: jax.Array
+    ended: jax.Array
+    cut: jax.Array
+    carried: jax.Array
+
+
+class PPOInfo(NamedTuple):
+    """Of one update, each `[]`: losses, the exploration's standard deviation, and how far the new policy is from the old (KL)."""
+
+    policy_loss: jax.Array
+    value_loss: jax.Array
+    spread: jax.Array
+    kl: jax.Array
+
+
+class Network(nn.Module):
+    """`[..., O + X] -> mean [..., d], log std [d], value [...]`."""
+
+    config: PPOConfig
+
+    @nn.compact
+    def __call__(self, x: jax.Array):
+        cfg = self.config
+
+        def mlp(y, outputs, scale):
+            for width in cfg.hidden:
+                y = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=nn.initializers.orthogonal(np.sqrt(2)))(y))
+            return nn.Dense(outputs, kernel_init=nn.initializers.orthogonal(scale))(y)
+
+        log_std = self.param("log_std", nn.initializers.constant(-0.5), (cfg.action_dim,))
+        return mlp(x, cfg.action_dim, 0.01), jnp.clip(log_std, LOWEST, HIGHEST), mlp(x, 1, 1.0)[..., 0]
+
+
+class PPO(NamedTuple):
+    """The learner as pure functions; see `make_ppo`."""
+
+    config: PPOConfig
+    init: Callable[[jax.Array], PPOState]
+    actor: Callable[[PPOState], Actor]
+    deployed: Callable[[Actor, jax.Array, jax.Array], jax.Array]
+    act: Callable[..., tuple[jax.Array, jax.Array]]
+    update: Callable[..., tuple[PPOState, PPOInfo]]
+
+
+def make_ppo(config: PPOConfig) -> PPO:
+    """Check the sizes and return the learner.
+
+    * `init(key) -> PPOState`; `actor(state) -> Actor`
+    * `deployed(actor, obs [..., O], extra [..., X]) -> [..., d]` in [-1, 1], without noise
+    * `act(key, actor, obs, extra) -> (action [..., d], log_prob [...])`, with the exploration's noise, not clipped
+    * `update(key, state, batch, hyper) -> (state, info)`: one round of epochs over a `Batch`
+    """
+    _check(config)
+    weights_of, network = flat(Network(config), config.obs_dim + config.extra_dim)
+
+    def apply(weights, mean, std, obs, extra):
+        lead = (1,) * (obs.ndim - 1)
+        seen = jnp.clip((obs - mean.reshape(*lead, -1)) / std.reshape(*lead, -1), -10.0, 10.0)
+        return network(weights, jnp.concatenate([seen, extra], -1))
+
+    def init(key):
+        weights = weights_of(key)
+        blank = lambda shape: Scale(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
+        return PPOState(weights, optax.scale_by_adam().init(weights), blank(config.obs_dim), blank(()))
+
+    def actor(state):
+        return Actor(state.weights, state.obs.mean, jnp.where(state.obs.count > 0, state.obs.std, 1.0))
+
+    def deployed(actor, obs, extra):
+        return jnp.clip(apply(*actor, obs, extra)[0], -1.0, 1.0)
+
+    def act(key, actor, obs, extra):
+        mean, log_std, _ = apply(*actor, obs, extra)
+        action = mean + jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1) * jax.random.normal(key, mean.shape)
+        return action, _log_prob(action, mean, log_std)
+
+    def update(key, state, batch, hyper):
+        rewards, gain = _scaled(state.gain, batch, hyper.discount)
+        told = actor(state._replace(obs=state.obs))
+        value = lambda obs: apply(*told, obs, batch.extra)[2]
+        values = value(batch.obs)
+        advantage = gae(rewards, values, value(batch.after), batch, hyper)
+        rows = jax.tree.map(
+            lambda x: x.reshape(-1, *x.shape[2:]),
+            (batch.obs, batch.extra, batch.action, batch.log_prob, advantage, advantage + values),
+        )
+        loss = lambda w, part: _loss(lambda o, e: apply(w, told.mean, told.std, o, e), part, hyper)
+        (weights, opt), infos = _epochs(key, config, loss, (state.weights, state.opt), rows, hyper)
+        info = jax.tree.map(jnp.mean, infos)
+        return PPOState(weights, opt, _more(state.obs, batch.obs), gain), info
+
+    return PPO(config, init, actor, deployed, act, update)
+
+
+def gae(reward: jax.Array, value: jax.Array, after: jax.Array, batch: Batch, hyper: PPOHyper) -> jax.Array:
+    """Advantages `[T, B]` from rewards and values `[T, B]` before and `after` each step (Schulman et al. 2016)."""
+    delta = reward + hyper.discount * (1.0 - batch.ended) * after - value
+    on = (1.0 - batch.ended) * (1.0 - batch.cut)
+
+    def back(carry, row):
+        delta, on = row
+        carry = delta + hyper.discount * hyper.trace * on * carry
+        return carry, carry
+
+    return jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, on), reverse=True)[1]
+
+
+def carried(batch: Batch, discount: jax.Array | float) -> tuple[jax.Array, jax.Array]:
+    """Discounted rewards of an episode so far: at each step `[T, B]`, and what the next batch begins with `[B]`."""
+
+    def on(total, row):
+        reward, over = row
+        total = discount * total + reward
+        return total * (1.0 - over), total
+
+    over = jnp.maximum(batch.ended, batch.cut)
+    rest, every = jax.lax.scan(on, batch.carried, (batch.reward, over))
+    return every, rest
+
+
+def _scaled(gain: Scale, batch: Batch, discount) -> tuple[jax.Array, Scale]:
+    every, _ = carried(batch, discount)
+    gain = _more(gain, every[..., None], last=())
+    return batch.reward / jnp.maximum(gain.std, 1e-3), gain
+
+
+def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) -> Scale:
+    """`scale` with `rows [T, B, n]` added (Chan et al. 1979)."""
+    flat_rows = rows.reshape(-1, rows.shape[-1])
+    count, mean = jnp.asarray(flat_rows.shape[0], jnp.float32), flat_rows.mean(0)
+    squares = jnp.square(flat_rows - mean[None]).sum(0)
+    if last is not None:
+        mean, squares = mean.reshape(last), squares.reshape(last)
+    total = scale.count + count
+    apart = mean - scale.mean
+    return Scale(
+        total,
+        scale.mean + apart * count / total,
+        scale.squares + squares + jnp.square(apart) * scale.count * count / total,
+    )
+
+
+def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):
+    """Adam steps over all of `rows`, shuffled anew in each epoch."""
+    count = rows[-1].shape[0]
+    size = count // config.minibatches
+
+    def step(carry, part):
+        weights, opt = carry
+        (_, info), grad = jax.value_and_grad(loss, has_aux=True)(weights, part)
+        grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
+        grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(optax.tree.norm(grad), 1e-12))
+        move, opt = optax.scale_by_adam().update(grad, opt)
+        return (weights - hyper.learning_rate * move, opt), info
+
+    def epoch(carry, key):
+        order = jax.random.permutation(key, count)[: size * config.minibatches].reshape(config.minibatches, size)
+        return jax.lax.scan(lambda c, pick: step(c, jax.tree.map(lambda x: x[pick], rows)), carry, order)
+
+    return jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
+
+
+def _loss(apply, part, hyper: PPOHyper):
+    obs, extra, action, old, advantage, goal = part
+    mean, log_std, value = apply(obs, extra)
+    change = jnp.clip(_log_prob(action, mean, log_std) - old, -20.0, 20.0)
+    ratio = jnp.exp(change)
+    scaled = (advantage - advantage.mean()) / (advantage.std() + 1e-6)
+    clipped = jnp.clip(ratio, 1.0 - hyper.clip, 1.0 + hyper.clip)
+    gained = jnp.minimum(ratio * scaled, clipped * scaled).mean()
+    wrong = 0.5 * jnp.square(value - goal).mean()
+    total = -gained + hyper.value * wrong - hyper.entropy * log_std.sum()
+    return total, PPOInfo(-gained, wrong, jnp.exp(log_std).mean(), (ratio - 1.0 - change).mean())
+
+
+def _log_prob(action, mean, log_std) -> jax.Array:
+    log_std = log_std.reshape(*(1,) * (mean.ndim - 1), -1)
+    z = (action - mean) / jnp.exp(log_std)
+    return (-0.5 * jnp.square(z) - log_std - 0.5 * np.log(2 * np.pi)).sum(-1)
+
+
+def _check(config: PPOConfig) -> None:
+    if (
+        not config.hidden
+        or min(config.obs_dim, config.action_dim, config.epochs, config.minibatches, *config.hidden) < 1
+    ):
+        raise BadInput(f"PPO sizes {config}: each must be positive, with one hidden layer or more")
+    if config.activation not in ACTIVATIONS:
+        raise BadInput(f"PPO activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")

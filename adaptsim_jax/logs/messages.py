@@ -1,0 +1,146 @@
+"""What messages say of joints, by the name of their type: their states, and what they command; and the stamps of messages."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+STATE = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+GOAL = "control_msgs/msg/FollowJointTrajectoryActionGoal"
+CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+PR2 = "pr2_controllers_msgs/msg/JointTrajectoryControllerState"
+DYNAMIC = "control_msgs/msg/DynamicJointState"
+FOXGLOVE = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
+ARRAYS = (
+    "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64", "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float32",
+)  # fmt: skip
+TRAJECTORIES = (TRAJECTORY, GOAL)
+CONTROLLERS = (CONTROLLER, PR2)
+FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}
+
+Said = tuple[tuple[str, ...], Mapping[str, Any]]
+"""Names of joints (none where the message gives none), and their values by stem of our columns."""
+
+
+def state_of(kind: str) -> Callable[[Any], Said] | None:
+    """What reads states of joints from messages of a type; None where these hold none."""
+    return STATES.get(kind)
+
+
+def command_of(kind: str) -> Callable[[Any], Said] | None:
+    """What reads commands from messages of a type, but for trajectories; None where these hold none."""
+    return COMMANDED.get(kind)
+
+
+def _joint_state(m: Any) -> Said:
+    get = lambda field: _numbers(getattr(m, field, ()))
+    return tuple(getattr(m, "name", ())), {stem: get(field) for field, stem in FIELDS.items()}
+
+
+def _joint_states(m: Any) -> Said:
+    joints = list(getattr(m, "joints", ()))
+    said: dict[str, np.ndarray] = {}
+    for field, stem in FIELDS.items():
+        if any(_given(joint, field) for joint in joints):
+            said[stem] = np.array([_number(getattr(joint, field, None)) for joint in joints])
+    return tuple(joint.name for joint in joints), said
+
+
+def _given(joint: Any, field: str) -> bool:
+    """Whether a joint has the field: in protobuf a field that may be left out is 0 where it is."""
+    try:
+        return joint.HasField(field)
+    except (AttributeError, ValueError):
+        return getattr(joint, field, None) is not None
+
+
+def _dynamic(m: Any) -> Said:
+    said = {stem: np.full(len(m.joint_names), np.nan) for stem in FIELDS.values()}
+    for j, values in enumerate(m.interface_values):
+        for name, value in zip(values.interface_names, values.values, strict=False):
+            if name in FIELDS:
+                said[FIELDS[name]][j] = value
+    return tuple(m.joint_names), {stem: x for stem, x in said.items() if np.isfinite(x).any()}
+
+
+def _actual(m: Any) -> Said:
+    point = _point(m, ("feedback", "actual"))
+    said = {"q": point.positions, "v": point.velocities, "tau": point.effort} if point is not None else {}
+    return tuple(m.joint_names), {stem: _numbers(x) for stem, x in said.items()}
+
+
+def _desired(m: Any) -> Said:
+    point = _point(m, ("reference", "desired"))
+    return tuple(m.joint_names), {"target": _numbers(point.positions) if point is not None else ()}
+
+
+def _point(m: Any, names: tuple[str, ...]) -> Any:
+    """Newer messages say `reference` and `feedback`, older ones `desired` and `actual`; those between have both, and fill one."""
+    points = [getattr(m, name) for name in names if hasattr(m, name)]
+    return next((point for point in points if len(point.positions)), None)
+
+
+def _commanded(m: Any) -> Said:
+    names, said = _joint_state(m)
+    return names, {"target": said["q"]} if len(said["q"]) else {"tau_commanded": said["tau"]}
+
+
+def _commanded_states(m: Any) -> Said:
+    names, said = _joint_states(m)
+    return names, {"target": said["q"]} if "q" in said else {"tau_commanded": said.get("tau", ())}
+
+
+def _array(m: Any) -> Said:
+    values = np.atleast_1d(_numbers(m.data))
+    return tuple(str(i) for i in range(1, len(values) + 1)), {"ctrl": values}
+
+
+def _number(value: Any) -> float:
+    """JSON writes NaN as nothing, or as a word."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
+
+
+def _numbers(values: Any) -> np.ndarray:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return np.array([_number(value) for value in values])
+
+
+STATES: dict[str, Callable[[Any], Said]] = {
+    STATE: _joint_state, DYNAMIC: _dynamic, **dict.fromkeys(CONTROLLERS, _actual), **dict.fromkeys(FOXGLOVE, _joint_states),
+}  # fmt: skip
+COMMANDED: dict[str, Callable[[Any], Said]] = {
+    STATE: _commanded, **dict.fromkeys(CONTROLLERS, _desired), **dict.fromkeys(FOXGLOVE, _commanded_states),
+    **dict.fromkeys(ARRAYS, _array),
+}  # fmt: skip
+
+
+def stamp_of(message: Any) -> int:
+    """A message's own time in ns; 0 where it has none."""
+    header = getattr(message, "header", None)
+    return nanoseconds(getattr(header, "stamp", None) if header is not None else getattr(message, "timestamp", None))
+
+
+def nanoseconds(time: Any) -> int:
+    """Of a time or duration of ROS, JSON (also by ISO 8601) or protobuf, or a number of seconds; 0 for none."""
+    if time is None:
+        return 0
+    if isinstance(time, str):
+        try:
+            moment = datetime.fromisoformat(re.sub(r"(\.\d{6})\d+", r"\1", time))  # none is finer than 1 us there
+        except ValueError:
+            return 0
+        return round(moment.timestamp() * 1e6) * 1000
+    if isinstance(time, int | float):
+        return round(time * 1e9) if time < 1e12 else int(time)
+    part = lambda *names: next((int(getattr(time, name)) for name in names if hasattr(time, name)), 0)
+    return part("sec", "seconds", "secs") * 10**9 + part("nanosec", "nsec", "nanos", "nsecs", "nanoseconds")

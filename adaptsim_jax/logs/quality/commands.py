@@ -1,0 +1,149 @@
+"""What the motion says of recorded commands: that they moved other joints than they are said to, that they were cut on their way, or
+that what they do differs from trial to trial. By `servo_fit`: no model of the mechanism is needed, so that servos are judged too.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from adaptsim_jax.logs.quality import servo_fit
+from adaptsim_jax.logs.quality.hypotheses import Track
+from adaptsim_jax.logs.quality.servo_fit import unexplained
+from adaptsim_jax.logs.sent import limited, within
+
+MOST_JOINTS = 12
+"""Up to which every command is tried on every joint."""
+FEW = 6
+"""Trials that are looked at, evenly drawn."""
+EXCHANGED = 4.0
+"""Times less that each exchanged joint must leave under the other's command, in the mean."""
+KNOWN = 0.3
+"""Share of the acceleration that a command may leave to be believed."""
+POOR, CUT, APART = 0.03, 0.3, 0.7
+"""A command is doubted from this share on; one cut on its way is told where it leaves this share of that, and this share of what
+a limit of force leaves."""
+SPREAD, SURE, LEAST_TRIALS = 1.2, 8.0, 3
+"""Ratio of gains between trials from which on they differ, in standard errors of their difference."""
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """Commands by joint: joint `i` moves as the command of `order[i]` says; `left`, `other` [n]: shares left as declared, and so."""
+
+    order: tuple[int, ...]
+    left: np.ndarray
+    other: np.ndarray
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A target that reaches its joint cut: `how` (`rate` in rad/s, or `within` rad of the angle) by `size`, and the shares left."""
+
+    how: str
+    size: float
+    left: float
+    other: float
+
+
+def drawn(tracks: Sequence[Track], count: int = FEW) -> list[Track]:
+    """Some of the trials, evenly."""
+    keep = np.unique(np.linspace(0, len(tracks) - 1, min(count, len(tracks))).round().astype(int))
+    return [tracks[k] for k in keep]
+
+
+def one(track: Track, joint: int, command: np.ndarray | None = None) -> Track:
+    """One joint of a trial, under its own command or another `[T]`."""
+    tau = track.tau[:, joint] if command is None else command
+    v = None if track.v is None else track.v[:, joint : joint + 1]
+    return Track(track.time, track.q[:, joint : joint + 1], v, tau[:, None])
+
+
+def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | None:
+    """Which joints' commands look exchanged, of tracks whose torque is the command; None for none. joints: those that have one."""
+    if not 2 <= len(joints) <= MOST_JOINTS:
+        return None
+    some = drawn(tracks)
+    left = np.array([[unexplained([one(t, j, t.tau[:, k]) for t in some]) for k in joints] for j in joints])
+    if not np.all(np.isfinite(left)):
+        return None
+    cost = np.log(np.maximum(left, 1e-6))
+    _, order = linear_sum_assignment(cost)
+    moved = np.flatnonzero(order != np.arange(len(joints)))
+    if not len(moved):
+        return None
+    own, other = left[moved, moved], left[moved, order[moved]]
+    if (
+        np.max(other) > KNOWN
+        or np.mean(np.log(own / np.maximum(other, 1e-6))) < np.log(EXCHANGED)
+        or np.any(own < other)
+    ):
+        return None
+    best = tuple(joints[k] for k in order)
+    return Exchanged(best, np.diag(left), left[np.arange(len(joints)), order])
+
+
+def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
+    """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance of the angle. damping: of the servo,
+    over its stiffness, s; a limit of force is another thing, and where it explains as much nothing is told."""
+    some = [one(t, joint) for t in drawn(tracks) if np.all(np.isfinite(t.q[:, joint]))]
+    base = unexplained(some) if some else float("nan")
+    if not base > POOR:
+        return None
+    off = np.concatenate([np.abs(t.tau[:, 0] - t.q[:, 0]) for t in some])
+    speeds = np.concatenate([np.abs(_speed(t)) for t in some])
+    read: dict[str, Callable[[Track, float], np.ndarray]] = {
+        "rate": lambda t, size: limited(t.time, t.tau[:, 0], t.q[:, 0], size),
+        "within": lambda t, size: within(t.tau[:, 0], t.q[:, 0], size),
+        "force": lambda t, size: _forced(t, size, damping),
+    }
+    ends = {"rate": np.quantile(speeds, 0.99) * np.array([0.3, 3.0])}
+    ends["within"] = ends["force"] = float(off.max()) * np.array([0.01, 0.6])
+    found = {how: _best(some, read[how], *ends[how]) for how in read}
+    best = min(("rate", "within"), key=lambda how: found[how][1])
+    size, left = found[best]
+    if left > CUT * base or left > APART * found["force"][1]:
+        return None
+    return Cut(best, size, base, left)
+
+
+def _best(
+    tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float
+) -> tuple[float, float]:
+    """The size of a reading that leaves least, and what that is."""
+    loss = lambda size: unexplained([one(t, 0, read(t, float(size))) for t in tracks])
+    grid = np.geomspace(max(low, 1e-9), max(high, 2e-9), 10)
+    for _ in range(3):
+        values = np.array([loss(size) for size in grid])
+        k = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
+        best = float(grid[k]), float(values[k]) if np.isfinite(values[k]) else float("inf")
+        grid = np.geomspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 7)
+    return best
+
+
+def _speed(track: Track) -> np.ndarray:
+    return np.gradient(track.q[:, 0], track.time) if track.v is None else track.v[:, 0]
+
+
+def _forced(track: Track, size: float, damping: float) -> np.ndarray:
+    """The target under which a servo without limits pulls as one does whose force is limited."""
+    q, pulled = track.q[:, 0], damping * _speed(track)
+    return np.clip(track.tau[:, 0] - q - pulled, -size, size) + q + pulled
+
+
+def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
+    """What a joint's command does in each trial `[T]`, over what it does in the middle one; None where trials do not differ in it, or
+    where that cannot be told. Each trial has a gain of its own; what else acts is alike in all, or each trial's own where the
+    whole of it is (a load)."""
+    if len(tracks) < LEAST_TRIALS:
+        return None
+    fits = [servo_fit.gain([one(t, joint)]) for t in tracks]
+    if any(fit is None for fit in fits):
+        return None
+    gain, error = np.array([fit for fit in fits if fit is not None]).T[:2]
+    middle = float(np.median(gain))
+    apart = np.ptp(gain) / max(float(np.hypot(error[gain.argmax()], error[gain.argmin()])), 1e-12)
+    if np.min(gain) <= 0 or np.max(gain) / np.min(gain) < SPREAD or apart < SURE or np.max(error / gain) > 0.1:
+        return None
+    return gain / middle

@@ -1,0 +1,131 @@
+"""JointTrajectory messages as controllers act on them (ros_control's and ros2_control's joint_trajectory_controller): a new one takes
+the place of what of the old lies ahead, joint by joint, and points are ramped to, by splines where they have speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.logs.clock import Series
+from adaptsim_jax.logs.messages import nanoseconds
+
+FINE = 16
+"""Pieces into which a spline between two points is cut."""
+STEP = 1e-9
+"""s that a step takes."""
+Angle = Callable[[str, float], float]
+"""Where a joint is measured to be at a time (s)."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A trajectory of some joints: `begin` s, from which points count; `comes` s, when it is known; points (s, angles, speeds)."""
+
+    begin: float
+    comes: float
+    joints: tuple[str, ...]
+    points: tuple[tuple[float, np.ndarray, np.ndarray], ...]
+
+    @property
+    def takes_over(self) -> float:
+        return max(self.begin, self.comes)
+
+
+def plan_of(message: Any, stamped: float | None, comes: float) -> Plan:
+    """A message of a trajectory or of an action's goal. stamped: its own time, None where it has none and so begins as it comes."""
+    inner = message.goal.trajectory if hasattr(message, "goal") else message
+    begin = comes if stamped is None else stamped
+    points = tuple(
+        (begin + nanoseconds(p.time_from_start) * 1e-9, np.asarray(p.positions, float), np.asarray(p.velocities, float))
+        for p in inner.points
+    )
+    return Plan(begin, comes, tuple(inner.joint_names), points)
+
+
+def followed(plans: Sequence[Plan], angle: Angle, hold: bool) -> list[Series]:
+    """What is commanded to each joint. hold: each point from its time to the next, else moved to meanwhile. angle: where a joint is
+    before its first command."""
+    plans = sorted(plans, key=lambda plan: plan.takes_over)
+    joints = dict.fromkeys(joint for plan in plans for joint in plan.joints)
+    out = []
+    for joint in joints:
+        own = [plan for plan in plans if joint in plan.joints or not plan.joints]
+        time, value = _held(own, joint, angle) if hold else _ramped(own, joint, angle)
+        if len(time):
+            out.append(Series(np.array(time), {f"target_{joint}": np.array(value)}, straight=not hold))
+    return out
+
+
+def sampled(series: Series, rows: np.ndarray) -> Series:
+    """What moves from point to point as a controller has it that looks at `rows [T]` s, and holds what it has between them."""
+    time = np.unique(rows[rows > series.time[0]])
+    time = np.concatenate([series.time[:1], time])
+    columns = {name: np.interp(time, series.time, values) for name, values in series.columns.items()}
+    return Series(time, columns)
+
+
+def _points(plan: Plan, joint: str) -> list[tuple[float, float, float]]:
+    if joint not in plan.joints:
+        return []
+    j = plan.joints.index(joint)
+    speed = lambda v: float(v[j]) if len(v) == len(plan.joints) else np.nan
+    return [(t, float(q[j]), speed(v)) for t, q, v in plan.points if len(q) == len(plan.joints)]
+
+
+def _held(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float], list[float]]:
+    time: list[float] = []
+    value: list[float] = []
+    for plan in plans:
+        at = plan.takes_over
+        k = int(np.searchsorted(time, at))
+        now = value[k - 1] if k else None
+        time, value = time[:k], value[:k]
+        points = _points(plan, joint)
+        passed = [p for p in points if p[0] <= at]
+        ahead = [p for p in points if p[0] > at]
+        if passed:
+            ahead = [(at, *passed[-1][1:]), *ahead]
+        elif now is None:
+            ahead = [(at, angle(joint, at), 0.0), *ahead]
+        time += [p[0] for p in ahead]
+        value += [p[1] for p in ahead]
+    return time, value
+
+
+def _ramped(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float], list[float]]:
+    time: list[float] = []
+    value: list[float] = []
+    for plan in plans:
+        at = plan.takes_over
+        here = float(np.interp(at, time, value)) if time else angle(joint, at)
+        k = int(np.searchsorted(time, at))
+        speed = (value[k] - value[k - 1]) / (time[k] - time[k - 1]) if 0 < k < len(time) else 0.0
+        begins = not time
+        time, value = time[:k], value[:k]
+        points = _points(plan, joint)
+        passed = [p for p in points if p[0] <= at]
+        ahead = [p for p in points if p[0] > at]
+        if passed and not ahead:  # no time to move is given: a step
+            time = [*time, at, at + STEP] if not begins else [at]
+            value = [*value, here, passed[-1][1]] if not begins else [passed[-1][1]]
+            continue
+        if passed and begins:
+            here = float(np.interp(at, [passed[-1][0], ahead[0][0]], [passed[-1][1], ahead[0][1]]))
+        time, value = [*time, at], [*value, here]
+        for (t0, q0, v0), (t1, q1, v1) in zip([(at, here, speed), *ahead], ahead, strict=False):
+            if np.isfinite(v1) and np.isfinite(v0):
+                s = np.linspace(0.0, 1.0, FINE + 1)[1:]
+                h = t1 - t0
+                curve = (
+                    q0 * (2 * s**3 - 3 * s**2 + 1) + h * v0 * (s**3 - 2 * s**2 + s) + q1 * (3 * s**2 - 2 * s**3)
+                    + h * v1 * (s**3 - s**2)
+                )  # fmt: skip
+                time += (t0 + h * s).tolist()
+                value += curve.tolist()
+            else:
+                time.append(t1)
+                value.append(q1)
+    return time, value

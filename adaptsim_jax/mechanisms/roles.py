@@ -1,0 +1,241 @@
+"""What each joint of a model file is in a tree: a coordinate, held where it is, or a follower of another; and what stays out.
+
+A joint that the log lacks is held, at what `[hold]` says, else where the file's `home` pose or its zero has it. A free joint is
+welded. A mimic or an equality of two joints makes one of them follow. Loops that close (connect, weld) hold what is in them.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.spec import Source
+
+FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+CONNECT, WELD, TIE = (int(getattr(mujoco.mjtEq, f"mjEQ_{name}")) for name in ("CONNECT", "WELD", "JOINT"))
+JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+TURNS = "xyz"  # a ball is three hinges, which turn about these axes one after the other
+HOME = "home"
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A joint at offset + factor * (angle of its leader), both in rad or m."""
+
+    joint: str
+    leader: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Roles:
+    """held: values (rad, m) by name of the joint, a free joint's or ball's as `qpos`; followers by name; notes: what was done, a
+    sentence each; beyond: what of the file a tree has not, a sentence each."""
+
+    held: dict[str, np.ndarray]
+    followers: dict[str, Follower]
+    notes: tuple[str, ...]
+    beyond: tuple[str, ...]
+
+
+def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of all coordinates that a log may have: hinges and slides, and the three of each ball."""
+    out: list[str] = []
+    for k in range(model.njnt):
+        name = model.joint(k).name
+        if model.jnt_type[k] == BALL:
+            out += [f"{name}_{axis}" for axis in TURNS]
+        elif model.jnt_type[k] != FREE:
+            out.append(name)
+    return tuple(out)
+
+
+def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[str] | None, where: str = "") -> Roles:
+    """Of all joints. hold: joints to hold, with their value (None: as the file has it); logged: names (of `joint_names`) of which
+    there is a log, None: all; where: the file that `hold` comes from.
+
+    Raises BadInput where `hold` names no joint, or nothing is left that moves.
+    """
+    model = source.model
+    names = joint_names(model)
+    for name in hold:
+        if name not in names:
+            raise BadInput(f"{where}: [hold] names {name!r}, which {source.path} has not; {suggest(name, names)}")
+    hold = dict(_fixed(model)) | dict(hold)
+    have = [n for n in names if n not in hold and (logged is None or n in logged)]
+    pose, pose_name = pose_of(model)
+    followers, beyond = _followers(source, have, set(hold))
+    looped, loops = _loops(model)
+    held: dict[str, np.ndarray] = {}
+    told: dict[str, list[str]] = {"welded": [], "unlogged": [], "asked": [], "looped": []}
+    for k in range(model.njnt):
+        name, kind = model.joint(k).name, int(model.jnt_type[k])
+        at = pose[model.jnt_qposadr[k] :][: {FREE: 7, BALL: 4}.get(kind, 1)].copy()
+        leads = followers.get(name)
+        if kind == FREE:
+            held[name] = at
+            told["welded"].append(name)
+        elif k in looped:
+            held[name] = at
+            told["looped"].append(name)
+        elif name in hold or (leads and leads.leader in hold):
+            given = hold.get(name) if leads is None or name in hold else hold[leads.leader]
+            if given is not None:
+                at = np.array([given if leads is None or name in hold else leads.offset + leads.factor * given])
+            held[name] = at
+            told["asked"].append(f"{name} = {at[0]:.4g}")
+        elif kind == BALL:
+            if not all(f"{name}_{axis}" in have for axis in TURNS):
+                held[name] = at
+                told["unlogged"].append(f"{name} (a ball)")
+        elif name not in have and (leads is None or leads.leader not in have):
+            held[name] = at
+            told["unlogged"].append(f"{name} = {at[0]:.4g}")
+    for name, f in followers.items():
+        if f.leader in held and name not in held:
+            held[name] = f.offset + f.factor * held[f.leader]
+            told["looped"].append(name)
+    followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
+    if len(held) + len(followers) >= model.njnt:
+        what = "every joint is in a loop that closes" if loops else "every joint is held"
+        raise BadInput(f"{source.path}: {what}, so that nothing of a tree moves; log a joint that moves")
+    return Roles(held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops))
+
+
+def _fixed(model: mujoco.MjModel) -> dict[str, float]:
+    """Joints that an equality holds at a constant."""
+    alone = [e for e in range(model.neq) if model.eq_type[e] == TIE and model.eq_active0[e] and model.eq_obj2id[e] < 0]
+    joint = {e: int(model.eq_obj1id[e]) for e in alone}
+    return {
+        model.joint(k).name: float(model.qpos0[model.jnt_qposadr[k]] + model.eq_data[e, 0]) for e, k in joint.items()
+    }
+
+
+def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
+    """Where joints are held: the file's `home`, where it has one, else its zero."""
+    for k in range(model.nkey):
+        if model.key(k).name.lower() == HOME:
+            return model.key_qpos[k], f"as in key '{model.key(k).name}'"
+    return model.qpos0, "as the file has them"
+
+
+def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
+    out = []
+    if told["welded"]:
+        out.append(f"welded to the world, as no pose of it is simulated: {', '.join(told['welded'])}")
+    if told["unlogged"]:
+        out.append(
+            f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: [hold] in meta.toml)"
+        )
+    if told["asked"]:
+        out.append(f"held, as [hold] or an equality says: {', '.join(told['asked'])}")
+    if told["looped"]:
+        out.append(f"held {pose}, as a loop closes over them: {', '.join(told['looped'])}")
+    return tuple(out)
+
+
+def _folds_told(followers: Mapping[str, Follower]) -> tuple[str, ...]:
+    each = [
+        f"{f.joint} = {f'{f.offset:.4g} + ' if f.offset else ''}{f.factor:.4g} {f.leader}" for f in followers.values()
+    ]
+    return (f"joints that follow others: {', '.join(each)}",) if each else ()
+
+
+Near = dict[str, list[tuple[str, float, float]]]
+"""Joint -> joints tied to it, each at offset + factor * (its angle): (name, factor, offset)."""
+
+
+def ties(source: Source) -> dict[str, tuple[str, ...]]:
+    """Of each joint that is tied to others (mimics, equalities of two joints), directly or by others, these."""
+    near, _ = _near(source)
+    out: dict[str, tuple[str, ...]] = {}
+    for start in near:
+        reached = [start]
+        for name in reached:
+            reached += [other for other, *_ in near[name] if other not in reached]
+        out[start] = tuple(reached[1:])
+    return out
+
+
+def _near(source: Source) -> tuple[Near, list[str]]:
+    model = source.model
+    links: list[tuple[str, str, float, float]] = [(m.joint, m.leader, m.factor, m.offset) for m in source.mimics]
+    beyond: list[str] = []
+    for e in range(model.neq):
+        if model.eq_type[e] != TIE or not model.eq_active0[e] or model.eq_obj2id[e] < 0:
+            continue
+        one, two = (int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]))
+        a = model.eq_data[e]
+        names = model.joint(one).name, model.joint(two).name
+        if np.any(a[2:5]) or a[1] == 0:
+            beyond.append(f"an equality of {names[0]} and {names[1]} that is no straight line")
+            continue
+        rest = model.qpos0[model.jnt_qposadr[[one, two]]]
+        links.append((*names, float(a[1]), float(rest[0] + a[0] - a[1] * rest[1])))
+    near: Near = {}
+    for one, two, factor, offset in links:  # a leader comes before its followers
+        near.setdefault(two, []).append((one, factor, offset))
+    for one, two, factor, offset in links:
+        near.setdefault(one, []).append((two, 1.0 / factor, -offset / factor))
+    return near, beyond
+
+
+def _followers(source: Source, have: list[str], hold: set[str]) -> tuple[dict[str, Follower], list[str]]:
+    """Chains of joints that follow joints, each resolved to one leader: the first that is held by hand, else logged, else driven."""
+    model = source.model
+    near, beyond = _near(source)
+    out: dict[str, Follower] = {}
+    seen: set[str] = set()
+    driven = {
+        model.joint(int(model.actuator_trnid[k, 0])).name
+        for k in range(model.nu)
+        if model.actuator_trntype[k] in JOINTS
+    }
+    for start in sorted(near, key=lambda n: (n not in hold, n not in have, n not in driven)):
+        if start in seen:
+            continue
+        seen.add(start)
+        reached = [(start, 1.0, 0.0)]
+        for name, factor, offset in reached:
+            for other, f, o in near[name]:
+                if other not in seen:
+                    seen.add(other)
+                    reached.append((other, f * factor, o + f * offset))
+                    out[other] = Follower(other, start, f * factor, o + f * offset)
+    return out, beyond
+
+
+def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
+    """Joints in loops that equalities close, and a sentence on each such equality."""
+    looped: set[int] = set()
+    told = []
+    for e in range(model.neq):
+        kind = int(model.eq_type[e])
+        if not model.eq_active0[e] or kind not in (CONNECT, WELD):
+            if model.eq_active0[e] and kind not in (TIE, int(mujoco.mjtEq.mjEQ_TENDON)):
+                told.append(f"an equality of {mujoco.mjtEq(kind).name[5:].lower()}s")
+            continue
+        ends = [int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e])]
+        if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
+            ends = [int(model.site_bodyid[k]) for k in ends]
+        ways = [_upwards(model, max(b, 0)) for b in ends]
+        own = set(ways[0]) ^ set(ways[1])
+        for b in own:
+            looped |= {k for k in range(model.njnt) if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE}
+        what = "connects" if kind == CONNECT else "welds"
+        told.append(
+            f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and {model.body(max(ends[1], 0)).name}"
+        )
+    return looped, told
+
+
+def _upwards(model: mujoco.MjModel, body: int) -> list[int]:
+    out = []
+    while body > 0:
+        out.append(body)
+        body = int(model.body_parentid[body])
+    return out

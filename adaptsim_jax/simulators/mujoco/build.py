@@ -1,0 +1,155 @@
+"""The model that is stepped: the user's file, its base welded where no pose of it was logged, and held what stands still.
+
+A joint that nothing was logged of is held where `roles.roles` has it; one in a loop that closes, or tied to others, moves as the
+model says.
+"""
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.mechanisms.roles import BALL, CONNECT, FREE, TIE, WELD, pose_of
+from adaptsim_jax.mechanisms.spec import Source, read_spec, shapeless
+
+STIFF = (1e-4, 1.0)
+HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """A model to be stepped. angle [n]: where each joint of the log is in qpos; base: first of the seven of a free base in qpos that
+    was logged, -1: none; pose [nq]: where everything is held or begins; notes: what was done, a sentence each."""
+
+    path: str
+    model: mujoco.MjModel
+    angle: np.ndarray
+    base: int
+    pose: np.ndarray
+    notes: tuple[str, ...]
+
+    def with_model(self, model: mujoco.MjModel) -> "Stepped":
+        """The same with other numbers in the model."""
+        return replace(self, model=model)
+
+
+def turns_of_balls(source: Source, log: Log) -> list[str]:
+    """Angles of a log that are one of a ball joint's three turns, which MuJoCo's own coordinates have not."""
+    single = {source.model.joint(k).name for k in range(source.model.njnt)}
+    return [name for name in log.joint_names if name not in single]
+
+
+def stepped(source: Source, log: Log) -> Stepped:
+    """The model of a file for a log of it. Raises BadInput where MuJoCo refuses it."""
+    spec, _ = read_spec(source.path)
+    logged = any(t.base is not None for t in log.trials)
+    first = source.model
+    pose, _ = pose_of(first)
+    values = {first.joint(k).name: pose[first.jnt_qposadr[k] :][:7] for k in range(first.njnt)}
+    notes: list[str] = []
+    _weld(spec, values, logged, notes)
+    _hold(spec, source, log, values, notes)
+    for mimic in source.mimics:
+        tie = spec.add_equality(
+            name=f"mimic_{mimic.joint}", type=mujoco.mjtEq.mjEQ_JOINT, name1=mimic.joint, name2=mimic.leader
+        )
+        data = np.zeros(len(tie.data))
+        data[:2] = mimic.offset, mimic.factor
+        tie.data = data
+    for key in list(spec.keys):
+        spec.delete(key)
+    model = _compiled(source.path, spec)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a run that blows up shall be seen
+    at = {model.joint(k).name: int(model.jnt_qposadr[k]) for k in range(model.njnt)}
+    whole = model.qpos0.copy()
+    for k in range(model.njnt):
+        adr, width = int(model.jnt_qposadr[k]), {FREE: 7, BALL: 4}.get(int(model.jnt_type[k]), 1)
+        whole[adr : adr + width] = values[model.joint(k).name][:width]
+    for name, value in log.held.items():
+        if value is not None and name in at:
+            whole[at[name]] = value
+    free = next((int(model.jnt_qposadr[k]) for k in range(model.njnt) if model.jnt_type[k] == FREE), -1)
+    if logged and free < 0:
+        notes.append("base_x .. base_qz are not used: the model's base cannot move")
+    if turns := turns_of_balls(source, log):
+        raise BadInput(
+            f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco does not read; take tree"
+        )
+    angle = [at[name] for name in log.joint_names]
+    return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes))
+
+
+def _compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """The whole model; without its meshes where their files are missing."""
+    try:
+        return spec.compile()
+    except Exception:
+        return shapeless(where, spec)
+
+
+def _weld(spec: mujoco.MjSpec, values, logged: bool, notes: list[str]) -> None:
+    """Free joints go, but for that of the base where its pose was logged."""
+    kept = False
+    for joint in list(spec.joints):
+        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        if logged and not kept:
+            kept = True
+            continue
+        body = joint.parent
+        at = values[joint.name]
+        body.pos, body.quat = at[:3], at[3:7] / np.linalg.norm(at[3:7])
+        notes.append(f"welded to the world, as no pose of it is logged: {joint.name}")
+        for sensor in [s for s in spec.sensors if s.objname == joint.name and s.objtype == mujoco.mjtObj.mjOBJ_JOINT]:
+            spec.delete(sensor)
+        spec.delete(joint)
+
+
+def _hold(spec: mujoco.MjSpec, source: Source, log: Log, values, notes: list[str]) -> None:
+    """A stiff equality for each joint that stands still."""
+    told = []
+    tied = _tied(source.model)
+    for joint in spec.joints:
+        name = joint.name
+        if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE) or name in log.joint_names:
+            continue
+        value = log.held.get(name)
+        if name in tied and value is None and name not in log.meta.hold:
+            continue
+        value = float(values[name][0]) if value is None else value
+        rest = float(source.model.qpos0[source.model.joint(name).qposadr[0]])
+        lock = spec.add_equality(name=f"hold_{name}", type=mujoco.mjtEq.mjEQ_JOINT, name1=name)
+        data = np.zeros(len(lock.data))
+        data[0] = value - rest
+        lock.data, lock.solref, lock.solimp = data, STIFF, HARD
+        told.append(f"{name} = {value:.4g}")
+    if told:
+        notes.append(f"held, as no log has them or [hold] says so: {', '.join(told)}")
+
+
+def _tied(model: mujoco.MjModel) -> set[str]:
+    """Joints that a loop, an equality or a tendon moves: they need no log."""
+    out = set()
+    bodies = set()
+    for e in range(model.neq):
+        if model.eq_type[e] == TIE:
+            out |= {int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0}
+        elif model.eq_type[e] in (CONNECT, WELD):
+            ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
+            if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
+                ends = [int(model.site_bodyid[k]) for k in ends]
+            ways = []
+            for b in ends:
+                way = set()
+                while b > 0:
+                    way.add(b)
+                    b = int(model.body_parentid[b])
+                ways.append(way)
+            bodies |= ways[0] ^ ways[1]
+    out |= {k for k in range(model.njnt) if int(model.jnt_bodyid[k]) in bodies}
+    out |= {
+        int(model.wrap_objid[w]) for w in range(model.nwrap) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    }
+    return {model.joint(k).name for k in out}

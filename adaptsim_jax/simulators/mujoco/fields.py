@@ -1,0 +1,171 @@
+"""Numbers of a MuJoCo model by name: `joint:elbow.frictionloss`, `body:torso.mass`, `geom:FL.friction[0]`, `actuator:x.kp`,
+`option.gravity[2]`; and `command.delay`, by which all commands act late.
+
+A name is KIND:ELEMENT.FIELD with MuJoCo's own names of the fields of its model, `[i]` where a field has several numbers; ELEMENT may
+be a pattern (`geom:*foot*.friction[0]`), which gives one number to all that it names.
+"""
+
+import fnmatch
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.errors import BadInput
+
+DELAY = "command.delay"
+TILTS = ("world.tilt_x", "world.tilt_y")
+"""rad: gravity turned about the world's x and y."""
+LATEST = 0.05  # s
+STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
+FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
+OF_DOF = ("damping", "armature", "frictionloss", "invweight0")
+KINDS = {kind: (f"{kind if kind != 'joint' else 'jnt'}_", getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"))
+         for kind in ("joint", "body", "geom", "actuator", "tendon", "site")}  # fmt: skip
+POSITIVE = ("mass", "inertia", "friction", "damping", "armature", "frictionloss", "stiffness", "kp", "kv")
+CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
+"""Fields from which MuJoCo derives others, which then are made anew."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One number of a model, at all elements that its name stands for. neutral: what the model has; low, high: its bounds; scale: a
+    step that shows in the motion and leaves it what it is."""
+
+    name: str
+    field: str
+    elements: tuple[int, ...]
+    index: int
+    neutral: float
+    low: float
+    high: float
+    scale: float
+
+
+def field(model: mujoco.MjModel, name: str) -> Field:
+    """The number of that name. Raises BadInput where the model has none, with what is near."""
+    if name == DELAY:
+        return Field(name, DELAY, (), 0, 0.0, -LATEST, LATEST, max(float(model.opt.timestep), 1e-3))
+    if name in TILTS:
+        return Field(name, name, (), 0, 0.0, -0.5, 0.5, 0.002)
+    found = FORM.fullmatch(name)
+    if found is None:
+        raise BadInput(
+            f"quantity {name!r}: write KIND:ELEMENT.FIELD, such as joint:elbow.damping, body:torso.mass or option.gravity[2]"
+        )
+    kind, element, option, what, index = found[1], found[2], found[3], found[4], int(found[5] or 0)
+    elements = (0,) if option else _elements(model, name, kind, element)
+    made = Field(name, what if option is None else f"opt.{what}", tuple(elements), index, 0.0, -np.inf, np.inf, 1.0)
+    made = made if option else Field(**{**made.__dict__, "field": f"{kind}.{what}"})
+    values = [_get(model, made, e) for e in made.elements]
+    neutral = float(np.mean(values))
+    low = 0.0 if what in POSITIVE else -np.inf
+    size = abs(neutral) if neutral else _typical(what)
+    return Field(name, made.field, made.elements, index, neutral, low, np.inf, STEP * size)
+
+
+def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:
+    if kind not in KINDS:
+        raise BadInput(f"quantity {name!r}: {suggest(kind, KINDS)}")
+    count = {
+        "joint": model.njnt,
+        "body": model.nbody,
+        "geom": model.ngeom,
+        "actuator": model.nu,
+        "tendon": model.ntendon,
+        "site": model.nsite,
+    }[kind]
+    names = [mujoco.mj_id2name(model, KINDS[kind][1], i) or f"{kind}{i}" for i in range(count)]
+    some = [i for i, n in enumerate(names) if n == pattern] or [
+        i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)
+    ]
+    if not some:
+        raise BadInput(f"quantity {name!r}: the model has no {kind} {pattern!r}; {suggest(pattern, names)}")
+    return some
+
+
+def _typical(what: str) -> float:
+    """A size for a number that the model has at zero."""
+    return {"frictionloss": 0.1, "damping": 0.1, "armature": 0.01, "stiffness": 1.0, "mass": 0.1}.get(what, 0.1)
+
+
+def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray, int, int]:
+    """Array, row and column of a number. Raises BadInput where the model has no such field."""
+    kind, what = made.field.split(".")
+    if kind == "opt":
+        array = getattr(model.opt, what, None)
+        if array is None:
+            raise BadInput(f"quantity {made.name!r}: MuJoCo's option has no {what!r}")
+        return np.atleast_1d(array), made.index, -1
+    if kind == "joint" and what in OF_DOF:
+        return getattr(model, f"dof_{what}"), int(model.jnt_dofadr[element]), -1
+    if kind == "joint" and what == "springref":
+        return model.qpos_spring, int(model.jnt_qposadr[element]), -1
+    array = getattr(model, KINDS[kind][0] + what, None)
+    if array is None:
+        known = sorted(n.removeprefix(KINDS[kind][0]) for n in dir(model) if n.startswith(KINDS[kind][0]))
+        raise BadInput(
+            f"quantity {made.name!r}: a {kind} has no {what!r}; {suggest(what, [*known, *OF_DOF, 'kp', 'kv'])}"
+        )
+    if array.ndim > 1 and made.index >= array.shape[1]:
+        raise BadInput(f"quantity {made.name!r}: {what} has {array.shape[1]} numbers, counted from 0")
+    return array, element, made.index if array.ndim > 1 else -1
+
+
+def _get(model: mujoco.MjModel, made: Field, element: int) -> float:
+    if made.field == "actuator.kp":
+        return float(-model.actuator_biasprm[element, 1])
+    if made.field == "actuator.kv":
+        return float(-model.actuator_biasprm[element, 2])
+    array, row, column = _place(model, made, element)
+    return float(array[row] if column < 0 else array[row, column])
+
+
+def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None:
+    if made.field == "actuator.kp":
+        old = -model.actuator_biasprm[element, 1]
+        model.actuator_gainprm[element, 0] *= value / old if old else 1.0
+        model.actuator_biasprm[element, 1] = -value
+    elif made.field == "actuator.kv":
+        servo = (
+            model.actuator_biasprm[element, 1] == 0
+            and model.actuator_gainprm[element, 0] == -model.actuator_biasprm[element, 2]
+        )
+        model.actuator_biasprm[element, 2] = -value
+        if servo:
+            model.actuator_gainprm[element, 0] = value
+    elif made.field.startswith("opt."):
+        array = np.array(np.atleast_1d(getattr(model.opt, made.field[4:])), float)
+        array[made.index] = value
+        setattr(model.opt, made.field[4:], array if np.ndim(getattr(model.opt, made.field[4:])) else float(array[0]))
+    else:
+        array, row, column = _place(model, made, element)
+        array[row if column < 0 else (row, column)] = value
+
+
+def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence[float]) -> mujoco.MjModel:
+    """A copy of the model with these numbers; a mass keeps its shape, so that its moments go with it."""
+    import copy
+
+    out = copy.copy(model)
+    anew = False
+    for made, value in zip(fields, values, strict=True):
+        if value == made.neutral:  # a number for several elements has their mean, which is not what each of them has
+            continue
+        if made.name in TILTS:
+            turned = np.zeros(3)
+            half = np.eye(3)[TILTS.index(made.name)] * np.sin(0.5 * value)
+            mujoco.mju_rotVecQuat(turned, out.opt.gravity, np.array([np.cos(0.5 * value), *half]))
+            out.opt.gravity = turned
+            continue
+        for element in made.elements:
+            if made.field == "body.mass" and out.body_mass[element] > 0:
+                out.body_inertia[element] *= value / out.body_mass[element]
+            _set(out, made, element, float(value))
+        anew |= made.field.split(".")[-1] in CONSTANTS
+    if anew:
+        mujoco.mj_setConst(out, mujoco.MjData(out))
+    return out

@@ -1,0 +1,232 @@
+"""Numbers of a model file fitted to a recording by MuJoCo itself: Gauss and Newton's steps with a free start of each stretch.
+
+Derivatives are central differences of whole simulations, starts are eliminated stretch by stretch (variable projection; Golub and
+Pereyra, 1973), intervals come from leaving trials out one by one (the jackknife).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.mechanisms.spec import Source
+from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
+from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
+from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
+from adaptsim_jax.simulators.mujoco.starts import fitted
+from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut, delayed
+
+BUDGET = 4e6  # steps of one linearisation
+ROUNDS, TRIES = 10, 5
+FIRST, SETTLED = 8, 2
+"""Rounds of starts before the first step, and after each."""
+CONVERGED = 1e-4  # of the loss a reading, that a round must take off
+FLOOR = 0.01  # of a weighted residual: less is not told from nothing
+EXACT = 1e-16  # mean square of what is left, below which nothing is
+WILD = 1e9  # of weighted residuals and their derivatives: a stretch that runs away says nothing of where to go
+NINETY = 1.645
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """names; neutral, value, low, high [P]: as the file has it, fitted, and where it lies with 90 %; before, after: rms of the
+    weighted residuals with the file's numbers and these; code: converged, stopped or stuck."""
+
+    fields: tuple[Field, ...]
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    before: float
+    after: float
+    code: str
+
+    def told(self) -> dict[str, dict[str, float]]:
+        """By name: value, low, high, file."""
+        return {
+            f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.neutral}
+            for f, v, a, b in zip(self.fields, self.value, self.low, self.high, strict=True)
+        }
+
+
+def fit(source: Source, log: Log, names: Sequence[str], horizon: float = 0.5) -> Fitted:
+    """Fit numbers of a model file, named as `fields` has them, to a recording.
+
+    Raises BadInput where a name is none of the model's, or the recording cannot be read so.
+    """
+    made = stepped(source, log)
+    fields = tuple(field(made.model, name) for name in names)
+    cost = (1 + start_size(made) + 2 * len(fields)) * horizon / float(made.model.opt.timestep)
+    return fitted_values(made, cut(made, log, horizon, max(12, int(BUDGET / cost))), fields)
+
+
+def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) -> Fitted:
+    """The same of stretches."""
+    values = np.array([f.neutral for f in fields])
+    plain = np.ones(stretches.measured.shape[2] - (1 if made.base >= 0 else 0))
+    starts, off = fitted(*_at(made, stretches, fields, values), plain, FIRST)
+    weight = _weights(off)
+    before, loss, damping, code = _rms(off, weight), _loss(off, weight), 1e-3, "stopped"
+    for _ in range(ROUNDS):
+        lin = _linear(made, stretches, fields, values, starts, weight)
+        for _ in range(TRIES):
+            step = _bounded(lin.hess.sum(0), lin.slope.sum(0), fields, values, damping)
+            trial = _at(made, stretches, fields, values + step)
+            options = (starts + lin.start_steps(step), starts, np.zeros_like(starts))
+            new_starts, new = _better(trial, weight, options)
+            if _loss(new, weight) < loss:
+                break
+            damping *= 10.0
+        else:
+            again = _anew(_at(made, stretches, fields, values), weight, starts, off)
+            if loss - _loss(again[1], weight) < CONVERGED * off.size:
+                code = "stuck"
+                break
+            starts, off = again
+            loss, damping = _loss(off, weight), 1e-3
+            continue
+        fall = loss - _loss(new, weight)
+        values, starts, off, loss, damping = (
+            values + step,
+            new_starts,
+            new,
+            _loss(new, weight),
+            max(0.1 * damping, 1e-8),
+        )
+        if fall < CONVERGED * off.size or np.median(np.square(off).mean((1, 2))) < EXACT:
+            code = "converged"
+            break
+    lin = _linear(made, stretches, fields, values, starts, weight)
+    spread = NINETY * _jackknife(lin, fields, values)
+    low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
+    bounds = np.maximum(values - spread, low), np.minimum(values + spread, high)
+    return Fitted(tuple(fields), values, *bounds, before, _rms(off, weight), code)
+
+
+def _at(made: Stepped, stretches: Stretches, fields: Sequence[Field], values: np.ndarray) -> tuple[Stepped, Stretches]:
+    """Model and stretches with these numbers; a delay moves the commands."""
+    late = [float(v) for f, v in zip(fields, values, strict=True) if f.name == DELAY]
+    own = [(f, v) for f, v in zip(fields, values, strict=True) if f.name != DELAY]
+    model = with_values(made.model, [f for f, _ in own], [v for _, v in own]) if own else made.model
+    return made.with_model(model), delayed(stretches, late[0], float(model.opt.timestep)) if late else stretches
+
+
+def _weights(off: np.ndarray) -> np.ndarray:
+    """[C'] one over the size of each channel's residuals, by medians over stretches; of one that is hardly off, of the typical one."""
+    size = np.median(np.sqrt(np.mean(np.square(off), 1)), 0)
+    typical = np.median(size[size > 0]) if np.any(size > 0) else 1e-9
+    return 1.0 / np.maximum(size, 0.1 * typical)
+
+
+def _better(
+    trial: tuple[Stepped, Stretches], weight: np.ndarray, options: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(starts, residual) of the options stretch by stretch the better, settled once more."""
+    lanes = np.arange(trial[1].count)
+    offs = [residual(*trial, predict(*trial, x, lanes), lanes) for x in options]
+    cost = np.stack([np.square(o * weight).sum((1, 2)) for o in offs])
+    best = np.argmin(cost, 0)
+    begin = np.stack(options)[best, lanes]
+    return fitted(*trial, weight, SETTLED, begin)
+
+
+def _anew(
+    at: tuple[Stepped, Stretches], weight: np.ndarray, starts: np.ndarray, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(starts, residual), those of stretches that are nearer when their starts are sought from the measured ones again."""
+    other, new = fitted(*at, weight, FIRST)
+    good = _each(new, weight) < _each(off, weight)
+    return np.where(good[:, None], other, starts), np.where(good[:, None, None], new, off)
+
+
+def _each(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """[W] mean squares of weighted residuals, with a floor."""
+    return np.square(off * weight).mean((1, 2)) + FLOOR**2
+
+
+def _loss(off: np.ndarray, weight: np.ndarray) -> float:
+    """Each stretch has a spread of its own, so that one whose start is caught at another contact does not decide."""
+    return 0.5 * float(off[0].size * np.log(_each(off, weight)).sum())
+
+
+def _rms(off: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.sqrt(np.median(np.square(off * weight).mean((1, 2)))))
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Weighted residuals [W, R], derivatives by starts [W, R, S] and by the fields [W, R, P], and the normal equations of the
+    fields by trial with the starts eliminated: hess [F, P, P], slope [F, P]. `good` [W]: stretches that count."""
+
+    left: np.ndarray
+    by_start: np.ndarray
+    by_field: np.ndarray
+    hess: np.ndarray
+    slope: np.ndarray
+    good: np.ndarray
+
+    def start_steps(self, step: np.ndarray) -> np.ndarray:
+        """Change of the starts [W, S] that goes with a step [P] of the fields."""
+        out = np.zeros((len(self.left), self.by_start.shape[2]))
+        for w in np.flatnonzero(self.good):
+            x = self.by_start[w]
+            size = np.maximum(np.linalg.norm(x, axis=0), 1e-9)
+            hess = (x / size).T @ (x / size) + 1e-6 * np.eye(len(size))
+            out[w] = -np.linalg.solve(hess, (x / size).T @ (self.left[w] + self.by_field[w] @ step)) / size
+        return out
+
+
+def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
+    now = _at(made, stretches, fields, values)
+    lanes = np.arange(stretches.count)
+    base, by_x = by_start(*now, starts, lanes)
+    columns = [_column(made, stretches, fields, values, p, starts) for p in range(len(fields))]
+    by_p = np.stack(columns, -1)
+    spread = np.sqrt(_each(base, weight))
+    wide = lambda z: (z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))).reshape(len(z), -1, *z.shape[3:])
+    wide = lambda z, all_=wide: all_(z) / spread.reshape(-1, *[1] * (z.ndim - 2))
+    r, x, s = wide(base), wide(by_x), wide(by_p)
+    good = np.all([np.abs(z).reshape(len(z), -1).max(1) < WILD for z in (r, x, s)], 0)
+    trials = np.unique(stretches.trial)
+    hess, slope = np.zeros((len(trials), len(fields), len(fields))), np.zeros((len(trials), len(fields)))
+    for w in np.flatnonzero(good):
+        q, u = np.linalg.qr(x[w] / np.maximum(np.linalg.norm(x[w], axis=0), 1e-12))
+        q = q[:, np.abs(np.diagonal(u)) > 1e-7]
+        rest, own = r[w] - q @ (q.T @ r[w]), s[w] - q @ (q.T @ s[w])
+        k = int(np.searchsorted(trials, stretches.trial[w]))
+        hess[k] += own.T @ own
+        slope[k] -= own.T @ rest  # the derivative is of what is left
+    return _Linear(r, x, s, hess, slope, good)
+
+
+def _column(made, stretches, fields, values, p: int, starts) -> np.ndarray:
+    """Derivative [W, L, C'] of what is left by one field: a central difference, one-sided at a bound."""
+    f, lanes = fields[p], np.arange(stretches.count)
+    ends = []
+    for way in (1.0, -1.0):
+        moved = values.copy()
+        moved[p] = np.clip(values[p] + way * f.scale, f.low, f.high)
+        at = _at(made, stretches, fields, moved)
+        ends.append((moved[p], residual(*at, predict(*at, starts, lanes), lanes)))
+    (high, above), (low, below) = ends
+    return (above - below) / (high - low)
+
+
+def _bounded(hess, slope, fields, values, damping) -> np.ndarray:
+    """Damped step [P] within the bounds."""
+    size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
+    scaled = hess / size / size[:, None]
+    scaled[np.diag_indices_from(scaled)] += damping + 1e-10
+    step = np.linalg.lstsq(scaled, slope / size, rcond=1e-12)[0] / size
+    low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
+    return np.clip(values + step, low, high) - values
+
+
+def _jackknife(lin: _Linear, fields, values) -> np.ndarray:
+    """Standard deviation [P] of the values, by leaving out one trial at a time (one linear step each)."""
+    count = len(lin.hess)
+    if count < 2:
+        return np.full(len(fields), np.nan)
+    hess, slope = lin.hess.sum(0), lin.slope.sum(0)
+    moves = np.stack([_bounded(hess - lin.hess[k], slope - lin.slope[k], fields, values, 0.0) for k in range(count)])
+    return np.sqrt((count - 1) / count * np.square(moves - moves.mean(0)).sum(0))

@@ -1,0 +1,162 @@
+"""Stretches stepped by MuJoCo on all cores: states from starts in tangent coordinates, and their derivatives by differences.
+
+A start is [2 nv + na]: a displacement of qpos along the tangent, one of qvel, one of the activations, from where the stretch begins.
+"""
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.stretches import Stretches, dofs
+
+FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+STEP = 1e-5
+"""rad, m (a second): of a start, for its derivative; the solver of constraints converges to far less."""
+ROOM = 2e8  # numbers of states that are kept at once
+
+
+def start_size(made: Stepped) -> int:
+    return 2 * made.model.nv + made.model.na
+
+
+def predict(
+    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray, models: Sequence[mujoco.MjModel] = ()
+) -> np.ndarray:
+    """What the channels would read [B, L, C], NaN where the simulation blew up.
+
+    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one made).
+    """
+    size = mujoco.mj_stateSize(made.model, FULL)
+    block = max(1, int(ROOM / (size * stretches.steps)))
+    parts = [
+        _predict(
+            made, stretches, starts[i : i + block], lanes[i : i + block], models[i : i + block] if len(models) else ()
+        )
+        for i in range(0, len(lanes), block)
+    ]
+    return np.concatenate(parts)
+
+
+def _predict(made: Stepped, stretches: Stretches, starts, lanes, models) -> np.ndarray:
+    model = made.model
+    threads = max(1, len(os.sched_getaffinity(0)))
+    states = initial_states(made, stretches, starts, lanes)
+    control = stretches.control[lanes]
+    spec = int(mujoco.mjtState.mjSTATE_CTRL)
+    if control.shape[2] != model.nu or not model.nu:  # torques were logged: the model's actuators are off
+        spec = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    chosen = list(models) if len(models) else model
+    data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
+    with quietly():
+        path, _ = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
+    path = np.concatenate([states[:, None], path], 1)
+    return read(made, stretches, path, lanes)
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file; they are seen in the numbers."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    """Full states [B, nstate] of starts."""
+    model, data = made.model, mujoco.MjData(made.model)
+    nv = model.nv
+    out = np.zeros((len(lanes), mujoco.mj_stateSize(model, FULL)))
+    late = np.flatnonzero(model.actuator_history[:, 0]) if model.nu and hasattr(model, "actuator_history") else ()
+    times = {}
+    for b, (w, x) in enumerate(zip(lanes, starts, strict=True)):
+        qpos = stretches.qpos[w].copy()
+        if np.any(x[:nv]):
+            mujoco.mj_integratePos(model, qpos, np.ascontiguousarray(x[:nv]), 1.0)
+        data.qpos[:], data.qvel[:], data.act[:] = (
+            qpos,
+            stretches.qvel[w] + x[nv : 2 * nv],
+            stretches.act[w] + x[2 * nv :],
+        )
+        for k in late:
+            count = int(model.actuator_history[k, 0])
+            if k not in times:
+                times[k] = -float(model.opt.timestep) * np.arange(count, 0, -1)
+            some = stretches.past[w, -count:, k] if stretches.past.shape[2] == model.nu else np.zeros(count)
+            some = np.concatenate([np.full(count - len(some), some[0]), some])
+            mujoco.mj_initCtrlHistory(model, data, int(k), times[k], np.ascontiguousarray(some[:, None]))
+        mujoco.mj_getState(model, data, out[b], FULL)
+    return out
+
+
+def read(made: Stepped, stretches: Stretches, path: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    """Channels [B, L, C] of paths [B, S+1, nstate], between steps along straight lines."""
+    model, at = made.model, stretches.at[lanes]
+    low = np.minimum(np.floor(at + 1e-6).astype(int), path.shape[1] - 1)
+    high = np.minimum(low + 1, path.shape[1] - 1)
+    share = np.clip(at - low, 0.0, 1.0)
+    share = np.where(share < 1e-6, 0.0, share)[..., None]
+    pick = lambda rows, columns: (
+        np.take_along_axis(path, rows[..., None], 1)[..., 1 + columns] if len(columns) else np.zeros((*rows.shape, 0))
+    )
+    angle = np.asarray(made.angle)
+    columns = [angle]
+    if has_speeds(made, stretches):
+        columns.append(model.nq + dofs(made))
+    if made.base >= 0:
+        columns.append(made.base + np.arange(7))
+    columns = np.concatenate(columns)
+    first, last = pick(low, columns), pick(high, columns)
+    out = first + share * (last - first)
+    return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, np.nan)
+
+
+def residual(made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    """Measured less predicted [B, L, C'], 0 where nothing was read; a base's orientation as three angles. A run that blew up is off
+    by a large number."""
+    measured, seen = stretches.measured[lanes], stretches.seen[lanes]
+    if made.base >= 0:
+        turn = _between(measured[..., -4:], predicted[..., -4:])
+        off = np.concatenate([measured[..., :-4] - predicted[..., :-4], turn], -1)
+        seen = np.concatenate([seen[..., :-4], seen[..., -4:-3].repeat(3, -1)], -1)
+    else:
+        off = measured - predicted
+    return np.where(seen, np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3), 0.0)
+
+
+def has_speeds(made: Stepped, stretches: Stretches) -> bool:
+    """Whether speeds of the joints are among the channels."""
+    return stretches.measured.shape[2] - (7 if made.base >= 0 else 0) == 2 * len(made.angle)
+
+
+def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Rotation vector [..., 3] from unit quaternions `other` to `one` [..., 4]."""
+    w, v = other[..., :1], -other[..., 1:]
+    a, b = one[..., :1], one[..., 1:]
+    real = w * a - np.sum(v * b, -1, keepdims=True)
+    vector = w * b + a * v + np.cross(v, b)
+    sign = np.where(real < 0, -1.0, 1.0)
+    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, sign * real)
+    return sign * vector * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
+
+
+def by_start(
+    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward differences."""
+    width = start_size(made)
+    base = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
+    moved = np.repeat(starts, width, 0)
+    moved[np.arange(len(moved)), np.tile(np.arange(width), len(starts))] += STEP
+    where = np.repeat(lanes, width)
+    off = residual(made, stretches, predict(made, stretches, moved, where), where)
+    slope = (off.reshape(len(starts), width, *base.shape[1:]) - base[:, None]) / STEP
+    return base, np.moveaxis(slope, 1, -1)

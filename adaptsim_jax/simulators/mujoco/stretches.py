@@ -1,0 +1,274 @@
+"""A recording cut into stretches on the grid of a model's own time step, each with a start of its own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.logs.log import Log, LogTrial
+from adaptsim_jax.simulators.mujoco.build import Stepped
+
+PAST = 0.1  # s of command before a stretch, for actuators that remember
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows with `seen` [W, L, C] readings
+    `measured` [W, L, C] of C channels (angles in the log's order, then speeds where they are logged, then the seven of a base);
+    at [W, L]: rows in steps since the start; control [W, S, nu]; past [W, B, nu]: commands of the B steps before; qpos [W, nq],
+    qvel [W, nv], act [W, na]: where each begins, from the measured motion; before [W, nv]: its speeds by the rows just before."""
+
+    trial: np.ndarray
+    time: np.ndarray
+    measured: np.ndarray
+    seen: np.ndarray
+    at: np.ndarray
+    control: np.ndarray
+    past: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    act: np.ndarray
+    before: np.ndarray
+    names: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        return len(self.trial)
+
+    @property
+    def steps(self) -> int:
+        return self.control.shape[1]
+
+
+def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
+    """Stretches of `horizon` s of all trials, at most about `most`, evenly spread; none over a gap in time.
+
+    Raises BadInput where no trial holds a whole one.
+    """
+    model, h = made.model, float(made.model.opt.timestep)
+    pieces = [(k, b, e) for k, trial in enumerate(log.trials) for b, e in _whole(trial, horizon)]
+    if not pieces:
+        raise BadInput(
+            f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or longer trials"
+        )
+    keep = np.unique(np.linspace(0, len(pieces) - 1, min(most, len(pieces))).round().astype(int))
+    chosen = [pieces[i] for i in keep]
+    rows = max(e - b for _, b, e in chosen) + 1
+    steps = max(int(np.ceil((log.trials[k].time[e] - log.trials[k].time[b]) / h - 0.25)) for k, b, e in chosen)
+    motion = {k: _motion(log.trials[k]) for k in {k for k, *_ in chosen}}
+    inputs = [inputs_of(model, log, trial) for trial in log.trials]
+    lanes = [_lane(made, log.trials[k], motion[k], inputs[k], b, e, rows, max(steps, 1)) for k, b, e in chosen]
+    stack = lambda key: np.stack([lane[key] for lane in lanes])
+    keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
+    return Stretches(
+        np.array([k for k, *_ in chosen]), **{k: stack(k) for k in keys}, names=tuple(t.name for t in log.trials)
+    )
+
+
+def _motion(trial: LogTrial) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed angles and speeds [T, n]."""
+    return local_motion(trial.time, trial.q, trial.v) if trial.q.shape[1] else (trial.q, trial.q)
+
+
+def _whole(trial: LogTrial, horizon: float) -> list[tuple[int, int]]:
+    """First and last rows of consecutive stretches without a gap, in which at least half of the angles were read."""
+    dt, out, at = trial.dt, [], 0
+    gaps = np.flatnonzero(np.diff(trial.time) > max(5.0 * dt, 0.05))
+    seen = np.isfinite(trial.q).mean(1) if trial.q.shape[1] else np.ones(len(trial.time))
+    while at < len(trial.time) - 1:
+        end = int(np.searchsorted(trial.time, trial.time[at] + horizon - 0.5 * dt))
+        inside = gaps[(gaps >= at) & (gaps < min(end, len(trial.time) - 1))]
+        if len(inside):
+            at = int(inside[-1]) + 1
+            continue
+        if end > len(trial.time) - 1:
+            break
+        if end > at and seen[at : end + 1].mean() > 0.5:
+            out.append((at, end))
+        at = max(end, at + 1)
+    return out
+
+
+def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
+    """[T, nu] commands of the model's actuators, or [T, nv] forces at its joints where torques were logged."""
+    if log.input_kind == "command":
+        out = np.zeros((len(trial.time), model.nu))
+        for k, name in enumerate(log.input_names):
+            actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+            if actuator >= 0:
+                out[:, actuator] = trial.u[:, k]
+        return np.nan_to_num(out)
+    if log.input_kind in ("voltage", "current"):
+        raise BadInput(
+            f"{log.path}: volts or amperes have no simulator mujoco; give torques or commands, or --simulator tree"
+        )
+    out = np.zeros((len(trial.time), model.nv))
+    for k, name in enumerate(log.input_names):
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        if joint >= 0:
+            out[:, model.jnt_dofadr[joint]] = trial.u[:, k]
+    return np.nan_to_num(out)
+
+
+def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end: int, rows: int, steps: int) -> dict:
+    h = float(made.model.opt.timestep)
+    live = begin + np.minimum(np.arange(rows), end - begin)
+    here = (np.arange(rows) <= end - begin)[:, None]
+    start = trial.time[begin]
+    row_of = lambda t: np.clip(
+        np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1, 0, len(trial.time) - 1
+    )
+    control = u[row_of(start + h * np.arange(steps))]
+    before = max(1, int(np.ceil(PAST / h)))
+    past = u[row_of(start - h * np.arange(before, 0, -1))]
+    channels = [
+        trial.q[live],
+        *([trial.v[live]] if trial.v is not None else []),
+        *([trial.base[live]] if made.base >= 0 else []),
+    ]
+    measured = np.concatenate(channels, 1)
+    qpos, qvel = _start(made, trial, motion, begin)
+    return {
+        "time": trial.time[live] - trial.time[0], "measured": np.nan_to_num(measured), "seen": np.isfinite(measured) & here,
+        "at": np.clip((trial.time[live] - start) / h, 0, steps), "control": control, "past": past, "qpos": qpos, "qvel": qvel,
+        "act": _act(made, qpos, past), "before": _rate_before(made, trial, begin, qpos, qvel),
+    }  # fmt: skip
+
+
+def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarray, np.ndarray]:
+    """qpos [nq] and qvel [nv] from the measured motion; what was not logged as the loops and equalities of the model have it."""
+    model, data = made.model, mujoco.MjData(made.model)
+    qpos, qvel = made.pose.copy(), np.zeros(model.nv)
+    q, v = motion
+    measured = trial.q[begin]
+    qpos[made.angle] = np.where(np.isfinite(measured), measured, q[begin])
+    dof = dofs(made)
+    speed = v[begin] if trial.v is None else np.where(np.isfinite(trial.v[begin]), trial.v[begin], v[begin])
+    qvel[dof] = speed
+    known = np.zeros(model.nv, bool)
+    known[dof] = True
+    if made.base >= 0:
+        qpos[made.base : made.base + 7] = trial.base[begin]
+        k = int(np.flatnonzero(model.jnt_qposadr == made.base)[0])
+        at = int(model.jnt_dofadr[k])
+        known[at : at + 6] = True
+        qvel[at : at + 6] = _base_rate(trial, begin)
+    if not known.all() and model.neq:
+        qpos, qvel = _consistent(model, data, qpos, qvel, ~known)
+    return qpos, qvel
+
+
+def _rate_before(made: Stepped, trial: LogTrial, begin: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Speeds [nv] by the last two rows up to a start; as they are where there is none before."""
+    out = qvel.copy()
+    if begin > 0:
+        change = (trial.q[begin] - trial.q[begin - 1]) / (trial.time[begin] - trial.time[begin - 1])
+        known = np.isfinite(change)
+        dof = dofs(made)
+        out[dof[known]] = change[known]
+        if made.base >= 0:
+            at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
+            out[at : at + 6] = _base_rate(trial, begin, slice(begin - 1, begin + 1))
+        unknown = ~_known(made)
+        if unknown.any() and made.model.neq:
+            out = _consistent(made.model, mujoco.MjData(made.model), qpos.copy(), out, unknown)[1]
+    return out
+
+
+def _known(made: Stepped) -> np.ndarray:
+    """[nv]: whether a log tells the speed."""
+    out = np.zeros(made.model.nv, bool)
+    out[dofs(made)] = True
+    if made.base >= 0:
+        at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
+        out[at : at + 6] = True
+    return out
+
+
+def dofs(made: Stepped) -> np.ndarray:
+    """[n]: where the speed of each joint of the log is in qvel."""
+    model = made.model
+    return np.array([int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in made.angle], int)
+
+
+def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarray:
+    """[6] m/s in the world and rad/s in the base, by differences over some rows (None: about one)."""
+    some = some or slice(max(0, row - 2), row + 3)
+    t, place, turn = trial.time[some], trial.base[some, :3], trial.base[some, 3:]
+    out = np.zeros(6)
+    out[:3] = np.polyfit(t - trial.time[row], place, min(2, len(t) - 1))[-2]
+    own = trial.base[row, 3:]
+    angle = np.zeros((len(t), 3))
+    for i, other in enumerate(turn):
+        mujoco.mju_subQuat(angle[i], other, own)
+    out[3:] = np.polyfit(t - trial.time[row], angle, min(2, len(t) - 1))[-2]
+    return out
+
+
+def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """With what is `free` [nv] moved until equalities hold, by Gauss and Newton's steps; the rest as it was measured."""
+    for _ in range(20):
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_fwdPosition(model, data)
+        rows = np.flatnonzero(data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
+        if not len(rows):
+            break
+        jacobian = np.zeros((data.nefc, model.nv))
+        mujoco.mju_sparse2dense(
+            jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+        ) if mujoco.mj_isSparse(model) else jacobian.__setitem__(
+            slice(None), data.efc_J.reshape(-1, model.nv)[: data.nefc]
+        )
+        j, off = jacobian[rows], data.efc_pos[rows]
+        step = np.zeros(model.nv)
+        step[free] = -np.linalg.lstsq(j[:, free], off, rcond=1e-6)[0]
+        mujoco.mj_integratePos(model, qpos, step, 1.0)
+        if np.abs(step).max() < 1e-10:
+            break
+    if len(rows):
+        qvel = qvel.copy()
+        qvel[free] = -np.linalg.lstsq(j[:, free], j[:, ~free] @ qvel[~free], rcond=1e-6)[0]
+    return qpos, qvel
+
+
+def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
+    """Activations [na] at a start: filters as the commands before bring them about, integrators where their actuators are."""
+    model = made.model
+    out = np.zeros(model.na)
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_fwdPosition(model, data)
+    h = float(model.opt.timestep)
+    for k in range(model.nu):
+        adr, kind = int(model.actuator_actadr[k]), int(model.actuator_dyntype[k])
+        if adr < 0 or past.shape[1] != model.nu:
+            continue
+        if kind in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)):
+            x, share = past[0, k], 1.0 - np.exp(-h / max(float(model.actuator_dynprm[k, 0]), 1e-6))
+            for u in past[:, k]:
+                x += share * (u - x)
+            out[adr + model.actuator_actnum[k] - 1] = x
+        elif kind == int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
+            out[adr] = data.actuator_length[k]
+    return out
+
+
+def pick(stretches: Stretches, lanes: Sequence[int]) -> Stretches:
+    """Those stretches alone."""
+    at = np.asarray(lanes)
+    keys = ("trial", "time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
+    return Stretches(**{k: getattr(stretches, k)[at] for k in keys}, names=stretches.names)
+
+
+def delayed(stretches: Stretches, late: float, step: float) -> Stretches:
+    """The same with commands that act `late` s later (below zero: earlier), between steps as a mix of both."""
+    both = np.concatenate([stretches.past, stretches.control], 1)
+    before, count = stretches.past.shape[1], stretches.control.shape[1]
+    at = np.clip(before + np.arange(count) - late / step, 0, both.shape[1] - 1)
+    low = np.floor(at).astype(int)
+    share = (at - low)[None, :, None]
+    high = np.minimum(low + 1, both.shape[1] - 1)
+    return replace(stretches, control=(1.0 - share) * both[:, low] + share * both[:, high])

@@ -1,0 +1,116 @@
+"""Numbers of a model by name: read, edited in an `mjx.Model` and in MuJoCo's, refused with the nearest name."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.fields import edit_native, edited, field_of, known_fields, space_of
+from adaptsim_jax.environments.simulated import simulated
+from tests.environments.small import make
+
+SERVO = """
+<mujoco><worldbody><body name="arm"><joint name="hinge" damping="0.1"/><geom name="link" type="capsule" size=".02"
+  fromto="0 0 0 .3 0 0" mass=".5"/></body></worldbody>
+  <actuator><position name="servo" joint="hinge" kp="7" ctrlrange="-1 1"/></actuator></mujoco>
+"""
+NAMES = {  # of SERVO: what each name reads there
+    "body:arm.mass": 0.5,
+    "joint:hinge.damping": 0.1,
+    "joint:hinge.frictionloss": 0.0,
+    "geom:link.friction[0]": 1.0,
+    "geom:link.friction": 1.0,
+    "actuator:servo.gain": 7.0,
+    "actuator:servo.gear": 1.0,
+    "option.gravity[2]": -9.81,
+    "option.viscosity": 0.0,
+    "delay": 0.0,
+    "action_scale": 1.0,
+}
+
+
+@pytest.fixture(scope="module")
+def servo():
+    return mujoco.MjModel.from_xml_string(SERVO)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_field_reads_what_the_file_says(servo, name):
+    field = field_of(servo, name)
+    assert field.nominal == pytest.approx(NAMES[name]) and field.unit
+    assert name.partition("[")[0] in known_fields(servo)
+
+
+def test_an_edit_is_the_same_in_mjx_and_in_mujoco(servo):
+    env = make()
+    fields = tuple(
+        field_of(env.mj_model, n)
+        for n in ("body:cart.mass", "joint:slide.damping", "option.gravity[2]", "actuator:motor.gear")
+    )
+    values = [3.0, 0.7, -1.5, 2.0]
+    x = jax.jit(lambda m, v: edited(m, fields, v))(env.mjx_model, jnp.asarray(values))
+    c = edit_native(mujoco.MjModel.from_xml_string(mujoco_xml()), fields, values)
+    assert c.body("cart").mass == 3.0 and x.opt.gravity[2] == c.opt.gravity[2] == -1.5
+    for array in ("body_mass", "body_inertia", "dof_damping", "actuator_gear"):
+        np.testing.assert_allclose(np.asarray(getattr(x, array)), getattr(c, array), rtol=1e-6)
+    # a heavier body of the same shape turns heavier too
+    np.testing.assert_allclose(c.body("cart").inertia, 3.0 * env.mj_model.body("cart").inertia)
+
+
+def mujoco_xml() -> str:
+    from tests.environments.small import MJCF
+
+    return MJCF.format(constraint="enable")
+
+
+def test_a_servo_stays_one_when_its_gain_changes(servo):
+    field = field_of(servo, "actuator:servo.gain")
+    model = edit_native(mujoco.MjModel.from_xml_string(SERVO), [field], [3.0])
+    assert model.actuator_gainprm[0, 0] == 3.0 and model.actuator_biasprm[0, 1] == -3.0
+
+
+@pytest.mark.parametrize(
+    ("name", "tells"),
+    [
+        ("body:amr.mass", "did you mean 'body:arm'?"),
+        ("joint:hinge.dampign", "a joint has damping"),
+        ("body:arm.ipos", "write 'body:arm.ipos[0]'"),
+        ("body:arm.ipos[3]", "give [0] to [2]"),
+        ("joint:hinge.damping[0]", "leave '[0]' out"),
+        ("dleay", "did you mean 'delay'?"),
+        ("body.mass", "is no field"),
+    ],
+)
+def test_a_field_that_is_not_there_is_one_line_with_the_mend(servo, name, tells):
+    with pytest.raises(BadInput) as error:
+        field_of(servo, name)
+    assert tells in str(error.value) and "\n" not in str(error.value) and name in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "tells"),
+    [([1.0], r"give \[low"), ([0.1, "x"], r"give \[low"), ([-1.0, 1.0], "its least is"), ([2.0, 1.0], "swap")],
+)
+def test_a_range_that_makes_no_sense_is_refused(servo, given, tells):
+    with pytest.raises(BadInput, match=tells):
+        space_of(servo, {"body:arm.mass": given})
+    with pytest.raises(BadInput, match="there is no field"):
+        space_of(servo, {})
+
+
+def test_one_compiled_step_serves_all_values():
+    env, traced = make(), []
+    space, fields = space_of(env.mj_model, env.fields)
+    sim = simulated(env, fields)
+
+    @jax.jit
+    def step(values):
+        traced.append(1)
+        model = sim.edit(sim.model, fields, values)
+        return sim.seen(sim.step(model, sim.reset(model, jax.random.key(0)), jnp.ones(1)))[0]
+
+    light, heavy = (step(jnp.asarray(v, jnp.float32)) for v in ([0.5, 0.1], [2.0, 0.1]))
+    assert len(traced) == 1 and light[1] > 3.5 * heavy[1] > 0
+    assert space.names == ("body:cart.mass", "joint:slide.damping")

@@ -1,0 +1,82 @@
+"""Targets in MuJoCo C: as the simulator where they are the same, otherwise where they say so; and the interface."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.config import EnvironmentConfig
+from adaptsim_jax.environments.task import play_in, setting_of
+from tests.environments.small import make
+
+SAME = {"integrator": "Euler", "steps": 1}
+TARGETS = {
+    "same": SAME,
+    "heavy": {"body:cart.mass": 3.0} | SAME,
+    "dry": {"joint:slide.frictionloss": 2.0} | SAME,
+    "stuck": {"joint:slide.frictionloss": 5.0},
+    "late": {"delay": 0.04} | SAME,
+    "half_late": {"delay": 0.02, "engine": "simulator"},
+    "weak": {"action_scale": 0.5} | SAME,
+}
+
+
+@pytest.fixture(scope="module")
+def setting():
+    return setting_of(make(), EnvironmentConfig(targets=TARGETS))
+
+
+def track(play, values, steps=12):
+    """Observations `[steps, 2]` under full push."""
+
+    @jax.jit
+    def run(values):
+        world = play.world(values)
+        live = play.reset(world, jax.random.key(0))
+        one = lambda live, _: (lambda after: (after, after.obs))(play.step(world, live, jnp.ones(1)))
+        return jax.lax.scan(one, live, None, steps)[1]
+
+    return np.asarray(run(jnp.asarray(values, jnp.float32)))
+
+
+@pytest.fixture(scope="module")
+def tracks(setting):
+    found = {name: track(*play_in(setting, target)) for name, target in setting.targets.items()}
+    nominal = [f.nominal for f in setting.fields[: setting.space.dim]]
+    return found | {"simulator": track(setting.play, nominal), "triple": track(setting.play, [3.0, 0.4])}
+
+
+def test_the_same_model_moves_alike_in_both(tracks):
+    # single precision over 24 steps
+    np.testing.assert_allclose(tracks["same"], tracks["simulator"], atol=2e-5)
+    np.testing.assert_allclose(tracks["heavy"], tracks["triple"], atol=2e-5)
+
+
+def test_what_omega_cannot_say_acts(tracks):
+    speed = {name: track[-1, 1] for name, track in tracks.items()}
+    assert 0.4 * speed["same"] < speed["dry"] < 0.6 * speed["same"]  # 2 N of 4 N are lost
+    assert abs(speed["stuck"]) < 0.01
+    np.testing.assert_allclose(tracks["weak"][:, 1], 0.5 * tracks["same"][:, 1], atol=2e-5)  # linear in the push
+
+
+def test_a_delay_is_whole_steps_or_between(tracks):
+    np.testing.assert_allclose(tracks["late"][1:], tracks["same"][:-1], atol=2e-5)
+    between = 0.5 * (tracks["simulator"][1:, 1] + tracks["simulator"][:-1, 1])
+    np.testing.assert_allclose(tracks["half_late"][1:, 1], between, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("table", "tells"),
+    [
+        ({"joint:sldie.damping": 1.0}, "did you mean 'joint:slide'?"),
+        ({"body:cart.mass": -1.0}, "targets.t: 'body:cart.mass' = -1.0"),
+        ({"engine": "mujco"}, "did you mean 'mujoco'?"),
+        ({"integrator": "RK5"}, "did you mean 'RK4'?"),
+        ({"steps": 0}, "whole number of 1 or more"),
+    ],
+)
+def test_a_target_that_makes_no_sense_is_one_line(table, tells):
+    with pytest.raises(BadInput) as error:
+        setting_of(make(), EnvironmentConfig(targets={"t": table}))
+    assert tells in str(error.value) and "\n" not in str(error.value)
