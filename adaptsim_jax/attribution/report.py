@@ -11,11 +11,7 @@ from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
-<<<<<<< HEAD
-=======
-from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.power import power_rows
->>>>>>> main
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import doubts, early_commands, message, place, shorter, soft_friction, unused
