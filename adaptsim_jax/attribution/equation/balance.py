@@ -17,6 +17,7 @@ from adaptsim_jax.attribution.problem import Group, Problem, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import equations
+from adaptsim_jax.mechanisms.dynamics import compensation
 
 GAIN = "torque_gain"
 ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
@@ -194,6 +195,9 @@ def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
     if np.any(gravity):
         takes = takes - tilting(balance, inertial, gravity)
     acts = told = driven = balance.averaged(actuator_force(balance, values)[0])
+    held_up = compensation(group.model.tree, balance.q)
+    if held_up is not None:
+        acts = acts + balance.averaged(held_up)
     for effect in group.model.effects:
         p = {k: z[:, 0] for k, z in values.effects.get(effect.name, {}).items()}
         on = any(np.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p)
