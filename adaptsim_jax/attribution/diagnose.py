@@ -12,6 +12,7 @@ from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.examine import Examined, examine, report_of
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
@@ -151,9 +152,17 @@ def examined(
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
         so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
-        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, torques)
+        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor_of(machine.log.meta) if torques else None)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
+
+
+def factor_of(meta: Any) -> float:
+    """Within which masses and moments are taken to be those of the model file, along the measured motion. Raises BadInput."""
+    factor = meta.fit.get("factor", FACTOR)
+    if isinstance(factor, bool) or not isinstance(factor, (int, float)) or not 1.0 < factor <= 1e3:
+        raise BadInput(f"{meta.path}: [fit] factor = {factor!r} must be a number above 1, as 3")
+    return float(factor)
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:
@@ -175,10 +184,11 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
     """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says otherwise, and the gain of volts."""
     meta = machine.log.meta
     for table, key in (("fit", k) for k in meta.fit):
-        if key not in ("inertias", "damping"):
+        if key not in ("inertias", "damping", "factor"):
             raise BadInput(
-                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names)"
+                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names), or factor"
             )
+    factor_of(meta)
     inertia, damping = meta.fit.get("inertias", True), meta.fit.get("damping", True)
     vector = nuisances(problem, inertia=bool(inertia), damping=bool(damping))
     tree = machine.tree

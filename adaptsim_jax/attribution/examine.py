@@ -8,6 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
+from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.held_out import Model, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
@@ -53,23 +54,23 @@ def examine(
     say: Callable[[str], None],
     keep: Callable[[Selection], None] = lambda found: None,
     asked: str | None = None,
-    torques: bool = True,
+    factor: float | None = FACTOR,
 ) -> Examined:
     """Judge by the yardstick that tells most of the declared model, before anything is named. null: what is fitted whatever is named;
-    asked: another yardstick; torques: whether the balance of torques is looked at."""
-    told = balances(problem, machine.tracks) if torques and tells(machine) else ()
+    asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is not looked at."""
+    told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()
     if not told:
         found = by_simulation(problem, null, criteria, say, keep)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         return Examined(problem, found, None, before, after, STRETCHES, "no torque is known along the motion")
     say("balance of torques")
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    words = said(problem, told, null, reach, criteria, machine.log.input_kind != "torque")
+    words = said(problem, told, null, reach, criteria, machine.log.input_kind != "torque", factor)
     declared = model_of(problem, words, words.null, ())
     before = _simulated(problem, declared, horizon) | {TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])}
     judge, why = headline(before, False, asked)
     if judge == TORQUE:
-        found = selection(problem, words, reach)
+        found = selection(problem, words, declared, reach)
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         return Examined(problem, found, words, before, after, judge, why)

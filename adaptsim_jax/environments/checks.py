@@ -13,7 +13,7 @@ NOTHING = 1e-5  # of what is seen, in its own spread: single precision alone mov
 
 
 def check_pure(play: Play, values: np.ndarray) -> None:
-    """BadInput where two traces of a reset and a step differ: the environment then keeps a state of its own, or draws without a key."""
+    """BadInput where two traces of a reset and a step differ: the environment keeps a state of its own, or draws without a key."""
 
     def run(key, values):
         world = play.world(values)
@@ -26,8 +26,8 @@ def check_pure(play: Play, values: np.ndarray) -> None:
     arrays = all(np.array_equal(a, b) for a, b in zip(first.consts, second.consts, strict=False) if _plain(a))
     if str(first.jaxpr) != str(second.jaxpr) or not arrays:
         raise BadInput(
-            f"env: {play.sim.name} is not pure: called twice alike, reset and step do not do the same; draw from the key alone, and keep "
-            "what changes in the state"
+            f"env: {play.sim.name} is not pure: called twice alike, reset and step do not do the same; draw from the key "
+            "alone, and keep what changes in the state"
         )
 
 

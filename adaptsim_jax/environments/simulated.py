@@ -93,7 +93,7 @@ def _module(home: str, where: str) -> Any:
 
 
 def _playground(name: str, options: dict[str, Any], where: str) -> Any:
-    registry = _peer("mujoco_playground.registry", "playground", where)
+    registry = _peer("mujoco_playground", "playground", where).registry
     if name not in registry.ALL_ENVS:
         raise BadInput(f"{where}: Playground has no '{name}'; {suggest(name, registry.ALL_ENVS)}")
     options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU

@@ -19,8 +19,8 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from tests.attribution.pendulum import record
 
 NOTHING = Vector((), np.zeros(0))
-HEAVY = """<mujoco><compiler angle="radian"/><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
-<inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
+HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body name="link">
+<joint name="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
 
 
 def prepared(folder, model=None):
@@ -83,7 +83,7 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 12.0, 0.01)
     for k in range(2):
-        q = 0.4 * np.sin(0.4 * time + k) + 1e-4 * rng.normal(size=len(time))
+        q = 0.3 * np.sin(0.4 * time + k) + 0.1 * np.sin(1.1 * time - k) + 1e-3 * rng.normal(size=len(time))
         torque = 0.5 * rng.normal(size=len(time))  # of another machine: it has nothing to do with the motion
         np.savetxt(folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments="")
     (folder / "model.xml").write_text(HEAVY)

@@ -127,7 +127,7 @@ def actuator_force(balance: Balance, values: Values, u: np.ndarray | None = None
     is logged, an encoder's offset included."""
     with jax.enable_x64(True):
         tau, pull = _actuated(values._replace(effects={}), balance.q, balance.v, balance.u if u is None else u)
-    return np.asarray(tau + 0.0 * balance.q), np.asarray(pull + 0.0 * balance.q)
+    return np.asarray(tau) + 0.0 * balance.q, np.asarray(pull) + 0.0 * balance.q
 
 
 @jax.jit

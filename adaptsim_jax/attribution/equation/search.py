@@ -127,7 +127,6 @@ def witness(
 ) -> Witness:
     """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
     which may be late at each joint, and no measured torque."""
-    null = within(null)
     state = _State(problem, balance, null, reach, criteria)
     joints = set(balance.group.joints)
     every = [
