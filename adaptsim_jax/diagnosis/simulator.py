@@ -93,9 +93,8 @@ def check_simulator(simulator: Simulator) -> None:
         raise BadInput(f"simulator: {s.count} stretches are too few to leave any out; give at least {LEAST}")
     if len(gone := np.argwhere((s.seen > 0) & ~np.isfinite(s.measured))):
         w, r, c = gone[0]
-        raise BadInput(
-            f"simulator: stretch {w}, row {r}, channel {simulator.channels[c].name} is not finite though it is seen; write seen = 0 there"
-        )
+        where = f"stretch {w}, row {r}, channel {simulator.channels[c].name}"
+        raise BadInput(f"simulator: {where} is not finite though it is seen; write seen = 0 there")
     values = np.tile([q.neutral for q in simulator.quantities], (s.count, 1))
     one, two = (np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2))
     if one.shape != shape:
