@@ -62,7 +62,9 @@ def examine(
     if not told:
         found = by_simulation(problem, null, criteria, say, keep)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
-        return Examined(problem, found, None, before, after, STRETCHES, "no torque is known along the motion")
+        commanded = np.any(machine.actuator[2] != 0.0)
+        why = f"it follows commands; over {horizon:g} s a straight line says less" if commanded else "no torque is known along the motion"
+        return Examined(problem, found, None, before, after, STRETCHES, why)
     say("balance of torques")
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
