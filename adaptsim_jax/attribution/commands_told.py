@@ -1,5 +1,5 @@
-"""Commands that the motion contradicts (`logs.quality.commands`): exchanged between joints, cut on their way to the drive, or with another
-gain in some trials. Told with what to write; never taken."""
+"""Commands that the motion contradicts (`logs.quality.commands`): exchanged between joints, cut on their way to the drive, or with
+another gain in some trials. Told with what to write; never taken."""
 
 import numpy as np
 
@@ -47,8 +47,9 @@ def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> No
     columns = {j: _columns(machine, j) for j, _ in moved}
     lines = ", ".join(f'{columns[j][0]} = "{columns[k][1]}"' for j, k in moved)
     raise BadInput(
-        f"{log.path}: the commands are in another order than the actuators: {says} (which leaves {float(f'{min(times, 9999.0):.2g}'):g} times less "
-        f"of the motion unexplained); exchange them, under [columns] in meta.toml: {lines}; {AS_DECLARED}"
+        f"{log.path}: the commands are in another order than the actuators: {says} (which leaves "
+        f"{float(f'{min(times, 9999.0):.2g}'):g} times less of the motion unexplained); "
+        f"exchange them, under [columns] in meta.toml: {lines}; {AS_DECLARED}"
     )
 
 

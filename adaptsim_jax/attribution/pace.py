@@ -54,7 +54,8 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
     size = max(factor, 1.0 / factor)
     line = f"time = {float(f'{_seconds(machine) / factor:.3g}'):g}"
     says = (
-        f"time runs too {how}, {size:.3g} times: with the declared masses gravity moves the machine in {step / factor:.3g} s from row to row, not in "
+        f"time runs too {how}, {size:.3g} times: with the declared masses gravity moves "
+        f"the machine in {step / factor:.3g} s from row to row, not in "
         f"{step:.3g} s{counted}"
     )
     mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
@@ -101,7 +102,8 @@ def _smoothed(columns: np.ndarray) -> np.ndarray:
 
 
 def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
-    """A question where every driven joint needs several times its logged effort, a multiple of its own: motors' currents are like that."""
+    """A question where every driven joint needs several times its logged effort, a multiple of its own: motors' currents are like
+    that."""
     if machine.log.input_kind != "torque":
         return ()
     motion = _sharp(tracks)
@@ -126,8 +128,8 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
     told = ", ".join(f"{float(f'{x:.2g}'):g} at {names[j]}" for j, x in need.items())
     lines = ", ".join(f'i_{names[j]} = "{_column(machine, j)}"' for j in need)
     text = (
-        f"the masses of {machine.mechanism.path} need {told} times the logged efforts: are these currents (A), not torques? Then write "
-        f'input = "current" and, under [columns], {lines} in meta.toml, or the efforts in N m'
+        f"the masses of {machine.mechanism.path} need {told} times the logged efforts: are these currents (A), not torques? "
+        f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts in N m'
     )
     return (Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),)
 

@@ -269,8 +269,8 @@ def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[s
         return trials, ()
     step = float(np.median([np.median(np.diff(time)) for time in told.times]))
     note = (
-        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not ({100 * told.share:.0f} % of it is not in them): rows "
-        f"are taken as read evenly, every {1e3 * step:.4g} ms"
+        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not ({100 * told.share:.0f} % of it is not in "
+        f"them): rows are taken as read evenly, every {1e3 * step:.4g} ms"
     )
     return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
 

@@ -62,7 +62,8 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
         who: int | str | None = int(number)
     else:
         who = number or joint
-    if isinstance(who, str) and who not in joints and who.lower() in NOT_JOINTS:
+    letter = stem == "ctrl" and who is not None and len(str(who)) == 1  # an actuator may well be called m
+    if isinstance(who, str) and who not in joints and who.lower() in NOT_JOINTS and not letter:
         return None
     if commanded:
         return Role("tau_commanded", who) if stem == "tau" else None

@@ -15,14 +15,27 @@ from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import TIME, role
 from adaptsim_jax.logs.tables import RawTrial, column_names, read_file
 
-WORDS = ("control", "controls", "command", "commands", "cmd", "action", "actions", "target", "targets", "setpoint", "setpoints")
+WORDS = (
+    "control",
+    "controls",
+    "command",
+    "commands",
+    "cmd",
+    "action",
+    "actions",
+    "target",
+    "targets",
+    "setpoint",
+    "setpoints",
+)
 STATE_WORDS = ("state", "states", "motor", "joint", "joints", "measured", "log", "data", "feedback")
 INPUTS = ("target", "ctrl", "tau_commanded", "u", "i")
 LINE = "q_line of the file"
 
 
 def suspected(files: Sequence[Path]) -> dict[str, Path]:
-    """Trials (stems of files) whose commands seem to lie in another of these files, by its name: `run_state.csv`, `run_control.csv`."""
+    """Trials (stems of files) whose commands seem to lie in another of these files, by its name: `run_state.csv`,
+    `run_control.csv`."""
     commands = [path for path in files if _tokens(path) & set(WORDS)]
     states = [path for path in files if path not in commands]
     found = {}
@@ -42,7 +55,7 @@ def check_suspected(files: Sequence[Path]) -> None:
     """BadInput where a file of a folder seems to hold the commands of another, and nobody said so."""
     for trial, path in suspected(files).items():
         raise BadInput(
-            f"{path}: looks like the commands of {trial}; write [trials] and commands = {{{_key(trial)} = \"{path.name}\"}} in "
+            f'{path}: looks like the commands of {trial}; write [trials] and commands = {{{_key(trial)} = "{path.name}"}} in '
             "meta.toml, or rename it if it is a trial of its own"
         )
 
@@ -57,7 +70,7 @@ def beside(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
     if found is None:
         return ()
     return (
-        f"{found.name} beside it looks like its commands: write [trials] and commands = {{{_key(path.stem)} = \"{found.name}\"}} in "
+        f'{found.name} beside it looks like its commands: write [trials] and commands = {{{_key(path.stem)} = "{found.name}"}} in '
         "meta.toml to take them",
     )
 
@@ -72,9 +85,13 @@ def declared(commands: Mapping[str, str], folder: Path, meta: str) -> dict[str, 
     return out
 
 
-def with_commands(trial: RawTrial, files: Mapping[str, Path], rename: Mapping[str, str], ignore: tuple[str, ...]) -> RawTrial:
+def with_commands(
+    trial: RawTrial, files: Mapping[str, Path], rename: Mapping[str, str], ignore: tuple[str, ...]
+) -> RawTrial:
     """A trial with the commands of its file, held from when they came: its angles there are targets."""
-    path = files.get(trial.name) or next((p for pattern, p in files.items() if fnmatch.fnmatchcase(trial.name, pattern)), None)
+    path = files.get(trial.name) or next(
+        (p for pattern, p in files.items() if fnmatch.fnmatchcase(trial.name, pattern)), None
+    )
     if path is None:
         return trial
     header = column_names(path)
@@ -87,7 +104,9 @@ def with_commands(trial: RawTrial, files: Mapping[str, Path], rename: Mapping[st
         rest = re.sub(r"^[A-Za-z]+", "", name)
         commands[f"target{rest}" if found.stem == "q" else name] = values
     if not commands:
-        raise BadInput(f"{path}: holds no commands; name its columns by [columns] in meta.toml, as target1 or target_JOINT")
+        raise BadInput(
+            f"{path}: holds no commands; name its columns by [columns] in meta.toml, as target1 or target_JOINT"
+        )
     time = next(name for name in trial.columns if name in TIME)
     other = next(name for name in told.columns if name in TIME)
     own = {n: x for n, x in trial.columns.items() if n != time and n not in commands}

@@ -25,16 +25,31 @@ WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
     "efforts": "tau", "torques": "tau", "moment": "tau", "force": "tau",
     "command": "target", "cmd": "target", "desired": "target", "des": "target", "goal": "target", "reference": "target",
-    "commands": "target", "targets": "target", "actions": "target", "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
+    "commands": "target", "targets": "target", "actions": "target",
+    "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
 }  # fmt: skip
-TARGETS = ("commands", "targets", "actions", "target", "command", "cmd", "desired", "des", "goal", "reference", "ref", "setpoint", "action")
+TARGETS = (
+    "commands",
+    "targets",
+    "actions",
+    "target",
+    "command",
+    "cmd",
+    "desired",
+    "des",
+    "goal",
+    "reference",
+    "ref",
+    "setpoint",
+    "action",
+)
 CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
 
 
 @dataclass(frozen=True)
 class Guess:
-    """`columns`: our name -> the file's, those that need it; `units`: quantity -> (unit, why), or a whole line of [units], known but for
-    words in capitals; `ignored`: columns."""
+    """`columns`: our name -> the file's, those that need it; `units`: quantity -> (unit, why), or a whole line of [units], known
+    but for words in capitals; `ignored`: columns."""
 
     columns: dict[str, str]
     units: dict[str, tuple[str, str]]
@@ -96,7 +111,9 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     stem = "target" if set(found) & set(TARGETS) else WORDS[found[-1]]
     if stem == "target" and {"tau", "torque", "effort"} & set(found):
         return None
-    if stem == "target" and "data" in tokens:  # an array of commands names no joints: it is in the order of the actuators
+    if (
+        stem == "target" and "data" in tokens
+    ):  # an array of commands names no joints: it is in the order of the actuators
         stem = "ctrl"
     inside = [joint for joint in joints if _contains(tokens, _tokens(joint))]
     if inside:

@@ -57,5 +57,8 @@ def apart(
     kept = {name: out[called[name]] for name in names}
     held = [name for name in names if name not in states]
     acts = f", {', '.join(held)} held from when they came" if held else ""
-    notes = (f"rows hold parts of a sample, as topics in one file do: taken at the times of {', '.join(angles)}{acts}", *notes)
+    notes = (
+        f"rows hold parts of a sample, as topics in one file do: taken at the times of {', '.join(angles)}{acts}",
+        *notes,
+    )
     return {clock: out["time"]} | kept, np.round(out[LINE]).astype(np.int64), notes

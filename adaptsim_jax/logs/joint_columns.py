@@ -30,7 +30,8 @@ class Columns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
 
     `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
-    `scaled`: joints whose angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of a free base.
+    `scaled`: joints whose angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of a free
+    base.
     """
 
     raw: RawTrial

@@ -10,7 +10,8 @@ from adaptsim_jax.core.errors import BadInput
 
 LIST = re.compile(r"\s*[\[({](.*)[\])}]\s*", re.DOTALL)
 STEMS = {
-    "positions": "q", "joint_positions": "q", "qpos": "q", "angles": "q", "joint_angles": "q", "velocities": "v", "joint_velocities": "v",
+    "positions": "q", "joint_positions": "q", "qpos": "q", "angles": "q", "joint_angles": "q",
+    "velocities": "v", "joint_velocities": "v",
     "qvel": "v", "torques": "tau", "joint_torques": "tau", "efforts": "tau", "joint_efforts": "tau", "targets": "target",
     "commands": "target", "actions": "target", "joint_targets": "target",
 }  # fmt: skip
@@ -23,8 +24,8 @@ def is_list(cell: str) -> bool:
 
 
 def split(path: str | Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> dict[str, tuple[str, ...]]:
-    """A column's cells `[T]` by the name of the column; of lists `[T]` for each place by `name[0]`, `name[1]`, ... BadInput at a list of
-    another length."""
+    """A column's cells `[T]` by the name of the column; of lists `[T]` for each place by `name[0]`, `name[1]`, ... BadInput at a
+    list of another length."""
     first = next((cell for cell in cells if cell.strip()), "")
     if not is_list(first):
         return {name: tuple(cells)}

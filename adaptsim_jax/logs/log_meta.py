@@ -35,7 +35,8 @@ class LogMeta:
     `zero`: joint or column -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that
     the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
     standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
-    `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
+    `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate
+    (rad/s, m/s)
     or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data that holds its commands;
     `hold`: joint -> rad or m that it is held at (None: where the log or the file has it); `simulator`: tree or mujoco, None: by what
     the model needs.

@@ -52,7 +52,10 @@ class Affine:
 Unit = str | Affine
 PERCENT = "percent"
 """Of the joint's range in the model, 0 to 100."""
-FORMS = "{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks = 4096, zero = 2048} or a number (SI a unit)"
+FORMS = (
+    "{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks = 4096, zero = 2048} or a number "
+    "(SI a unit)"
+)
 
 
 def check_unit(path: Path, key: str, value: Any) -> Unit:

@@ -227,8 +227,8 @@ def _left(path: str, states: list[Series], commands: list[Series]) -> float:
 
 
 def _turned(command: Series, states: list[Series]) -> Series:
-    """Targets with the whole turns of their angles, before they are brought onto the clock of these: a mean over a row of a target that
-    counts anew within it would be no target."""
+    """Targets with the whole turns of their angles, before they are brought onto the clock of these: a mean over a row of a target
+    that counts anew within it would be no target."""
     out = dict(command.columns)
     for name, values in command.columns.items():
         joint = name.removeprefix("target_")
@@ -245,8 +245,8 @@ def _turned(command: Series, states: list[Series]) -> Series:
 
 
 def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], tuple[str, ...]]:
-    """Without what `ignore` names, and without whole joints that the model lacks where all that it has are there: what speaks of others
-    decides nothing of the clock."""
+    """Without what `ignore` names, and without whole joints that the model lacks where all that it has are there: what speaks of
+    others decides nothing of the clock."""
     joints = wanted.joints
     has = {column.joint for s in series for name in s.columns if (column := role(name, joints)) and column.stem == "q"}
     strange: set[str] = set()

@@ -107,7 +107,11 @@ def check_scales(trials: Sequence[Columns], names: ModelNames) -> tuple[str, ...
     if not found:
         return ()
     where = {joint: names.joints.index(joint) for joint in found}
-    reach = lambda joint: max((float(np.nanmax(np.abs(c.by_joint["q"][where[joint]]))) for c in trials if where[joint] in c.by_joint.get("q", {})), default=0.0)  # fmt: skip
+
+    def reach(joint: str) -> float:
+        angles = [c.by_joint["q"][where[joint]] for c in trials if where[joint] in c.by_joint.get("q", {})]
+        return max((float(np.nanmax(np.abs(q))) for q in angles), default=0.0)
+
     lines = "; ".join(scale.line for scale in found.values())
     first = next(iter(found.values()))
     fill = ", LOW and HIGH its calibrated ends in rad (m)" if any(not s.known for s in found.values()) else ""

@@ -56,8 +56,8 @@ def check_missing(
     empty: Mapping[str, np.ndarray],
     ours: Mapping[str, str] | None = None,
 ) -> None:
-    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all; ours: what a column is to
-    us where the file names it otherwise."""
+    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all; ours: what a column
+    is to us where the file names it otherwise."""
     bad = {name: ~np.isfinite(values) for name, values in columns.items()}
     bad = {name: rows for name, rows in bad.items() if rows.any()}
     if not bad:

@@ -96,7 +96,8 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
         check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
         notes = part.notes
         if lists:
-            notes = (*notes, f"cells hold lists, a number for each joint in order: {', '.join(f'{theirs} taken as {stem}' for theirs, stem in lists.items())}")
+            said = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
+            notes = (*notes, f"cells hold lists, a number for each joint in order: {said}")
         trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes))
     return trials
 

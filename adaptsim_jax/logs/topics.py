@@ -62,8 +62,9 @@ def _state_topic(path: Path, topics: tuple[Topic, ...], options: Mapping[str, st
     if not states:
         kinds = ", ".join(f"{topic.name} ({_what(topic)})" for topic in topics) or "none"
         raise BadInput(
-            f"{path}: has no topic of sensor_msgs/JointState, nor of another message of joint states that is read (foxglove.JointStates "
-            f"in JSON or protobuf, DynamicJointState, JointTrajectoryControllerState); record one (topics: {kinds})"
+            f"{path}: has no topic of sensor_msgs/JointState, nor of another message of joint states that is read "
+            f"(foxglove.JointStates in JSON or protobuf, DynamicJointState, "
+            f"JointTrajectoryControllerState); record one (topics: {kinds})"
         )
     measured = [topic for topic in states if not _is_command(topic)] or states
     state = max(measured, key=lambda topic: topic.count)

@@ -1,6 +1,6 @@
 """Damaged recordings of one reader, as many as asked for: what was refused, and what was wrong.
 
-    python -m tests.faults.campaign FOLDER "mechanism, LeRobot" 10000 [FIRST SEED] [SECONDS AT MOST]
+python -m tests.faults.campaign FOLDER "mechanism, LeRobot" 10000 [FIRST SEED] [SECONDS AT MOST]
 """
 
 import sys

@@ -169,8 +169,8 @@ def renamed(c, rng, kind):
 
 
 def messages(c, rng, kind):
-    """Of a bag: stamps that are missing or far off, names in another order or empty, arrays that lack a joint, another robot on the same
-    topic, often or once, and a channel of another kind beside."""
+    """Of a bag: stamps that are missing or far off, names in another order or empty, arrays that lack a joint, another robot on
+    the same topic, often or once, and a channel of another kind beside."""
     name = str(rng.choice(["unstamped", "reordered", "short", "other", "far", "seldom", "foreign"]))
     n = len(c["time"])
     share = {"far": 0.05, "seldom": 0.004, "foreign": 0.1}.get(name, 0.2)

@@ -1,6 +1,6 @@
 """Healthy logs of servos, in the forms that people have them: what is said of their commands, scales and clocks is a false alarm.
 
-    python -m tests.faults.healthy_servos FOLDER 8100 100       seed, sets of each reader (CSV, LeRobot, ROS 2 bag, MCAP)
+python -m tests.faults.healthy_servos FOLDER 8100 100       seed, sets of each reader (CSV, LeRobot, ROS 2 bag, MCAP)
 """
 
 import sys
@@ -15,7 +15,20 @@ from tests.faults.servo_files import log, model, noisy, sines, steps, swung
 from tests.logs.log_files import HEAD
 
 NAMES = ("left", "right")
-WORDS = ("jitter", "per cent", "turns", "parts of a sample", "look", "left out", "far from", "not what acted", "another order", "differs", "clock", "time runs")
+WORDS = (
+    "jitter",
+    "per cent",
+    "turns",
+    "parts of a sample",
+    "look",
+    "left out",
+    "far from",
+    "not what acted",
+    "another order",
+    "differs",
+    "clock",
+    "time runs",
+)
 
 
 def trials(seed: int):
@@ -28,7 +41,9 @@ def trials(seed: int):
         if kind == 0:
             u = sines(10 * seed + k, rows, rate, 2, float(rng.uniform(0.2, 1.2)))
         elif kind == 1:
-            u = np.concatenate([steps(10 * seed + k + j, rows, int(0.5 * rate), float(rng.uniform(0.2, 0.8))) for j in range(2)], 1)
+            u = np.concatenate(
+                [steps(10 * seed + k + j, rows, int(0.5 * rate), float(rng.uniform(0.2, 0.8))) for j in range(2)], 1
+            )
         else:
             u = np.cumsum(rng.normal(size=(rows, 2)) * 0.3 / np.sqrt(rate), 0)
         gain = 1.0 + 0.02 * rng.normal()
@@ -42,7 +57,9 @@ def written(folder: Path, how: str, seed: int) -> Path:
         return log(folder, "", NAMES, some)
     folder.mkdir(parents=True)
     (folder / "robot.xml").write_text(model(NAMES))
-    (folder / "meta.toml").write_text(f'{HEAD}model = "robot.xml"\ndata = "data"\n' + ('[units]\nangle = "deg"\n' if how == "lerobot" else ""))
+    (folder / "meta.toml").write_text(
+        f'{HEAD}model = "robot.xml"\ndata = "data"\n' + ('[units]\nangle = "deg"\n' if how == "lerobot" else "")
+    )
     if how == "lerobot":
         from tests.faults.test_scales_and_names import data_set
 
@@ -80,7 +97,11 @@ if __name__ == "__main__":
     at, first, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     alarms = 0
     for how in ("csv", "lerobot", "ros2", "mcap"):
-        lines = [f"{how} {seed}: {line}" for seed in range(first, first + count) for line in said(written(at / f"{how}_{seed}", how, seed))]
+        lines = [
+            f"{how} {seed}: {line}"
+            for seed in range(first, first + count)
+            for line in said(written(at / f"{how}_{seed}", how, seed))
+        ]
         alarms += len(lines)
         print(f"{how}: {count} sets, {len(lines)} lines said", *lines, sep="\n  ", flush=True)
     sys.exit(bool(alarms))

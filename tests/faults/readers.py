@@ -171,7 +171,7 @@ def write_bag(storage: str) -> Callable[[Path, Recording], Path]:
         c, bag = recording.trials[0], Bag(storage)
         table = {k: numbers(x) for k, x in c.items()}
         flag = lambda name, i: name in c and bool(c[name][i])
-        base = 0 if np.nanmax(table["time"]) > 1e5 else START
+        base = 0 if np.max(table["time"], where=np.isfinite(table["time"]), initial=0.0) > 1e5 else START
         absent = lambda stem: all(isinstance(cell, str) and not cell for cell in c[f"{stem}1"])
         for i in range(len(table["time"])):
             names, row = (

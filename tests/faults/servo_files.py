@@ -1,4 +1,5 @@
-"""Logs of legs that hang side by side, each under a servo: a machine of the tests' own, and what loggers and drivers do to its logs."""
+"""Logs of legs that hang side by side, each under a servo: a machine of the tests' own, and what loggers and drivers do to its
+logs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -24,10 +25,13 @@ def model(names: tuple[str, ...], actuators: tuple[str, ...] = (), kind: str = "
 
 
 def swung(
-    target: np.ndarray, rate: float, gain: float = 1.0, sent: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    target: np.ndarray,
+    rate: float,
+    gain: float = 1.0,
+    sent: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Angles `[T, n]` of legs whose servos are given rows of `target [T, n]`; gain: of the servos, over what the file says; sent(target,
-    last sent, angle): what the driver makes of a target."""
+    """Angles `[T, n]` of legs whose servos are given rows of `target [T, n]`; gain: of the servos, over what the file says;
+    sent(target, last sent, angle): what the driver makes of a target."""
     inertia, pull = MASS * LENGTH**2 / 3, MASS * G * LENGTH / 2
     q, v, last, out = target[0].copy(), np.zeros(target.shape[1]), target[0].copy(), []
     fine = max(1, round(1e3 / rate))
@@ -64,7 +68,9 @@ def noisy(q: np.ndarray, seed: int) -> np.ndarray:
 def log(path: Path, meta: str, names: tuple[str, ...], trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Path:
     """A folder of trials (time, angles, targets) with its model beside meta.toml."""
     columns = {
-        f"run_{k}": {"time": t} | {f"q_{n}": q[:, j] for j, n in enumerate(names)} | {f"target_{n}": u[:, j] for j, n in enumerate(names)}
+        f"run_{k}": {"time": t}
+        | {f"q_{n}": q[:, j] for j, n in enumerate(names)}
+        | {f"target_{n}": u[:, j] for j, n in enumerate(names)}
         for k, (t, q, u) in enumerate(trials)
     }
     made = folder(path, 'model = "robot.xml"\n' + meta, **columns)

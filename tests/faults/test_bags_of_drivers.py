@@ -1,5 +1,5 @@
-"""Bags as drivers, controllers and recorders leave them: other encodings beside, stamps that are missing or far off, joints that the model
-lacks, controllers' own states, trajectories that are replaced, names that are empty, commands between states."""
+"""Bags as drivers, controllers and recorders leave them: other encodings beside, stamps that are missing or far off, joints that
+the model lacks, controllers' own states, trajectories that are replaced, names that are empty, commands between states."""
 
 import json
 
@@ -43,8 +43,13 @@ def with_channel(source, path, topic, schema, encoding, messages):
     with source.open("rb") as file:
         some = {}
         for s, c, m in make_reader(file).iter_messages():
-            some.setdefault(c.topic, (c.topic, s.name, s.encoding, s.data, c.message_encoding, []))[5].append((m.log_time, m.data))
-    return channels(path, [*some.values(), (topic, schema, "jsonschema" if encoding == "json" else encoding, b"{}", encoding, messages)])
+            some.setdefault(c.topic, (c.topic, s.name, s.encoding, s.data, c.message_encoding, []))[5].append(
+                (m.log_time, m.data)
+            )
+    return channels(
+        path,
+        [*some.values(), (topic, schema, "jsonschema" if encoding == "json" else encoding, b"{}", encoding, messages)],
+    )
 
 
 @pytest.mark.parametrize("encoding", ["json", "protobuf", "flatbuffer", "cbor"])
@@ -52,7 +57,9 @@ def test_a_channel_of_another_encoding_is_left_and_told(tmp_path, encoding):
     bag = Bag("mcap")
     states(bag)
     data = b'{"level": 0}' if encoding == "json" else b"\x08\x01"
-    path = with_channel(bag.write(tmp_path), tmp_path / "more.mcap", "/battery", "vendor.Battery", encoding, [(ns(0.1), data)] * 3)
+    path = with_channel(
+        bag.write(tmp_path), tmp_path / "more.mcap", "/battery", "vendor.Battery", encoding, [(ns(0.1), data)] * 3
+    )
     log = read_log(path, ARM)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
     assert any("/battery (vendor.Battery, " in note for note in log.notes)
@@ -60,7 +67,10 @@ def test_a_channel_of_another_encoding_is_left_and_told(tmp_path, encoding):
 
 def json_states(stamp):
     for i, t in enumerate(M["time"]):
-        joints = [{"name": n, "position": M["q"][i, j], "velocity": M["v"][i, j], "effort": M["tau"][i, j]} for j, n in enumerate(ARM)]
+        joints = [
+            {"name": n, "position": M["q"][i, j], "velocity": M["v"][i, j], "effort": M["tau"][i, j]}
+            for j, n in enumerate(ARM)
+        ]
         yield ns(t) + LATE, json.dumps({"timestamp": stamp(ns(t)), "joints": joints}).encode()
 
 
@@ -70,12 +80,19 @@ def iso(when):
     return datetime.fromtimestamp(when // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%S") + f".{when % 10**9:09d}Z"
 
 
-STAMPS = {"sec nsec": lambda t: {"sec": t // 10**9, "nsec": t % 10**9}, "iso": iso, "nanosec": lambda t: {"sec": t // 10**9, "nanosec": t % 10**9}}
+STAMPS = {
+    "sec nsec": lambda t: {"sec": t // 10**9, "nsec": t % 10**9},
+    "iso": iso,
+    "nanosec": lambda t: {"sec": t // 10**9, "nanosec": t % 10**9},
+}
 
 
 @pytest.mark.parametrize("how", STAMPS)
 def test_foxglove_joint_states_in_json(tmp_path, how):
-    path = channels(tmp_path / "f.mcap", [("/joints", "foxglove.JointStates", "jsonschema", b"{}", "json", list(json_states(STAMPS[how])))])
+    path = channels(
+        tmp_path / "f.mcap",
+        [("/joints", "foxglove.JointStates", "jsonschema", b"{}", "json", list(json_states(STAMPS[how])))],
+    )
     (trial,) = read_log(path, ARM).trials
     np.testing.assert_allclose(trial.q, M["q"])
     np.testing.assert_allclose(trial.u, M["tau"])
@@ -89,8 +106,13 @@ def test_foxglove_joint_states_in_protobuf(tmp_path):
     field = lambda name, number, kind, label=1, type_name=None: pb.FieldDescriptorProto(
         name=name, number=number, type=kind, label=label, type_name=type_name
     )
-    joint = pb.DescriptorProto(name="JointState", field=[field("name", 1, 9), *(field(n, k, 1) for k, n in ((2, "position"), (3, "velocity"), (5, "effort")))])  # fmt: skip
-    whole = pb.DescriptorProto(name="JointStates", field=[field("timestamp", 1, 11, 1, ".google.protobuf.Timestamp"), field("joints", 2, 11, 3, ".foxglove.JointState")])  # fmt: skip
+    numbers = [field(n, k, 1) for k, n in ((2, "position"), (3, "velocity"), (5, "effort"))]
+    joint = pb.DescriptorProto(name="JointState", field=[field("name", 1, 9), *numbers])
+    inside = [
+        field("timestamp", 1, 11, 1, ".google.protobuf.Timestamp"),
+        field("joints", 2, 11, 3, ".foxglove.JointState"),
+    ]
+    whole = pb.DescriptorProto(name="JointStates", field=inside)
     file = pb.FileDescriptorProto(name="foxglove/JointStates.proto", package="foxglove", syntax="proto3", message_type=[joint, whole],
                                   dependency=["google/protobuf/timestamp.proto"])  # fmt: skip
     known = pb.FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
@@ -114,8 +136,10 @@ def test_foxglove_joint_states_in_protobuf(tmp_path):
 
 
 def test_foxglove_joint_states_that_are_not_read_are_named(tmp_path):
-    path = channels(tmp_path / "f.mcap", [("/joints", "foxglove.JointStates", "flatbuffer", b"", "flatbuffer", [(ns(0), b"x")])])
-    with pytest.raises(BadInput, match="/joints .foxglove.JointStates in flatbuffer") as error:
+    path = channels(
+        tmp_path / "f.mcap", [("/joints", "foxglove.JointStates", "flatbuffer", b"", "flatbuffer", [(ns(0), b"x")])]
+    )
+    with pytest.raises(BadInput, match=r"/joints .foxglove.JointStates in flatbuffer") as error:
         read_log(path, ARM)
     assert "recover" not in str(error.value)
 
@@ -139,7 +163,9 @@ def test_messages_without_a_stamp_are_left_out_and_the_others_keep_theirs(tmp_pa
 def test_stamps_far_off_are_left_out(tmp_path, wrong):
     bag = Bag("ros2")
     for i, t in enumerate(M["time"]):
-        bag.joints("/joint_states", ns(t + (wrong if i in (0, 20, 21) else 0.0)), ARM, M["q"][i], M["v"][i], M["tau"][i])
+        bag.joints(
+            "/joint_states", ns(t + (wrong if i in (0, 20, 21) else 0.0)), ARM, M["q"][i], M["v"][i], M["tau"][i]
+        )
         bag.rows[-1] = (ns(t) + LATE, *bag.rows[-1][1:])
     log = read_log(bag.write(tmp_path), ARM)
     good = [i for i in range(60) if i not in (0, 20, 21)]
@@ -213,19 +239,33 @@ TEXT = "std_msgs/Header header\nstring[] joint_names\n"
 
 
 @pytest.mark.parametrize("kind", ["bag", "ros2", "mcap"])
-@pytest.mark.parametrize("ends", [("desired", "actual"), ("reference", "feedback"), ("reference", "feedback", "desired", "actual")])
+@pytest.mark.parametrize(
+    "ends", [("desired", "actual"), ("reference", "feedback"), ("reference", "feedback", "desired", "actual")]
+)
 def test_a_controller_s_own_state_is_a_log(tmp_path, kind, ends):
     from rosbags.typesys import get_types_from_msg
 
     bag = Bag(kind)
     name, point = "control_msgs/msg/JointTrajectoryControllerState", "trajectory_msgs/msg/JointTrajectoryPoint"
-    bag.types.register(get_types_from_msg(TEXT + "".join(f"trajectory_msgs/JointTrajectoryPoint {e}\n" for e in ends), name))
+    bag.types.register(
+        get_types_from_msg(TEXT + "".join(f"trajectory_msgs/JointTrajectoryPoint {e}\n" for e in ends), name)
+    )
     wait, e = bag.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), np.zeros(0)
     filled = lambda q, v=e: bag.make(point, positions=np.asarray(q, float), velocities=np.asarray(v, float), accelerations=e, effort=e,
                                      time_from_start=wait)  # fmt: skip
     for i, t in enumerate(M["time"]):
-        told = {end: filled(()) for end in ends} | {ends[0]: filled(M["q"][i] + 0.1), ends[1]: filled(M["q"][i], M["v"][i])}
-        bag.rows.append((ns(t) + LATE, "/arm_controller/state", name, bag.make(name, header=bag.header(ns(t)), joint_names=list(ARM), **told)))
+        told = {end: filled(()) for end in ends} | {
+            ends[0]: filled(M["q"][i] + 0.1),
+            ends[1]: filled(M["q"][i], M["v"][i]),
+        }
+        bag.rows.append(
+            (
+                ns(t) + LATE,
+                "/arm_controller/state",
+                name,
+                bag.make(name, header=bag.header(ns(t)), joint_names=list(ARM), **told),
+            )
+        )
     log = read_log(bag.write(tmp_path), SERVOS)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
     np.testing.assert_array_equal(log.trials[0].v, M["v"])
@@ -240,7 +280,10 @@ def test_dynamic_joint_states(tmp_path):
     bag.types.register(get_types_from_msg("string[] interface_names\nfloat64[] values\n", inner))
     bag.types.register(get_types_from_msg(TEXT + "control_msgs/InterfaceValue[] interface_values\n", name))
     for i, t in enumerate(M["time"]):
-        values = [bag.make(inner, interface_names=["effort", "position"], values=np.array([M["tau"][i, j], M["q"][i, j]])) for j in (1, 0)]
+        values = [
+            bag.make(inner, interface_names=["effort", "position"], values=np.array([M["tau"][i, j], M["q"][i, j]]))
+            for j in (1, 0)
+        ]
         m = bag.make(name, header=bag.header(ns(t)), joint_names=["elbow", "shoulder"], interface_values=values)
         bag.rows.append((ns(t) + LATE, "/dynamic_joint_states", name, m))
     (trial,) = read_log(bag.write(tmp_path), ARM).trials
@@ -256,12 +299,21 @@ def trajectory(bag, sent, names, points, stamp=True, late=LATE):
     e, made = np.zeros(0), []
     for after, q in points:
         wait = bag.make("builtin_interfaces/msg/Duration", sec=int(after), nanosec=round(after % 1 * 1e9))
-        made.append(bag.make(point, positions=np.asarray(q, float), velocities=e, accelerations=e, effort=e, time_from_start=wait))
+        made.append(
+            bag.make(
+                point, positions=np.asarray(q, float), velocities=e, accelerations=e, effort=e, time_from_start=wait
+            )
+        )
     m = bag.make(kind, header=bag.header(ns(sent) if stamp else 0), joint_names=list(names), points=made)
     bag.rows.append((ns(sent) + late, "/arm_controller/joint_trajectory", kind, m))
 
 
-PLANS = [(-0.05, [(0.05, 0.0)]), (0.0, [(0.2, 0.3), (0.7, 0.7), (1.2, 1.0), (1.7, 1.3)]), (0.9, [(0.25, -0.2), (0.75, -0.5)]), (1.9, [(0.2, 0.1)])]
+PLANS = [
+    (-0.05, [(0.05, 0.0)]),
+    (0.0, [(0.2, 0.3), (0.7, 0.7), (1.2, 1.0), (1.7, 1.3)]),
+    (0.9, [(0.25, -0.2), (0.75, -0.5)]),
+    (1.9, [(0.2, 0.1)]),
+]
 HELD = [(0.2, 0.3), (0.7, 0.7), (1.15, -0.2), (1.65, -0.5), (2.1, 0.1)]
 RAMPED = [(0.0, 0.0), (0.2, 0.3), (0.7, 0.7), (0.9, 0.82), (1.15, -0.2), (1.65, -0.5), (1.9, -0.5), (2.1, 0.1)]
 

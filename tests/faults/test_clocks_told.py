@@ -1,4 +1,5 @@
-"""Clocks and efforts that the motion contradicts: jitter of stamps, stamps that are counted, currents for torques; with the advice done."""
+"""Clocks and efforts that the motion contradicts: jitter of stamps, stamps that are counted, currents for torques; with the advice
+done."""
 
 import re
 
@@ -37,7 +38,7 @@ def test_time_that_gravity_contradicts_is_told_with_its_factor(tmp_path, slow):
     trials = [c | {"time": c["time"] * slow} for c in arm(4)]
     only = [{k: x for k, x in c.items() if not k.startswith("v")} for c in trials]
     data = recorded(tmp_path / "a", only, names=("q", "tau"))
-    with pytest.raises(BadInput, match="time runs too (slow|fast)") as error:
+    with pytest.raises(BadInput, match=r"time runs too (slow|fast)") as error:
         check_conventions(load(data))
     line = re.search(r"time = [\d.]+", str(error.value))[0]
     assert float(line.split("= ")[1]) == pytest.approx(1.0 / slow, rel=0.06)
@@ -63,7 +64,13 @@ def test_rows_read_evenly_are_taken_so_whatever_their_stamps_say(tmp_path, how):
             u = sines(seed, 300, 125.0, 1, 1.0)
             rng = np.random.default_rng(seed)
             jitter = rng.uniform(-4e-4, 4e-4, 300) if how == "uniform" else rng.exponential(4e-4, 300)
-            out.append((np.arange(300) / 125.0 + stamped * (0.002 + jitter), swung(u, 125.0) + 1e-5 * rng.normal(size=u.shape), u))
+            out.append(
+                (
+                    np.arange(300) / 125.0 + stamped * (0.002 + jitter),
+                    swung(u, 125.0) + 1e-5 * rng.normal(size=u.shape),
+                    u,
+                )
+            )
         return out
 
     machine = load(log(tmp_path / "a", "", ("arm",), trials(1.0)))

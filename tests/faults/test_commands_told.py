@@ -63,7 +63,10 @@ def test_a_limit_of_force_and_targets_as_sent_are_no_cuts(tmp_path, seed):
         u = steps(10 * seed + k, rows, 25)
         most = 1.2 / servo_files.KP
         q, v, out = np.array([u[0, 0]]), np.zeros(1), []
-        inertia, pull = servo_files.MASS * servo_files.LENGTH**2 / 3, servo_files.MASS * servo_files.G * servo_files.LENGTH / 2
+        inertia, pull = (
+            servo_files.MASS * servo_files.LENGTH**2 / 3,
+            servo_files.MASS * servo_files.G * servo_files.LENGTH / 2,
+        )
         for target in u:
             out.append(q.copy())
             for _ in range(20):
@@ -92,12 +95,18 @@ def test_commands_in_the_order_of_the_joints_are_told_and_read_as_advised(tmp_pa
             u = sines(seed, 125, RATE, 2)
             q = noisy(swung(u, RATE), seed)
             # the actuators are right, left; the array is left, right
-            columns[f"run_{seed}"] = {"time": np.arange(125) / RATE, "q_left": q[:, 0], "q_right": q[:, 1], "c1": u[:, 0], "c2": u[:, 1]}
+            columns[f"run_{seed}"] = {
+                "time": np.arange(125) / RATE,
+                "q_left": q[:, 0],
+                "q_right": q[:, 1],
+                "c1": u[:, 0],
+                "c2": u[:, 1],
+            }
         folder(path, f'model = "robot.xml"\n{more}', **columns)
         (path / "robot.xml").write_text(model(names, ("right", "left")))
         return path
 
-    with pytest.raises(BadInput, match="another order than the actuators.*left moves as that of right") as error:
+    with pytest.raises(BadInput, match=r"another order than the actuators.*left moves as that of right") as error:
         check_commands(load(write(tmp_path / "a", meta)))
     lines = advised(str(error.value), r'ctrl_\w+ = "\w+", ctrl_\w+ = "\w+"').replace(", ", "\n")
     assert check_commands(load(write(tmp_path / "b", f"[columns]\n{lines}\n"))) == ()
@@ -126,7 +135,9 @@ def wrap(x, begin=-np.pi):
     return (x - begin) % (2 * np.pi) + begin
 
 
-@pytest.mark.parametrize("angle, target", [(wrap, wrap), (lambda x: wrap(x, 0.0), wrap), (lambda x: x, wrap), (wrap, lambda x: x)])
+@pytest.mark.parametrize(
+    "angle, target", [(wrap, wrap), (lambda x: wrap(x, 0.0), wrap), (lambda x: x, wrap), (wrap, lambda x: x)]
+)
 def test_a_target_has_the_turns_of_its_angle(tmp_path, angle, target):
     def made(seed, rows):
         u = 4.0 * np.arange(rows)[:, None] / 100.0 + 0.3 * sines(seed, rows, 100.0, 1)

@@ -1,4 +1,5 @@
-"""Numbers that are no angles, and names that are not the numbers': LeRobot's per cent, grippers, encoder steps. With the advice done."""
+"""Numbers that are no angles, and names that are not the numbers': LeRobot's per cent, grippers, encoder steps. With the advice
+done."""
 
 import json
 import re
@@ -60,7 +61,10 @@ def test_per_cent_of_a_range_is_told_in_every_command_and_read_as_advised(tmp_pa
     assert 'angle = "deg"' not in begun.text and "LOW" in begun.to_mend
     lines = re.findall(r"q_\w+ = {from = \[-100, 100\], to = \[LOW, HIGH\]}", str(error.value))
     assert len(lines) == 2
-    filled = [line.replace("LOW", str(low)).replace("HIGH", str(high)) for line, low, high in zip(lines, LOW, HIGH, strict=True)]
+    filled = [
+        line.replace("LOW", str(low)).replace("HIGH", str(high))
+        for line, low, high in zip(lines, LOW, HIGH, strict=True)
+    ]
     log = read_log(meta(tmp_path / "mended", "[units]\n" + "\n".join(filled)), names_of(ARM))
     np.testing.assert_allclose(log.trials[0].q, np.clip(Q, LOW, HIGH), atol=1e-5)
     np.testing.assert_allclose(log.trials[0].u, np.clip(U, LOW, HIGH), atol=1e-5)
@@ -95,7 +99,10 @@ def test_degrees_are_no_per_cent(tmp_path):
     assert not any("100" in note for note in log.notes)
     begun = begin(tmp_path / "set", tmp_path / "begun", None, {})
     assert 'angle = "deg"' in begun.text
-    setpoints = {"time": np.arange(90) / 30} | {"q1": np.degrees(Q[:, 0]), "target1": np.repeat([0.0, 100.0, -50.0], 30)}
+    setpoints = {"time": np.arange(90) / 30} | {
+        "q1": np.degrees(Q[:, 0]),
+        "target1": np.repeat([0.0, 100.0, -50.0], 30),
+    }
     log = read_log(folder(tmp_path / "round", '[units]\nangle = "deg"\n', run=setpoints), names_of(("arm",)))
     assert not any("per cent" in note for note in log.notes)
 
@@ -110,11 +117,13 @@ def test_steps_of_an_encoder_are_told_and_read_as_advised(tmp_path):
     np.testing.assert_allclose(log.trials[0].q, Q, atol=1e-3)
 
 
-@pytest.mark.parametrize("named", [["shoulder", "elbow"], ["shoulder", "elbow", "elbow"], {"motors": ["shoulder", "elbow"]}])
+@pytest.mark.parametrize(
+    "named", [["shoulder", "elbow"], ["shoulder", "elbow", "elbow"], {"motors": ["shoulder", "elbow"]}]
+)
 def test_names_that_are_not_the_numbers_shift_no_joint(tmp_path, named):
     grip = 0.4 + 0.3 * np.sin(np.arange(90) / 10)
     data_set(tmp_path / "set", np.column_stack([grip, Q]), np.column_stack([grip, U]), (), named)
-    with pytest.raises(BadInput, match="of the 3 numbers of observation.state.*elbow") as error:
+    with pytest.raises(BadInput, match=r"of the 3 numbers of observation.state.*elbow") as error:
         read_log(meta(tmp_path / "a", ""), names_of(ARM))
     assert '[columns] and q_shoulder = "observation.state[K]", K from 0 to 2' in str(error.value)
     columns = [f'q_{n} = "observation.state[{k}]"\ntarget_{n} = "action[{k}]"' for k, n in enumerate(ARM, start=1)]
@@ -141,9 +150,13 @@ def test_numbers_without_names_that_are_more_than_the_joints_are_refused(tmp_pat
 
 
 @pytest.mark.parametrize("line", ["q_elbow = {percent = [1.0]}", "q_elbow = {ticks = 0}", "q_elbow = {from = [0, 0], to = [0, 1]}",
-                                  "q_elbow = 0.0", "q_elbow = true", 'q_elbow = {percent = ["a", 1]}', "q_elbow = {scale = 1e999}"])  # fmt: skip
+                                  "q_elbow = 0.0", "q_elbow = true", 'q_elbow = {percent = ["a", 1]}',
+                                  "q_elbow = {scale = 1e999}"])  # fmt: skip
 def test_scales_that_are_none_are_refused(tmp_path, line):
     columns = {"time": np.arange(90) / 30} | {f"q_{n}": Q[:, j] for j, n in enumerate(ARM)}
-    with pytest.raises(BadInput, match="units.q_elbow"):
+    with pytest.raises(BadInput, match=r"units.q_elbow"):
         read_log(folder(tmp_path / "a", f"[units]\n{line}\n", run=columns), ARM)
-    assert read_log(folder(tmp_path / "b", "[units]\nq_elbow = 0.5\n", run=columns), ARM).trials[0].q[3, 1] == 0.5 * Q[3, 1]
+    assert (
+        read_log(folder(tmp_path / "b", "[units]\nq_elbow = 0.5\n", run=columns), ARM).trials[0].q[3, 1]
+        == 0.5 * Q[3, 1]
+    )

@@ -19,8 +19,8 @@ STENCIL = (-2, -1, 1, 2)
 
 @dataclass(frozen=True)
 class Jitter:
-    """`times`: even times of each trial `[T]`; `size`: standard deviation of the stamps about them, s; `share` of it that the angles do
-    not follow."""
+    """`times`: even times of each trial `[T]`; `size`: standard deviation of the stamps about them, s; `share` of it that the
+    angles do not follow."""
 
     times: tuple[np.ndarray, ...]
     size: float
@@ -65,7 +65,9 @@ def even(time: np.ndarray) -> np.ndarray | None:
     if len(time) < 3 or not step > 0:
         return None
     whole = round(float(time[-1] - time[0]) / step)
-    place = np.arange(len(time)) if whole == len(time) - 1 else np.cumsum(np.round(np.diff(time, prepend=time[0]) / step))
+    place = (
+        np.arange(len(time)) if whole == len(time) - 1 else np.cumsum(np.round(np.diff(time, prepend=time[0]) / step))
+    )
     if np.any(np.diff(place) < 1):
         return None
     slope, begin = np.polyfit(place, time, 1)

@@ -57,8 +57,8 @@ BESIDE = 0.25
 
 
 def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """A target `[T]` rad with the whole turns of the angle `q [T]` that it commands, from which turns were taken out: it jumps where the
-    driver counts anew, at rows of its own. Both may be NaN; as it is where turns do not bring it to the angle."""
+    """A target `[T]` rad with the whole turns of the angle `q [T]` that it commands, from which turns were taken out: it jumps
+    where the driver counts anew, at rows of its own. Both may be NaN; as it is where turns do not bring it to the angle."""
     here = np.flatnonzero(np.isfinite(q) & np.isfinite(target))
     if len(here) < 4:
         return target
