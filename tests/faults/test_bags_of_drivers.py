@@ -183,13 +183,13 @@ def test_a_joint_that_the_model_lacks_decides_nothing(tmp_path, ignored, speaks)
     assert ignored or any("the model lacks are left out: gripper" in note for note in read.notes)
 
 
-def test_a_joint_of_the_model_that_hardly_speaks_stays(tmp_path):
+def test_a_joint_of_the_model_that_hardly_speaks_is_held_where_it_is(tmp_path):
     bag = Bag("ros2")
     states(bag)
     bag.joints("/joint_states", ns(0.3), ("gripper",), [0.02])
     log = read_log(bag.write(tmp_path), (*ARM, "gripper"))
-    np.testing.assert_array_equal(log.trials[0].q[:, :2], M["q"])
-    assert np.all(log.trials[0].q[:, 2] == 0.02) and any("gripper: 1 messages in all" in note for note in log.notes)
+    np.testing.assert_array_equal(log.trials[0].q, M["q"])
+    assert log.held == {"gripper": 0.02} and any("gripper: 1 messages in all" in note for note in log.notes)
 
 
 @pytest.mark.parametrize("kind", ["bag", "ros2", "mcap"])
