@@ -29,7 +29,8 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
         machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
     found = [s for b in balances(problem, machine.tracks) for s in servos(problem, b)]
-    law, damping = machine.actuator.copy(), np.array(machine.tree.damping, float)
+    law = machine.actuator.copy()
+    damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
     file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
     off = [s for s in found if s.p < LEVEL and s.left < s.error and not 1 / TIMES < s.kp / file[s.joint] < TIMES]
     for s in off:
@@ -39,10 +40,9 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
         damping[s.joint] = s.damping
     if not off:
         return machine, ()
-    tree = replace(machine.tree, damping=damping)
     times = {s.joint: float(s.kp / file[s.joint]) for s in off}
-    mechanism = replace(machine.mechanism, tree=tree)
-    return replace(machine, actuator=law, mechanism=mechanism, servo_times=times), tuple(off)
+    declared = machine.declared | {("viscous", "damping"): damping}
+    return replace(machine, actuator=law, declared=declared, servo_times=times), tuple(off)
 
 
 def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:

@@ -55,6 +55,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="take columns and lengths as declared, though the motion contradicts them",
     )
     parser.add_argument(
+        "--yardstick",
+        choices=("stretches", "whole", "torque"),
+        help="of a mechanism, by which effects are judged (default: the one that tells most of this recording)",
+    )
+    parser.add_argument("--horizon", type=float, default=0.5, metavar="S", help="length of simulated stretches (default 0.5)")
+    parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects TASK` lists them all",
     )  # fmt: skip
@@ -181,7 +187,7 @@ def run_mechanism(args: argparse.Namespace) -> int:
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
             args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(split_names(args.without)),
-            progress=report, page=write_diagnosis, as_declared=args.as_declared,
+            progress=report, page=write_diagnosis, as_declared=args.as_declared, horizon=args.horizon, yardstick=args.yardstick,
         )  # fmt: skip
     return say(args, result, folder)
 

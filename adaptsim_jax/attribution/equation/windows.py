@@ -18,6 +18,7 @@ SPAN = 0.16  # s, of a window: half of its weight lies in the middle third
 LEAST_ROWS = 12  # of a window
 GRID = 4e-3  # s: faster logs are read at about this
 HOP = 0.25  # of a window, from one to the next
+MOST = 3000  # windows of a recording: of longer ones they lie farther apart
 CREEP = 0.02  # of a joint's usual speed, below which the direction of dry friction is not told from zero
 CLEAR = 0.1  # of the usual speed, below which a joint may be held by friction, which is then anything up to its level
 DOUBT = 3.0  # times the noise of a speed, likewise
@@ -54,9 +55,11 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
     speeds = np.concatenate([np.abs(v) for *_, v, _, _ in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
+    total = sum(time[-1] - time[0] for _, time, *_ in made)
+    hop = max(HOP * span, total / MOST)
     for k, time, q, v, u, seen in made:
         dt = time[1] - time[0]
-        mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt))
+        mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt), hop)
         if not len(at):
             continue
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
@@ -105,10 +108,10 @@ def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray]
     return savgol_filter(q, rows, 2, axis=1), savgol_filter(q, rows, 2, deriv=1, delta=dt, axis=1)
 
 
-def _windows(time: np.ndarray, seen: np.ndarray, span: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
+def _windows(time: np.ndarray, seen: np.ndarray, span: float, hop: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
     """Means over windows [K, T] of (1 + cos)^2's shape, and their middles [K]."""
     dt = time[1] - time[0]
-    wide, hop = max(4, round(span / dt)), max(1, round(HOP * span / dt))
+    wide, hop = max(4, round(span / dt)), max(1, round(hop / dt))
     shape = np.square(1.0 + np.cos(2.0 * np.pi * (np.arange(1, wide) / wide - 0.5)))
     shape /= shape.sum()
     begins = np.arange(0, len(time) - wide, hop)
