@@ -120,7 +120,9 @@ def mechanism_of(
         for k in range(model.njnt)
         if model.ngravcomp and model.jnt_actgravcomp[k] and model.jnt_actfrclimited[k]
     ]:
-        added.beyond.append(f"gravity compensation within the force limits of {', '.join(bounded)}")
+        added.beyond.append(
+            f"gravity compensation within the force limits of {len(bounded)} joints ({bounded[0]}, ...)"
+        )
     return Mechanism(
         tree, actuators, source.path, source.kind, notes, _force_limits(model, tree, place), walk.frames(tree), beyond,
         tuple(added.beyond), idle, role,

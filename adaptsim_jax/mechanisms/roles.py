@@ -132,7 +132,7 @@ def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
             f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: [hold] in meta.toml)"
         )
     if told["asked"]:
-        out.append(f"held, as [hold] or an equality says: {', '.join(told['asked'])}")
+        out.append(f"held where [hold], an equality or a log that never moves has them: {', '.join(told['asked'])}")
     if told["looped"]:
         out.append(f"held {pose}, as a loop closes over them: {', '.join(told['looped'])}")
     return tuple(out)
