@@ -28,7 +28,8 @@ SOMEWHAT = 2048  # rows that one compiled program takes
 
 @dataclass(frozen=True)
 class Balance:
-    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K],
+    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K],
+    time [K],
     clear [K, n]: whether a joint moved.
 
     q, v, a, u, sign [n, T]: the motion of all runs one after the other; clock [T] s; mean [K, T] averages over windows; runs: the rows
@@ -110,7 +111,9 @@ def _turned(tree, inertial, way, q):
 
 def turned(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Change of the force of gravity [K, n] as the joints turn by `way` [n]."""
-    return balance.averaged(_by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q))
+    return balance.averaged(
+        _by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q)
+    )
 
 
 @jax.jit
