@@ -127,7 +127,7 @@ def run(out: Path, task: str, seed: int, methods: list[str], small: bool) -> Non
     assert made.preparation is not None
     names = list(TASKS[task]["targets"])
     with progress(f"{task}, seed {seed}") as report:
-        ready = learned(made, made.preparation, options, seed, out / task / f"policy-{seed}", report)
+        ready = learned(made, made.preparation, seed, out / task / f"policy-{seed}", report)
         for method, deployed in tried(setting, ready, names, left, comparison(options, small), seed, report):
             found[method] = {"trials": deployed.trials.tolist(), "returns": deployed.returns.tolist()}
             write_json(path, found)

@@ -9,7 +9,6 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.mechanisms.roles import roles
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
 from adaptsim_jax.simulators.mujoco.replay import replayed
@@ -67,9 +66,10 @@ def _needs(source: Source, log: Log) -> str:
     if not log.joint_names:
         return "it has no joint but its base's"
     hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
-    if roles(source, hold, log.joint_names, log.meta.path).beyond:
-        return "; ".join(roles(source, hold, log.joint_names, log.meta.path).beyond[:2])
-    mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    try:
+        mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    except BadInput as error:  # nothing of a tree is left, or too much of it
+        return str(error).removeprefix(f"{source.path}: ").split(";")[0]
     beyond = mechanism.beyond + (mechanism.drives_beyond if log.input_kind == "command" else ())
     return "; ".join(beyond[:2]) or touching(stepped(source, log), log)
 

@@ -47,4 +47,6 @@ def check_fields(names: Sequence[str], seen: Callable[[jax.Array], np.ndarray]) 
     moved = np.nanmax(np.abs(found[:, :, 1] - found[:, :, 0]) / scale, axis=(0, 2))
     still = [name for name, by in zip(names, moved, strict=True) if not by > NOTHING]
     if still:
-        raise BadInput(f"fields: nothing that is seen follows from '{still[0]}' anywhere in its range; leave it out, or widen it")
+        raise BadInput(
+            f"fields: nothing that is seen follows from '{still[0]}' anywhere in its range; leave it out, or widen it"
+        )

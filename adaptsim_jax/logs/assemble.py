@@ -37,7 +37,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in kept])
     log_trials = tuple(_trial(columns, names, meta, inputs, kept) for columns in trials)
     log_trials, evened = _evened(log_trials)
-    suspected = scales + check_log_units(log_trials, names.only(kept))
+    suspected = scales + check_log_units(log_trials, names.only(kept), meta.units)
     turns = [columns.raw.name for columns in trials if columns.turns]
     turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
     return Log(

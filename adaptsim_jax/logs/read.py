@@ -111,7 +111,8 @@ def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawT
     """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. joints: the model's."""
     if data.is_dir() and lerobot.is_lerobot(data):
         trials = _renamed(lerobot.read_lerobot(data), meta)
-        lerobot.check_named(data, trials[0], joints)
+        if trials:
+            lerobot.check_named(data, trials[0], joints)
         return trials
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
     folder = data if data.is_dir() else data.parent

@@ -16,6 +16,7 @@ if __name__ == "__main__":
     folder, name, count, *more = sys.argv[1:]
     (reader,) = [r for r in ALL if r.name == name]
     first, longest = int(more[0]) if more else 0, float(more[1]) if len(more) > 1 else np.inf
+    Path(folder).mkdir(parents=True, exist_ok=True)
     begin, refused, bad, done = time.monotonic(), 0, [], 0
     for seed in range(first, first + int(count)):
         if time.monotonic() - begin > longest:

@@ -26,7 +26,7 @@ def test_what_is_written_is_read_back(tmp_path):
         {"damping": {"shoulder": 0.2, "elbow": 0.3}, "frictionloss": {"elbow": 0.5}, "armature": {"shoulder": 0.01}},
         np.array([0.1, 0.0, -9.8]),
         {"kp": {"drive": 1.1}, "delay": {"drive": 0.006}, "limit": {"drive": 3.0}},
-        ("not held: cogging at elbow",),
+        comments=("not held: cogging at elbow",),
     )
     out = tmp_path / "model.xml"
     write_mjcf(arm, out, changes)

@@ -46,7 +46,7 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     law = values.actuator[:, :, 0]
     gear = values.gear[:, 0]
-    takes = balance.regressor @ values.inertial[..., 0].ravel()
+    takes = balance.regressor @ values.inertial[..., 0].ravel() - balance.known
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
     speed, sign = balance.averaged(balance.v), balance.averaged(balance.sign)
     out = []

@@ -1,5 +1,6 @@
 """Sets of columns fitted to the missing forces, with what is known beforehand, and judged by blocks that were left out."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -140,7 +141,7 @@ class Sums:
         self.order = np.argsort(rows.fold, kind="stable")
         counts = np.bincount(rows.fold)
         ends = np.concatenate([[0], np.cumsum(counts)])
-        self.parts = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
+        self.parts = [slice(int(i), int(j)) for i, j in itertools.pairwise(ends)]
         self.y = (rows.missing * rows.weight)[self.order]
         self.blocks: dict = {}
         self.products: dict = {}

@@ -21,6 +21,8 @@ EXCHANGED = 4.0
 """Times less that each exchanged joint must leave under the other's command, in the mean."""
 KNOWN = 0.3
 """Share of the acceleration that a command may leave to be believed."""
+CUT_TRIALS, ROW, NEARLY = 4, 5e-3, 2.0
+"""Trials, and s of a row, in which a cut is looked for; times what counts that a coarse look may leave."""
 POOR, CUT, APART = 0.03, 0.3, 0.7
 """A command is doubted from this share on; one cut on its way is told where it leaves this share of that, and this share of what
 a limit of force leaves."""
@@ -87,7 +89,7 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
 def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance of the angle. damping: of the servo,
     over its stiffness, s; a limit of force is another thing, and where it explains as much nothing is told."""
-    some = [one(t, joint) for t in drawn(tracks) if np.all(np.isfinite(t.q[:, joint]))]
+    some = [_thinned(one(t, joint)) for t in drawn(tracks, CUT_TRIALS) if np.all(np.isfinite(t.q[:, joint]))]
     base = unexplained(some) if some else float("nan")
     if not base > POOR:
         return None
@@ -100,21 +102,31 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     }
     ends = {"rate": np.quantile(speeds, 0.99) * np.array([0.3, 3.0])}
     ends["within"] = ends["force"] = float(off.max()) * np.array([0.01, 0.6])
+    rough = {how: _best(some, read[how], *ends[how], rounds=1)[1] for how in ("rate", "within")}
+    best = min(rough, key=lambda how: rough[how])
+    if rough[best] > NEARLY * CUT * base:
+        return None
     found = {how: _best(some, read[how], *ends[how]) for how in read}
-    best = min(("rate", "within"), key=lambda how: found[how][1])
+    best = min(rough, key=lambda how: found[how][1])
     size, left = found[best]
     if left > CUT * base or left > APART * found["force"][1]:
         return None
     return Cut(best, size, base, left)
 
 
+def _thinned(track: Track) -> Track:
+    """Rows of about `ROW` s: a limit is followed row by row, and acts over many."""
+    k = max(1, round(ROW / float(np.median(np.diff(track.time)))))
+    return Track(track.time[::k], track.q[::k], None if track.v is None else track.v[::k], track.tau[::k])
+
+
 def _best(
-    tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float
+    tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float, rounds: int = 3
 ) -> tuple[float, float]:
     """The size of a reading that leaves least, and what that is."""
     loss = lambda size: unexplained([one(t, 0, read(t, float(size))) for t in tracks])
     grid = np.geomspace(max(low, 1e-9), max(high, 2e-9), 10)
-    for _ in range(3):
+    for _ in range(rounds):
         values = np.array([loss(size) for size in grid])
         k = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
         best = float(grid[k]), float(values[k]) if np.isfinite(values[k]) else float("inf")
