@@ -29,15 +29,10 @@ SOMEWHAT = 2048  # rows that one compiled program takes
 
 @dataclass(frozen=True)
 class Balance:
-<<<<<<< HEAD
     """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K],
     time [K],
-    clear [K, n]: whether a joint moved.
-=======
-    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K],
     clear [K, n]: whether a joint moved, and was not at the end of its range; known [K, n]: what acts whatever is fitted, which is what
     holds bodies up against gravity, less what bodies of joints that follow others take.
->>>>>>> main
 
     q, v, a, u, sign [n, T]: the motion of all runs one after the other; clock [T] s; mean [K, T] averages over windows; runs: the rows
     of each."""
