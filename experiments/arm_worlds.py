@@ -22,7 +22,13 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from experiments.torque_witness import prepared
 from tests.generators.arm_worlds import KINDS, write_arm
 
-ROBOTS = ("unitree_z1__z1", "ufactory_lite6__lite6", "ufactory_xarm7__xarm7_nohand", "kuka_iiwa_14__iiwa14", "kinova_gen3__gen3")
+ROBOTS = (
+    "unitree_z1__z1",
+    "ufactory_lite6__lite6",
+    "ufactory_xarm7__xarm7_nohand",
+    "kuka_iiwa_14__iiwa14",
+    "kinova_gen3__gen3",
+)
 
 
 def named_by_witness(folder: Path) -> tuple[set[tuple[str, int]], float]:
@@ -56,7 +62,12 @@ def main() -> None:
             names, far = {(row["name"], index[j]) for row in rows for j in row["joints"]}, np.nan
         else:
             names, far = named_by_witness(folder)
-        for key, some in (("right", names & truth), ("wrong", names - truth), ("missed", truth - names), ("hidden", truth)):
+        for key, some in (
+            ("right", names & truth),
+            ("wrong", names - truth),
+            ("missed", truth - names),
+            ("hidden", truth),
+        ):
             total[key] += len(some)
         print(
             f"{seed} {robot} {kind}: right {len(names & truth)} of {len(truth)}, wrong {sorted(names - truth)}, missed "

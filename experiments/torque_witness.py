@@ -44,8 +44,13 @@ def examined(machine: Machine, judge: Machine) -> None:
             if e.owner == n.candidate.effect and set(e.joints) <= set(n.candidate.joints)
         ]  # fmt: skip
         size = ", ".join(f"{name} {z:.4g} +- {s:.2g}" for name, z, s in own)
-        print(f"  {n.candidate.effect} at {place(problem, n.candidate)}: {size}; gain {n.test.gain:.2f}, p {n.test.p:.2g}")
-    print("  damping", np.round([z for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == "viscous"], 4))
+        print(
+            f"  {n.candidate.effect} at {place(problem, n.candidate)}: {size}; gain {n.test.gain:.2f}, p {n.test.p:.2g}"
+        )
+    print(
+        "  damping",
+        np.round([z for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == "viscous"], 4),
+    )
     eta = [abs(z) for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == INERTIA]
     print(f"  farthest inertial coordinate {max(eta, default=0.0):.2f} (bound 0.55)")
     other, there = prepared(judge)
@@ -54,7 +59,10 @@ def examined(machine: Machine, judge: Machine) -> None:
         root = lambda z: np.sqrt(np.mean(np.square(z), 0))
         shares.append(root(residual(other, b, found.final)) / root(residual(other, b, Vector((), np.zeros(0)))))
     share = np.concatenate(shares)
-    print(f"  judged on {[t.name for t in judge.tracks]}: missing torque, share of the file's {np.round(share, 3)}, mean {share.mean():.3f}")
+    print(
+        f"  judged on {[t.name for t in judge.tracks]}: missing torque, share of the file's {np.round(share, 3)}, "
+        f"mean {share.mean():.3f}"
+    )
 
 
 def main() -> None:

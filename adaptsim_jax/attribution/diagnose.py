@@ -11,10 +11,10 @@ import numpy as np
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
-from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.equation.search import FACTOR
+from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.examine import Examined, examine, report_of
 from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
@@ -158,7 +158,8 @@ def examined(
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
         so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
-        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor_of(machine.log.meta) if torques else None)
+        factor = factor_of(machine.log.meta) if torques else None
+        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
 
@@ -189,7 +190,8 @@ def scaled(machine: Machine, horizon: float) -> Machine:
 
 
 def by_torque(machine: Machine) -> np.ndarray | None:
-    """The law of the actuators [6, n] with the gains that weight and inertia of the file's bodies give them along the motion; None where these do
+    """The law of the actuators [6, n] with the gains that weight and inertia of the file's bodies give them along the motion;
+    None where these do
     not tell the gain of every driven joint."""
     if machine.tree.linear:
         return None

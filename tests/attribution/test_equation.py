@@ -1,4 +1,5 @@
-"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks with the torque, right about friction."""
+"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks with the torque, right about
+friction."""
 
 import mujoco
 import numpy as np
@@ -46,7 +47,9 @@ def test_speed_and_acceleration_of_a_sine_are_its_own():
 def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
     data = record(tmp_path / "rub", friction=0.2, trials=2, held=False)
     truth = tmp_path / "truth.xml"
-    truth.write_text((data / "model.xml").read_text().replace('mass="1.2"', 'mass="1.0"').replace('damping="0.01"', 'damping="0.02"'))
+    truth.write_text(
+        (data / "model.xml").read_text().replace('mass="1.2"', 'mass="1.0"').replace('damping="0.01"', 'damping="0.02"')
+    )
     _, problem, (balance,) = prepared(data, truth)
     missing = residual(problem, balance, NOTHING)[:, 0]
     moves = balance.clear[:, 0] > 0.9
@@ -90,7 +93,9 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     for k in range(2):
         q = 0.3 * np.sin(0.4 * time + k) + 0.1 * np.sin(1.1 * time - k) + 1e-3 * rng.normal(size=len(time))
         torque = 0.5 * rng.normal(size=len(time))  # of another machine: it has nothing to do with the motion
-        np.savetxt(folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments="")
+        np.savetxt(
+            folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments=""
+        )
     (folder / "model.xml").write_text(HEAVY)
     mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "torque"\n')

@@ -29,7 +29,8 @@ SOMEWHAT = 2048  # rows that one compiled program takes
 
 @dataclass(frozen=True)
 class Balance:
-    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K],
+    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K],
+    time [K],
     clear [K, n]: whether a joint moved, and was not at the end of its range; known [K, n]: what acts whatever is fitted, which is what
     holds bodies up against gravity, less what bodies of joints that follow others take.
 
@@ -135,7 +136,9 @@ def _turned(tree, inertial, way, q):
 
 def turned(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Change of the force of gravity [K, n] as the joints turn by `way` [n]."""
-    return balance.averaged(_by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q))
+    return balance.averaged(
+        _by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q)
+    )
 
 
 @jax.jit

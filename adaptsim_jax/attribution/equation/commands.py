@@ -24,7 +24,8 @@ TIMES = 2.0  # by which a gain must differ from the file's before the file's is 
 
 @dataclass(frozen=True)
 class Servo:
-    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp itself is told, and
+    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp
+    itself is told, and
     not only what is over it; error: rms of the command error [rad], and what is left of it; p of a test over blocks against the file's
     gains."""
 
@@ -72,7 +73,18 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     for k, j, x, scale, size, left, p in found:
         kp = 1.0 / x[0] if scale else like if like is not None else -law[2, k] * gear[k] ** 2
         made.append(
-            Servo(j, kp, max(kp * x[1], 0.0), max(kp * x[2], 0.0), max(kp * x[3], 0.0), kp * x[4], bool(scale), size, left, p)
+            Servo(
+                j,
+                kp,
+                max(kp * x[1], 0.0),
+                max(kp * x[2], 0.0),
+                max(kp * x[3], 0.0),
+                kp * x[4],
+                bool(scale),
+                size,
+                left,
+                p,
+            )
         )
     return made
 
@@ -82,7 +94,9 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
     weight = np.sqrt(np.maximum(clear, 0.03))
     fold = folds_of(balance.trial, balance.time)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
-    solve = lambda some: np.linalg.lstsq((columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6)[0] / size
+    solve = lambda some: (
+        np.linalg.lstsq((columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6)[0] / size
+    )
     whole = solve(np.ones(len(y), bool))
     each, left = [], np.zeros_like(y)
     for f in np.unique(fold):
@@ -102,7 +116,8 @@ def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
 
 
 def drive_gains(problem: Problem, balance: Balance) -> dict[int, float | None]:
-    """Torque over volts or amperes of the driven joints of a group, from told = (forces that the motion takes, by the file's bodies) / gain
+    """Torque over volts or amperes of the driven joints of a group, from told = (forces that the motion takes, by the file's
+    bodies) / gain
     + friction and rotor over it; None where these do not give the scale."""
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     takes = balance.regressor @ values.inertial[..., 0].ravel()

@@ -43,7 +43,9 @@ class Said:
     @property
     def named(self) -> tuple[Named, ...]:
         return tuple(
-            Named(k.candidate, test_of(k.test), k.alternatives, k.steady, k.test.p) for w in self.witnesses for k in w.kept
+            Named(k.candidate, test_of(k.test), k.alternatives, k.steady, k.test.p)
+            for w in self.witnesses
+            for k in w.kept
         )
 
 

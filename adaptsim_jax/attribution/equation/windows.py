@@ -27,7 +27,8 @@ DOUBT = 3.0  # times the noise of a speed, likewise
 @dataclass(frozen=True)
 class Run:
     """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told over the window of a row, sign [n, T]
-    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
+    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages
+    over windows; at [K] s, their middles."""
 
     trial: int
     time: np.ndarray
@@ -92,7 +93,9 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
         seen *= np.interp(time, track.time, there.astype(float)) > 0.5
     q, v = _local(np.stack(columns), dt, _rows(dt))
     u = np.where(np.isfinite(track.u), track.u, 0.0)
-    area = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)])  # each is held to the next row
+    area = np.concatenate(
+        [np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)]
+    )  # each is held to the next row
     edges = np.append(time - 0.5 * dt, time[-1] + 0.5 * dt)
     middle = np.stack([np.diff(np.interp(edges, track.time, z)) / dt for z in area.T], 1)
     middle[0] = u[0]
