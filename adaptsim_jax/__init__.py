@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
     from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
     from adaptsim_jax.adaptation.presets import default_config as default_config
+    from adaptsim_jax.adaptation.session import Session as Session
     from adaptsim_jax.adaptation.training import TrainConfig as TrainConfig
     from adaptsim_jax.adaptation.training import Trained as Trained
     from adaptsim_jax.adaptation.training import adapt_run as adapt_run
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.diagnosis.simulator import Channel as Channel
     from adaptsim_jax.diagnosis.simulator import Simulator as Simulator
     from adaptsim_jax.diagnosis.simulator import Stretches as Stretches
+    from adaptsim_jax.environments.task import environment_task as environment_task
     from adaptsim_jax.space import Gaussian as Gaussian
     from adaptsim_jax.space import Parameter as Parameter
     from adaptsim_jax.space import Space as Space
@@ -40,9 +42,9 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "BadInput", "Candidate", "Channel", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Quantity", "Simulator",
-    "Space", "Stretches", "Task", "TaskKind", "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison",
-    "default_config", "diagnose", "diagnose_simulator", "gaussian",
+    "BadInput", "Candidate", "Channel", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Quantity", "Session",
+    "Simulator", "Space", "Stretches", "Task", "TaskKind", "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison",
+    "default_config", "diagnose", "diagnose_simulator", "environment_task", "gaussian",
     "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
 ]  # fmt: skip
 
@@ -61,6 +63,7 @@ __getattr__ = lazily(
         "Parameter": "space",
         "Phase1Config": "adaptation.phase1_config",
         "Phase1Hyper": "adaptation.phase1_config",
+        "Session": "adaptation.session",
         "Space": "space",
         "Task": "tasks.base",
         "TaskKind": "tasks.base",
@@ -71,6 +74,7 @@ __getattr__ = lazily(
         "default_comparison": "baselines.config",
         "default_config": "adaptation.presets",
         "diagnose": "commands.diagnose",
+        "environment_task": "environments.task",
         "gaussian": "space",
         "make_backend": "tasks.registry",
         "make_one_shot": "tasks.registry",

@@ -30,3 +30,23 @@ def test_meta_of_a_mechanism(tmp_path):
 def test_meta_of_a_pendulum():
     meta = read_meta(EXAMPLES / "meta_pendulum.toml")
     assert meta.known == {"b1": 0.01} and meta.unactuated == (1,)
+
+
+@pytest.mark.parametrize("folder", ["so101", "go2_hung", "panda_hand"])
+def test_logs_of_robots(tmp_path, folder):
+    """The script's log is read by the folder's meta.toml, of a hung quadruped of our own with a gripper's name where one is held."""
+    from importlib import util
+
+    from adaptsim_jax.logs.read import read_source_and_log
+    from tests.simulators.robots import quadruped
+
+    module = util.spec_from_file_location("robot_log", EXAMPLES / "robot_log.py")
+    script = util.module_from_spec(module)
+    module.loader.exec_module(script)
+    model = tmp_path / "model.xml"
+    model.write_text(quadruped().replace("fl_knee", "gripper"))
+    script.main([str(model), str(tmp_path / folder), *(["--degrees"] if folder == "so101" else [])])
+    shutil.copy(EXAMPLES / folder / "meta.toml", tmp_path / folder)
+    _, log = read_source_and_log(tmp_path / folder)
+    assert len(log.trials) == 4 and log.input_kind == "command" and abs(log.trials[0].q).max() < 2.0
+    assert ("gripper" in log.held) == (folder == "so101")

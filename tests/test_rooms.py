@@ -43,7 +43,7 @@ WITHIN = {
         "yardstick", "rows", "simulated",
     ),
     "environments": (
-        "fields", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
+        "fields", "randomise", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
         "targets", "checks", "task", "film", "kind",
     ),
     "tasks": (

@@ -17,7 +17,6 @@ KEPT = 64  # preparations kept beside compiled programs; the oldest go
 
 def prepared(
     task: Task,
-    options: dict,
     seed: int = 0,
     folder: str | os.PathLike | None = None,
     report: Report = silent,
@@ -26,7 +25,7 @@ def prepared(
     """`task` with what it learns once, where it learns anything.
 
     Args:
-        options: the task's, which with `seed` and the task's own digest say what was learned.
+        seed: with the task's own digest it says what was learned.
         folder: of the run that keeps it; None: it is kept with the compiled programs, for whoever asks for the same.
         make: False where it must be there already.
 
@@ -34,20 +33,19 @@ def prepared(
         The task, ready. BadInput where it is not there and may not be made.
     """
     made = task.preparation
-    return task if made is None else made.ready(learned(task, made, options, seed, folder, report, make))
+    return task if made is None else made.ready(learned(task, made, seed, folder, report, make))
 
 
 def learned(
     task: Task,
     made: Preparation,
-    options: dict,
     seed: int,
     folder: str | os.PathLike | None,
     report: Report = silent,
     make: bool = True,
 ) -> Any:
     """What `made` learns, as `prepared` finds or makes it: a pytree of arrays."""
-    digest = config.digest({"task": task.name, "options": options, "seed": seed, "of": made.digest})
+    digest = config.digest({"task": task.name, "seed": seed, "of": made.digest})
     shared = compile_cache.folder() / FOLDER / digest[:32]
     own = None if folder is None else Path(folder) / FOLDER
     like = jax.eval_shape(made.blank, jax.random.key(0))

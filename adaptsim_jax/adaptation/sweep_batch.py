@@ -48,7 +48,7 @@ class Found(NamedTuple):
 def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Split) -> Programs:
     """Programs for members alike to `member` in all that is static, `width` at a time."""
     config = member.config
-    task = prepared(make_task(spec.task, config.task, "task"), config.task, config.seed)
+    task = prepared(make_task(spec.task, config.task, "task"), config.seed)
     phase1 = make_phase1(task, config.phase1, devices.spread(split))
     mesh = devices.make_mesh(split)
     used = archive_size(phase1, phase1.config.rounds)

@@ -46,7 +46,8 @@ class Range:
 class SweepSpec:
     """SPEC.toml as it stands.
 
-    task, or an env.toml beside this file; preset or config (a file of `adaptsim train`): where members start from, else the task's default; set: changed in all.
+    task, or an env.toml from this file's folder; preset or config (a file of `adaptsim train`): where members start from, else the
+    task's default; set: changed in all.
     Members are grid x random x list x seeds. grid: key = [values]; list: tables of keys that belong together; seeds: how many
     (0, 1, ...) or which. targets: settings of the task to adapt to (none: Phase 1 alone), from `starts` members of S_E for
     `iterations` steps. keep: leave each member's run folder, for `adaptsim adapt`.

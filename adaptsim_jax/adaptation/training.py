@@ -107,7 +107,7 @@ def archive_size(phase1: Phase1, rounds: int) -> int:
 def _phase1_of(config: TrainConfig, run: RunFolder, progress: Callable[..., None] | None = None) -> Phase1:
     """progress: of what the task learns first; None where that must be there already."""
     task = make_task(run.task, config.task, str(run.path / "config.toml"))
-    task = prepared(task, config.task, config.seed, run.path, progress or silent, make=progress is not None)
+    task = prepared(task, config.seed, run.path, progress or silent, make=progress is not None)
     return make_phase1(task, config.phase1)
 
 

@@ -9,8 +9,10 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.mechanisms.roles import roles
 from adaptsim_jax.mechanisms.spec import Source
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.replay import replayed
+from adaptsim_jax.simulators.mujoco.touching import touching
 
 OWN = 1e-6
 """rad (m): of MuJoCo's median error over a sample of stretches, below which a recording is the file's own simulation."""
@@ -46,7 +48,7 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
     asked = asked or log.meta.simulator
     if asked:
         return Choice(asked, "as asked for", source, log)
-    if log.input_kind in ("voltage", "current"):
+    if log.input_kind in ("voltage", "current") or turns_of_balls(source, log):
         return Choice("tree", "", source, log)
     if why := _needs(source, log):
         return Choice("mujoco", why, source, log)
@@ -58,17 +60,16 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
 def _needs(source: Source, log: Log) -> str:
     """What a tree of joints cannot do of a file over a recording, in words; '' where it can do all."""
     from adaptsim_jax.mechanisms.mjcf import mechanism_of
-    from adaptsim_jax.simulators.mujoco.build import stepped
-    from adaptsim_jax.simulators.mujoco.touching import touching
 
     if base_moves(log):
         return "its base moves"
     if not log.joint_names:
         return "it has no joint but its base's"
     hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
-    if roles(source, hold, log.joint_names, log.meta.path).beyond:
-        return "; ".join(roles(source, hold, log.joint_names, log.meta.path).beyond[:2])
-    mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    try:
+        mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
+    except BadInput as error:  # nothing of a tree is left, or too much of it
+        return str(error).removeprefix(f"{source.path}: ").split(";")[0]
     beyond = mechanism.beyond + (mechanism.drives_beyond if log.input_kind == "command" else ())
     return "; ".join(beyond[:2]) or touching(stepped(source, log), log)
 
@@ -80,6 +81,4 @@ def base_moves(log: Log) -> bool:
 
 def _own(source: Source, log: Log, horizon: float) -> bool:
     """Whether MuJoCo at the file's own step makes the recording, to `OWN`."""
-    from adaptsim_jax.simulators.mujoco.replay import replayed
-
     return float(np.median(replayed(source, log, horizon, SAMPLE).error)) < OWN

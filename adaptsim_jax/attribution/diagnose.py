@@ -11,6 +11,9 @@ import numpy as np
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
+from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.commands import drive_gains
+from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.examine import Examined, examine, report_of
 from adaptsim_jax.attribution.inertias_told import otherwise
@@ -22,7 +25,7 @@ from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.servo import calibrated, servo_entries, servo_notes, servo_rows, span_of
 from adaptsim_jax.attribution.written import cleared, write_all, write_partial
-from adaptsim_jax.attribution.yardsticks import TORQUE
+from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -61,11 +64,15 @@ def diagnose(
     Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
     began = time.monotonic()
+    if yardstick is not None and yardstick not in NAMES:
+        raise BadInput(f"--yardstick {yardstick}: is no yardstick; use {', '.join(NAMES)}")
     say = progress or (lambda done, total, note: None)
     say(0.02, 1.0, "reading")
     machine = load(data, model).without(without)
     say(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
+    if yardstick == WHOLE:
+        horizon = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     machine = scaled(machine, horizon)
     declared = machine
     machine, off = calibrated(machine, horizon)
@@ -151,15 +158,26 @@ def examined(
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
         so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
-        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, torques)
+        factor = factor_of(machine.log.meta) if torques else None
+        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
+
+
+def factor_of(meta: Any) -> float:
+    """Within which masses and moments are taken to be those of the model file, along the measured motion. Raises BadInput."""
+    factor = meta.fit.get("factor", FACTOR)
+    if isinstance(factor, bool) or not isinstance(factor, (int, float)) or not 1.0 < factor <= 1e3:
+        raise BadInput(f"{meta.path}: [fit] factor = {factor!r} must be a number above 1, as 3")
+    return float(factor)
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:
     """With the gain of a voltage or current as the declared model's fit has it, so that effects see a torque in N m."""
     if not machine.gain_unknown:
         return machine
+    if (law := by_torque(machine)) is not None:
+        return replace(machine, actuator=law)
     problem = prepare(
         machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
@@ -171,14 +189,31 @@ def scaled(machine: Machine, horizon: float) -> Machine:
     return replace(machine, actuator=law)
 
 
+def by_torque(machine: Machine) -> np.ndarray | None:
+    """The law of the actuators [6, n] with the gains that weight and inertia of the file's bodies give them along the motion;
+    None where these do
+    not tell the gain of every driven joint."""
+    if machine.tree.linear:
+        return None
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    law = machine.actuator.copy()
+    for b in balances(problem, machine.tracks):
+        for joint, gain in drive_gains(problem, b).items():
+            if gain is None:
+                return None
+            law[0, joint] = gain
+    return law
+
+
 def declared_vector(machine: Machine, problem: Problem) -> Vector:
     """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says otherwise, and the gain of volts."""
     meta = machine.log.meta
     for table, key in (("fit", k) for k in meta.fit):
-        if key not in ("inertias", "damping"):
+        if key not in ("inertias", "damping", "factor"):
             raise BadInput(
-                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names)"
+                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names), or factor"
             )
+    factor_of(meta)
     inertia, damping = meta.fit.get("inertias", True), meta.fit.get("damping", True)
     vector = nuisances(problem, inertia=bool(inertia), damping=bool(damping))
     tree = machine.tree

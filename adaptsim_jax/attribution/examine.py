@@ -1,4 +1,5 @@
-"""Which yardstick tells, and by it which effects: the balance of torques along the motion, simulation, and each as the other's witness."""
+"""Which yardstick tells, and by it which effects: the balance of torques along the motion, simulation, and each as the other's
+witness."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
+from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.held_out import Model, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
@@ -26,13 +28,16 @@ from adaptsim_jax.attribution.yardsticks import (
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
 
-NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
+NOTHING = (
+    "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
+)
 CONTRADICTED = 1.05  # of the torque's missing part: what simulation names must not make more of it missing
 
 
 @dataclass(frozen=True)
 class Examined:
-    """problem, what was found, what the balance of torques says (None where it cannot), yardsticks of the declared model, fitted, and of
+    """problem, what was found, what the balance of torques says (None where it cannot), yardsticks of the declared model,
+    fitted, and of
     the final one, which of them judged and why."""
 
     problem: Problem
@@ -53,27 +58,45 @@ def examine(
     say: Callable[[str], None],
     keep: Callable[[Selection], None] = lambda found: None,
     asked: str | None = None,
-    torques: bool = True,
+    factor: float | None = FACTOR,
 ) -> Examined:
     """Judge by the yardstick that tells most of the declared model, before anything is named. null: what is fitted whatever is named;
-    asked: another yardstick; torques: whether the balance of torques is looked at."""
-    told = balances(problem, machine.tracks) if torques and tells(machine) else ()
+    asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is
+    not looked at."""
+    told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()
     if not told:
         found = by_simulation(problem, null, criteria, say, keep)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
-        return Examined(problem, found, None, before, after, STRETCHES, "no torque is known along the motion")
+        commanded = np.any(machine.actuator[2] != 0.0)
+        why = (
+            f"it follows commands; over {horizon:g} s a straight line says less"
+            if commanded
+            else "no torque is known along the motion"
+        )
+        return Examined(problem, found, None, before, after, STRETCHES, why)
     say("balance of torques")
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    words = said(problem, told, null, reach, criteria, machine.log.input_kind != "torque")
-    declared = model_of(problem, words, words.null, ())
-    before = _simulated(problem, declared, horizon) | {TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])}
+    try:
+        words = said(problem, told, null, reach, criteria, machine.log.input_kind != "torque", factor)
+        declared = model_of(problem, words, words.null, ())
+    except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
+        found = by_simulation(problem, null, criteria, say, keep)
+        before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
+        return Examined(
+            problem, found, None, before, after, STRETCHES, f"the torque along the motion tells nothing ({error})"
+        )
+    before = _simulated(problem, declared, horizon) | {
+        TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
+    }
     judge, why = headline(before, False, asked)
     if judge == TORQUE:
-        found = selection(problem, words, reach)
+        found = selection(problem, words, declared, reach)
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         return Examined(problem, found, words, before, after, judge, why)
-    effects = [(e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()]
+    effects = [
+        (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
+    ]
     start = null.at(_clipped(null, words.final.values[: len(null)]))
     hint = (start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added) if words.added else None
     found = by_simulation(problem, null, criteria, say, keep, hint)
@@ -92,7 +115,8 @@ def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
 
 
 def by_simulation(problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None) -> Selection:
-    """The search by simulated stretches; over their beginnings where the whole names nothing and far more than noise is left. hint: as of
+    """The search by simulated stretches; over their beginnings where the whole names nothing and far more than noise is left.
+    hint: as of
     `select`."""
     found = select(problem, null, criteria, say, keep, hint)
     if not found.named and over_floor(problem, found.final) > criteria.odd:
@@ -104,7 +128,9 @@ def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Meas
     return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
 
 
-def report_of(machine: Machine, e: Examined, criteria: Criteria, horizon: float) -> tuple[dict[str, Any], dict[str, Any]]:
+def report_of(
+    machine: Machine, e: Examined, criteria: Criteria, horizon: float
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     problem, found = e.problem, e.found
     report = reported(machine, problem, found, criteria, horizon)
@@ -121,7 +147,8 @@ def report_of(machine: Machine, e: Examined, criteria: Criteria, horizon: float)
         report["yardsticks"]["predicts_nothing"] = True
         if report["effects"]:
             report["not_established"] += [
-                f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that predicts nothing" for row in report["effects"]
+                f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that predicts nothing"
+                for row in report["effects"]
             ]
             report["effects"], report["verdict"] = [], "structured_unattributed"
     evidence = evidence_of(problem, found, report)
@@ -139,14 +166,16 @@ def _witnesses(e: Examined) -> list[str]:
         skills = other[0].skill, other[1].skill
         if skills[1] < skills[0] - 0.05:
             notes.append(
-                f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} without and {skills[1]:.2f} with what is named; "
+                f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} without "
+                f"and {skills[1]:.2f} with what is named; "
                 "they tell little here."
             )
     elif e.found.named and torque[0] is not None and torque[1] is not None:
         shares = [float(np.mean(m.error / np.maximum(m.still, 1e-300))) for m in torque]
         if shares[1] > CONTRADICTED * shares[0]:
             notes.append(
-                f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing without and {100 * shares[1]:.0f} % with "
+                f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing without "
+                f"and {100 * shares[1]:.0f} % with "
                 "what is named."
             )
     return notes
@@ -157,4 +186,3 @@ _WORDS = {
     "whole": "whole simulated trials",
     TORQUE: "the torque along the measured motion",
 }
-

@@ -76,7 +76,8 @@ def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 def fitted_starts(
     problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS, roughly: bool = False
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
-    """Starts by plain least squares on the angles, from the smoothed ones, and the paths from there. roughly: a path is taken to follow its
+    """Starts by plain least squares on the angles, from the smoothed ones, and the paths from there. roughly: a path is taken to
+    follow its
     start as one that nothing acts on, which needs no derivatives; no step is taken that does not gain."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))

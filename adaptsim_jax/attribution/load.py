@@ -1,5 +1,6 @@
 """From a recording and a model file to what is identified."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from adaptsim_jax.attribution import model_toml
@@ -8,12 +9,12 @@ from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.pendulum import pendulum_machine
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.quality.audit import audit, usable
-from adaptsim_jax.logs.read import read_with_model
+from adaptsim_jax.logs.read import joined, read_source_and_log
 from adaptsim_jax.logs.recording import read_recording
-from adaptsim_jax.mechanisms.mjcf import Mechanism
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.touching import touching
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:
@@ -25,14 +26,14 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
         raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
     if declared_task(data) != "pendulum":
         if model is None or Path(model).suffix.lower() != ".toml":
-            return _joined(*read_with_model(data, model))
+            return _joined(data, model)
         given = config.read(Path(model))
         beside = given.get("model")
         if given.get("task") != "mechanism" or not isinstance(beside, str):
             raise BadInput(
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"
             )
-        made = _joined(*read_with_model(data, Path(model).parent / beside))
+        made = _joined(data, Path(model).parent / beside)
         return model_toml.applied(given, str(model), made)
     if model is None:
         raise BadInput(f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml of it")
@@ -40,11 +41,14 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
     return pendulum_machine(usable(recording, audit(recording)), model)
 
 
-def _joined(mechanism: Mechanism, log: Log) -> Machine:
+def _joined(data: str | Path, model: str | Path | None) -> Machine:
     """See `machine`. Raises BadInput where the base moves, which a tree of joints has not."""
+    source, log = read_source_and_log(data, model)
     if base_moves(log):
         raise BadInput(
             f"{log.path}: the base moves, which a tree of joints has not; simulate it by MuJoCo (adaptsim replay, --fit), or ignore "
             "base_x .. base_qz where it stood still"
         )
-    return machine(mechanism, log)
+    made = machine(*joined(source, log))
+    contact = "" if turns_of_balls(source, log) else touching(stepped(source, log), log)
+    return replace(made, beyond=(*made.beyond, contact)) if contact else made

@@ -37,7 +37,8 @@ def text_of(
     gains: Mapping[str, float] | None = None,
     servos: Mapping[str, float] | None = None,
 ) -> str:
-    """The TOML text. told: of its provenance; gains: torque over volts or amperes by joint, where that had to be found; servos: factors on
+    """The TOML text. told: of its provenance; gains: torque over volts or amperes by joint, where that had to be found; servos:
+    factors on
     the file's kp by joint, likewise (the damping of such a servo is the joint's own)."""
     parts = ["# A model fitted by `adaptsim diagnose`; `adaptsim replay model.toml DATA` simulates all of it."]
     parts.append(config.dumps({"schema": 1, "task": "mechanism", "model": DECLARED}))

@@ -236,7 +236,9 @@ def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> V
             entries += [Entry(**{**e.__dict__, "joints": (g.joints[e.joints[0]],)}) for e in local]
     if damping:
         start = problem.declared["viscous", "damping"]
-        top = 5.0 * problem.reach.torque / problem.reach.speed + 10.0 * start
+        # of a joint that nothing drives, what its own weight and motion are worth
+        reach = scaled_reach(problem, *own_inertia(problem, Vector((), np.zeros(0))))
+        top = 5.0 * reach.torque / reach.speed + 10.0 * start
         entries += [
             Entry(
                 "viscous",

@@ -1,4 +1,5 @@
-"""The yardstick: any model over recordings, simulated (`forecast.py`) and in the torque along the measured motion, beside what needs no
+"""The yardstick: any model over recordings, simulated (`forecast.py`) and in the torque along the measured motion, beside what
+needs no
 model (`yardsticks.py`). The error is the root mean square over a stretch, joint by joint.
 """
 

@@ -11,7 +11,6 @@ from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
-from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.power import power_rows
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
@@ -202,8 +201,8 @@ def _numbers_of(model: Model) -> list[tuple[Entry, dict[str, Any]]]:
 
 
 def _held_out(problem: Problem, found: Selection) -> list[Mapping[str, Any]]:
-    """Measured and simulated angles, trial by trial, stretches one after the other."""
-    pair = [run(problem, m.fit.vector, m.fit.starts) for m in (found.null, found.final)]
+    """Measured angles and those predicted of left-out folds, trial by trial, stretches one after the other."""
+    pair = [m.held.paths for m in (found.null, found.final)]
     s = problem.groups[0].stretches
     out = []
     for k, name in enumerate(s.names):

@@ -58,7 +58,8 @@ def select(
     keep: "Callable[[Selection], None]" = lambda found: None,
     hint: tuple[Vector, tuple[Candidate, ...]] | None = None,
 ) -> Selection:
-    """Forward, then each effect beside the others, then against its look-alikes. keep: told of what is found, as it goes; hint: values and
+    """Forward, then each effect beside the others, then against its look-alikes. keep: told of what is found, as it goes; hint:
+    values and
     effects to go on from (of another witness), if they predict left-out folds better than the declared model."""
     base = first = declared(problem, null, criteria)
     say("candidates")

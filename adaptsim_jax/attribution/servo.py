@@ -1,6 +1,7 @@
 """Position servos whose gains are not those of the model file: found along the measured motion, put into the machine, told.
 
-A file's kp of 1,000 N m/rad where the machine has 10 leaves a declared model that no search recovers from: every other effect is judged
+A file's kp of 1,000 N m/rad where the machine has 10 leaves a declared model that no search recovers from: every other effect is
+judged
 about it. So the gains come first, as the torque of a volt does of a drive whose constant nobody wrote down.
 """
 
@@ -29,7 +30,8 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
         machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
     found = [s for b in balances(problem, machine.tracks) for s in servos(problem, b)]
-    law, damping = machine.actuator.copy(), np.array(machine.tree.damping, float)
+    law = machine.actuator.copy()
+    damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
     file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
     off = [s for s in found if s.p < LEVEL and s.left < s.error and not 1 / TIMES < s.kp / file[s.joint] < TIMES]
     for s in off:
@@ -39,14 +41,14 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
         damping[s.joint] = s.damping
     if not off:
         return machine, ()
-    tree = replace(machine.tree, damping=damping)
     times = {s.joint: float(s.kp / file[s.joint]) for s in off}
-    mechanism = replace(machine.mechanism, tree=tree)
-    return replace(machine, actuator=law, mechanism=mechanism, servo_times=times), tuple(off)
+    declared = machine.declared | {("viscous", "damping"): damping}
+    return replace(machine, actuator=law, declared=declared, servo_times=times), tuple(off)
 
 
 def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
-    """Length of stretches [s] over which a machine that follows commands is judged: the shortest over which a straight line leaves more than
+    """Length of stretches [s] over which a machine that follows commands is judged: the shortest over which a straight line
+    leaves more than
     what the regression of its command errors left."""
     left = np.median([s.left for s in off])
     for span in SPANS:
@@ -67,7 +69,9 @@ def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
     return [Entry("position_gain", "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
 
 
-def servo_rows(machine: Machine, declared: Machine, off: tuple[Servo, ...], final: Vector, spread: np.ndarray) -> list[dict[str, Any]]:
+def servo_rows(
+    machine: Machine, declared: Machine, off: tuple[Servo, ...], final: Vector, spread: np.ndarray
+) -> list[dict[str, Any]]:
     """Rows of the report's effects: kp as fitted, with its interval, beside the file's."""
     rows = []
     at = {e.joints[0]: i for i, e in enumerate(final.entries) if e.owner == "position_gain"}
@@ -76,12 +80,17 @@ def servo_rows(machine: Machine, declared: Machine, off: tuple[Servo, ...], fina
         gain, wide = (float(final.values[at[s.joint]]), float(spread[at[s.joint]])) if s.joint in at else (0.0, 0.0)
         kp = -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2
         file = -declared.actuator[2, s.joint] * declared.gear[s.joint] ** 2
-        ends = {"value": kp * (1 + gain), "low": kp * max(1 + gain - 1.64 * wide, 0.0), "high": kp * (1 + gain + 1.64 * wide)}
+        ends = {
+            "value": kp * (1 + gain),
+            "low": kp * max(1 + gain - 1.64 * wide, 0.0),
+            "high": kp * (1 + gain + 1.64 * wide),
+        }
         told = f"the position controller's stiffness; the file says {file:.4g}"
         if not s.scale:
             told += ". Only ratios to it are fixed by these data: no weight or inertia gives the scale at this joint"
         rows.append({
-            "name": "position_gain", "where": name, "joints": [name], "parameters": {"kp": ends | {"unit": "N m/rad", "meaning": told}},
+            "name": "position_gain", "where": name, "joints": [name],
+            "parameters": {"kp": ends | {"unit": "N m/rad", "meaning": told}},
             "physics": "the stiffness of the position controller is not the file's", "alternatives": [],
             "held_out_gain": 1.0 - (s.left / s.error) ** 2, "p_value": s.p,
         })  # fmt: skip
@@ -98,4 +107,6 @@ def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> 
         + ("" if s.scale else "; only a ratio is told") + ")"
         for s in off
     )  # fmt: skip
-    return [f"kp by the command error along the motion, N m/rad, before the fit: {each}. kv of the file is in the joints' damping."]
+    return [
+        f"kp by the command error along the motion, N m/rad, before the fit: {each}. kv of the file is in the joints' damping."
+    ]

@@ -19,7 +19,8 @@ FAR = 3.0  # times, by which a body of a fit may differ from the file's before t
 
 
 def held_missing(found: Said) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
-    """What is missing of the torque in windows that were left out [K, n], by balance: of the declared model, fitted, and of the final."""
+    """What is missing of the torque in windows that were left out [K, n], by balance: of the declared model, fitted, and of the
+    final."""
     out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
     for k, w in enumerate(found.witnesses):
         for kept, solved in zip(out, (w.base, w.whole), strict=True):
@@ -133,7 +134,8 @@ def quiet_notes(problem: Problem, found: Said) -> list[str]:
             if all(k.candidate is not c for k in w.kept):
                 by.setdefault(c.effect, []).append(place(problem, c))
     return [
-        f"{name.replace('_', ' ')} at {', '.join(where)} is fitted, since like joints have it, but could not be shown by itself in these data."
+        f"{name.replace('_', ' ')} at {', '.join(where)} is fitted, since like joints have it, "
+        "but could not be shown by itself in these data."
         for name, where in by.items()
         if name != "delay"
     ]
@@ -149,7 +151,8 @@ def bound_notes(problem: Problem, found: Said) -> list[str]:
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(at)} ends at {FAR:g} times (or a third of) what the model file says, and is held there: "
+        f"The fit of the bodies moved by {', '.join(at)} ends at {FAR:g} times (or a third of) what the model file says, "
+        "and is held there: "
         "a rotor, a gain of the torques, a payload or friction that is not in the catalogue would explain it; "
         "`[fit] factor` in meta.toml widens it."
     ]
@@ -168,7 +171,9 @@ def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[
         resists = residual(problem, b, bare)
         speed = b.averaged(b.v)
         some = np.unique(np.linspace(0, len(told) - 1, min(MOST_ROWS, len(told))).astype(int))
-        clock = b.time + np.concatenate([[0.0], np.cumsum(np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0))])
+        clock = b.time + np.concatenate(
+            [[0.0], np.cumsum(np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0))]
+        )
         for k, j in enumerate(b.group.joints):
             unit = "N m" if problem.kinds[j] == "hinge" else "N"
             over_time.append({

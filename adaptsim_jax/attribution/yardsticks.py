@@ -1,7 +1,9 @@
 """Three yardsticks of a model beside each other, each with a zero: what needs no model at all leaves as much.
 
-Stretches and whole trials are simulated, and set against a straight line and holding still; the torque along the measured motion is set
-against a torque that never changes. Skill = 1 - error / the better of these: 1 is perfect, 0 is worth nothing, below it the model is worse
+Stretches and whole trials are simulated, and set against a straight line and holding still; the torque along the measured motion
+is set
+against a torque that never changes. Skill = 1 - error / the better of these: 1 is perfect, 0 is worth nothing, below it the
+model is worse
 than none. Which of them tells most depends on the machine: over 0.5 s a slow arm moves along a straight line, whatever its model; a
 joint with much friction and little inertia says all in its torque; what follows commands shows over whole trials.
 """
@@ -91,7 +93,8 @@ def of_torque(
 
 
 def needed(problem: Problem, balance: Balance) -> np.ndarray:
-    """Torque [K, n] that a model has to tell: what actuators were told; of joints without one, what the declared bodies' motion takes."""
+    """Torque [K, n] that a model has to tell: what actuators were told; of joints without one, what the declared bodies' motion
+    takes."""
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     told = balance.averaged(actuator_force(balance, values)[0])
     takes = balance.regressor @ values.inertial[..., 0].ravel()
@@ -99,21 +102,27 @@ def needed(problem: Problem, balance: Balance) -> np.ndarray:
 
 
 def headline(measures: Mapping[str, Measure | None], follows: bool, asked: str | None = None) -> tuple[str, str]:
-    """(The yardstick by which effects are judged, why), of those of the declared model, fitted. follows: the machine is told where to be.
+    """(The yardstick by which effects are judged, why), of those of the declared model, fitted. follows: the machine is told
+    where to be.
 
     Chosen before anything is named. asked: the one that a person wants.
     """
     if asked is not None:
         return asked, "asked for"
     skill = {k: m.skill for k, m in measures.items() if m is not None and np.isfinite(m.skill)}
-    words = lambda k: f"{100 * skill[k]:.0f} % better than a straight line" if skill[k] > 0 else "no better than a straight line"
+    words = lambda k: (
+        f"{100 * skill[k]:.0f} % better than a straight line" if skill[k] > 0 else "no better than a straight line"
+    )
     if skill.get(STRETCHES, -1.0) >= TELLS:
         return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
     if follows and WHOLE in skill:
         return WHOLE, "the machine follows commands, and over short times a straight line does as well"
     if skill.get(TORQUE, -1.0) > max(skill.get(STRETCHES, -1.0), 0.0):
         beside = f"; simulated stretches of it are {words(STRETCHES)}" if STRETCHES in skill else ""
-        return TORQUE, f"the declared model, fitted, tells {100 * skill[TORQUE]:.0f} % of the torque along the motion{beside}"
+        return (
+            TORQUE,
+            f"the declared model, fitted, tells {100 * skill[TORQUE]:.0f} % of the torque along the motion{beside}",
+        )
     return STRETCHES, "no yardstick tells much"
 
 

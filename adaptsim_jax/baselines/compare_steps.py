@@ -48,7 +48,7 @@ def compare_steps(
     found: dict[str, list[Deployed]] = {method: [] for method in every}
     for i, seed in enumerate(seeds):
         told = lambda done, of, note="", i=i: progress(i + done / max(of, 1), len(seeds), f"seed {i + 1}: {note}")
-        ready = learned(task, made, dict(options), seed, None, told)
+        ready = learned(task, made, seed, None, told)
         for method, deployed in tried(setting, ready, names, every, config, seed, told):
             found[method].append(deployed)
     return rows_of(found, methods, names), _about(setting, names, found)
@@ -162,6 +162,7 @@ def _about(setting: Setting, names: list[str], found: dict[str, list[Deployed]])
     return {
         "simulator": f"{setting.sim.name} in MJX" if setting.sim.native is not None else setting.sim.name,
         "target_backend": ", ".join(dict.fromkeys(setting.targets[n].engine for n in names)),
+        "trials_axis": True,
         "reward": "return of what is deployed: 0 UDR, 1 the oracle or the best in Omega",
         "oracle": "the policy that knows E, trained on in the target",
         "settings": {

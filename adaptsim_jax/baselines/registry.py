@@ -6,24 +6,16 @@ many steps. Another package adds one by an entry point of the group `adaptsim.ba
 `steps.NAME`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 from adaptsim_jax.core.registry import Registry
-
-if TYPE_CHECKING:
-    from adaptsim_jax.baselines.learned import Bout, Trip
-    from adaptsim_jax.baselines.methods import Run, Visits
-    from adaptsim_jax.baselines.problem import Problem
-    from adaptsim_jax.space import Space
 
 HERE = "adaptsim_jax.baselines"
 BOUNDS = ("udr", "best_in_omega")  # 0 and 1 of the exact scale, computed for every comparison
 ORACLE = "oracle"  # what the best actions earn in the target itself, likewise
 
-EXACT: Registry[Callable[[Run], Visits]] = Registry(
+EXACT: Registry[Callable[..., Any]] = Registry(
     "baselines",
     {
         "adaptsim": f"{HERE}.methods:adaptsim",
@@ -37,7 +29,7 @@ EXACT: Registry[Callable[[Run], Visits]] = Registry(
     },
     within="exact",
 )
-LEARNED: Registry[Callable[[Bout], Trip]] = Registry(
+LEARNED: Registry[Callable[..., Any]] = Registry(
     "baselines",
     {
         "adaptsim": f"{HERE}.learned:adaptsim",
@@ -50,7 +42,7 @@ LEARNED: Registry[Callable[[Bout], Trip]] = Registry(
     },
     within="learned",
 )
-STEPS: Registry[Callable[[Bout], Trip]] = Registry(
+STEPS: Registry[Callable[..., Any]] = Registry(
     "baselines",
     {
         "adaptsim": f"{HERE}.learned:adaptsim",
@@ -67,7 +59,7 @@ STEPS: Registry[Callable[[Bout], Trip]] = Registry(
     },
     within="steps",
 )
-PROBLEMS: Registry[Callable[[Space], Problem]] = Registry("problems", {"pendulum": f"{HERE}.problem:pendulum_problem"})
+PROBLEMS: Registry[Callable[..., Any]] = Registry("problems", {"pendulum": f"{HERE}.problem:pendulum_problem"})
 
 
 def exact_methods() -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 Every method trains the same networks with the same learner in the same simulator. Target trials are episodes, counted alike.
 """
 
+import importlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -108,7 +109,7 @@ def _obs_dim(arena: StepsArena) -> int:
 def cma_es(bout: Bout) -> Trip:
     """E's mean by the covariance matrix adaptation of Hansen (2016), a visit for each candidate (package `cma`)."""
     try:
-        import cma
+        cma: Any = importlib.import_module("cma")
     except ModuleNotFoundError:
         raise BadInput("compare: method 'cma_es' needs the package cma; pip install cma") from None
     arena: StepsArena = bout.arena  # type: ignore[assignment]

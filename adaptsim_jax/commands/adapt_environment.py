@@ -53,7 +53,7 @@ def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Pat
             "--video: films an environment with a MuJoCo model, in a target that env.toml names; leave --video out"
         )
     run = RunFolder.open(found["run"])
-    prepared = learned(task_of(setting), made, options, run.config.get("seed", 0), run.path, make=False)  # type: ignore[arg-type]
+    prepared = learned(task_of(setting), made, run.config.get("seed", 0), run.path, make=False)  # type: ignore[arg-type]
     acting = acting_of(setting, prepared.learned)
     start, best = map(int, best_visit(result.history.score))
     policies = [jax.tree.map(lambda x, i=i: x[start, i], result.history.policy) for i in (0, best)]

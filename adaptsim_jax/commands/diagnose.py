@@ -12,7 +12,9 @@ from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
     from adaptsim_jax.diagnosis.run import Page
+    from adaptsim_jax.logs.log import Log
     from adaptsim_jax.logs.types import Recording
+    from adaptsim_jax.mechanisms.spec import Source
 
 EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
@@ -23,6 +25,7 @@ EXAMPLES = """
   adaptsim diagnose logs/scoops --out out8      the scoop: task = "scooping", likewise
   adaptsim diagnose logs/tosses --out out9      a tossed body: task = "toss", model = "cube.xml"; poses beside it
   adaptsim diagnose robot --out out7            a session of `adaptsim robot` of either, as it is
+  adaptsim diagnose logs/walk --out out11 --simulator mujoco     a base that moves, contact: by MuJoCo itself
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -38,6 +41,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
     )
     parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05")
+    parser.add_argument(
+        "--simulator",
+        choices=("tree", "mujoco"),
+        help="of a mechanism: a tree of joints, or MuJoCo itself (a base that moves, contact, loops; a shorter catalogue); default: "
+        "as meta.toml says, else tree where the base stands still",
+    )
     parser.add_argument("--json", action="store_true", help="print report.json")
     parser.add_argument("--strict", action="store_true", help=argparse.SUPPRESS)  # of earlier versions
     parser.add_argument(
@@ -45,6 +54,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="take columns and lengths as declared, though the motion contradicts them",
     )
+    parser.add_argument(
+        "--yardstick",
+        choices=("stretches", "whole", "torque"),
+        help="of a mechanism, by which effects are judged (default: the one that tells most of this recording)",
+    )
+    parser.add_argument("--horizon", type=float, default=0.5, metavar="S", help="length of simulated stretches (default 0.5)")
     parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects TASK` lists them all",
@@ -156,19 +171,39 @@ def run_mechanism(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.logs.read import read_with_model
+    from adaptsim_jax.logs.read import joined, read_source_and_log
 
     if "jax" not in sys.modules:
         compile_flags.small_steps()
-    read_with_model(args.data, args.model)  # refused before anything is written
+    source, log = read_source_and_log(args.data, args.model)  # refused before anything is written
+    from adaptsim_jax.attribution.choice import base_moves
+
+    if (args.simulator or log.meta.simulator or ("mujoco" if base_moves(log) else "tree")) == "mujoco":
+        return run_by_mujoco(args, source, log)
+    joined(source, log)
     from adaptsim_jax.attribution import diagnose as machines
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
     with output(args.out) as folder, progress("diagnose") as report:
         result = machines.diagnose(
             args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(split_names(args.without)),
-            progress=report, page=write_diagnosis, as_declared=args.as_declared,
+            progress=report, page=write_diagnosis, as_declared=args.as_declared, horizon=args.horizon, yardstick=args.yardstick,
         )  # fmt: skip
+    return say(args, result, folder)
+
+
+def run_by_mujoco(args: argparse.Namespace, source: Source, log: Log) -> int:
+    """A mechanism that MuJoCo itself simulates."""
+    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.core.progress import progress
+    from adaptsim_jax.report.diagnosis import write_diagnosis
+    from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
+
+    without = split_names(args.without)
+    if without:
+        log = log.pick([t.name for t in log.trials if t.name not in without])
+    with output(args.out) as folder, progress("diagnose") as report:
+        result = by_mujoco(source, log, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis)
     return say(args, result, folder)
 
 

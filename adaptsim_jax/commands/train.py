@@ -125,7 +125,7 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     if args.preset:
         return _preset_table(args)
     if not args.config:
-        return args.env
+        return vars(args).get("env", {})  # of an env.toml in the task's place
     table = config.read(args.config)
     if isinstance(table.get("config"), dict):
         if table.get("task", args.task) != args.task:

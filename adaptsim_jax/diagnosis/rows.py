@@ -231,17 +231,26 @@ def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) 
     return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
 
 
-def candidate_rows(found: Selection) -> list[dict[str, Any]]:
-    """Every candidate, what the first score test said of it, and what became of it."""
+def candidate_rows(found: Selection, alpha: float = Criteria.alpha) -> list[dict[str, Any]]:
+    """Every candidate, what the first score test said of it, and what became of it. alpha: the test's level."""
     names = {n.effect.name for n in found.named}
     alike = {a.name for n in found.named for a, _ in n.alternatives}
     rows = []
     for s in found.scores:
         name = s.effect.name
         status = "accepted" if name in names else "look-alike" if name in alike else "rejected"
-        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
-            name, "predicts left-out trials less well than what was chosen"
+        passed = s.p * len(found.scores) < alpha
+        chosen = (
+            "predicts left-out trials less well than what was chosen"
+            if names
+            else "not among the best few that were fitted"
         )
+        rest = (
+            chosen
+            if passed
+            else f"does not pass the score test (p {min(1.0, s.p * len(found.scores)):.2g}), and was not fitted"
+        )
+        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(name, rest)
         rows.append(
             {
                 "name": name,

@@ -59,7 +59,7 @@ def diagnose_simulator(
     problem = problem_of(simulator, kept)
     found = select(problem, criteria, step)
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
-    told_of_nothing(report)
+    told_of_nothing(report, criteria)
     report["run"] = evidence["run"] = Run(f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
@@ -85,7 +85,7 @@ def reported(
         "simulator",
         name,
         rows.verdict(found.named, worst, criteria),
-        message(found, over, worst),
+        message(found, worst, criteria),
         {
             "trials": len(s.names),
             "samples": int((s.seen > 0).any(2).sum()),
@@ -93,16 +93,17 @@ def reported(
         },
         effects=[rows.effect_row(problem, found, n) for n in found.named],
         error=_error(simulator, problem, both),
-        candidates=rows.candidate_rows(found),
+        candidates=rows.candidate_rows(found, criteria.alpha),
         declared={k: rows.declared_rows(problem, m, {}) for k, m in both.items()},
         not_established=rows.same_rows(found, "stretch"),
         power=power_rows(problem, found, criteria),
+        notes=few(problem),
         next_experiment=telling(simulator, problem, found, proposals),
     )
     return report, {"audit": [], "held_out": _held_out(simulator, problem, both, bool(found.named))}
 
 
-def told_of_nothing(report: dict[str, Any]) -> None:
+def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
     """Where no model does better than a straight line or holding still, that is said first, and nothing is named."""
     skills = [z for z in report["error"]["skill"].values() if z is not None]
     if not skills or max(skills) >= 0.0:
@@ -112,17 +113,28 @@ def told_of_nothing(report: dict[str, Any]) -> None:
     said = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {least:.3g}."
     named = ", ".join(row["name"] for row in report["effects"])
     report |= {"message": f"{said}{f' Not named for that: {named}.' if named else ''}", "effects": []}
-    report["verdict"] = "structured_unattributed" if e["after"] > 1.5 else "within_noise"
+    report["verdict"] = "structured_unattributed" if e["after"] > criteria.explained else "within_noise"
     for row in report["candidates"]:
         row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
 
 
-def message(found: Selection, over: float, worst: float) -> str:
+def few(problem: Problem) -> list[str]:
+    """A note where so few stretches can show little, whatever they show."""
+    count = len(np.unique(problem.block))
+    least = 2.0**-count
+    if least <= 0.05:
+        return []
+    return [
+        f"Only {count} stretches are compared: a paired test over so few shows no more than p = {least:.2g}. Cut more, or record more."
+    ]
+
+
+def message(found: Selection, worst: float, criteria: Criteria) -> str:
     """What was found, in a few sentences."""
     size = lambda m: f"{rows.over_floor(m):.3g}"
     if not found.named:
         said = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
-        return f"{said} {'Nothing need be added.' if worst <= 1.5 else 'No candidate holds out.'}"
+        return f"{said} {'Nothing need be added.' if worst <= criteria.explained else 'No candidate holds out.'}"
     return (
         f"{rows.told(found.named, 'folds')} Left-out error {size(found.null)} to {size(found.final)} times the noise."
     )

@@ -14,6 +14,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 
+LEAST = 3  # stretches
 STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
 
 
@@ -88,6 +89,12 @@ def check_simulator(simulator: Simulator) -> None:
     ):
         if x.shape != wanted:
             raise BadInput(f"simulator: stretches.{what} has shape {x.shape}; {wanted} is wanted")
+    if s.count < LEAST:
+        raise BadInput(f"simulator: {s.count} stretches are too few to leave any out; give at least {LEAST}")
+    if len(gone := np.argwhere((s.seen > 0) & ~np.isfinite(s.measured))):
+        w, r, c = gone[0]
+        where = f"stretch {w}, row {r}, channel {simulator.channels[c].name}"
+        raise BadInput(f"simulator: {where} is not finite though it is seen; write seen = 0 there")
     values = np.tile([q.neutral for q in simulator.quantities], (s.count, 1))
     one, two = (np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2))
     if one.shape != shape:

@@ -1,12 +1,12 @@
 """A simulator as the search's problem: each stretch's start is fitted wherever it is asked about, and taken out of every column."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adaptsim_jax.diagnosis.folds import folds_of
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise, residuals
 
 ROUNDS = 3  # of a start's fit from its anchor
@@ -79,12 +79,31 @@ def problem_of(
         by_start, by_value = linearise(simulator, rows, at, np.arange(s.count), basis)
         return without(by_start, by_value)
 
+    wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
+    wanted = tuple(_begun_apart(c, quantities, columns) for c in wanted)
     return Problem(
-        quantities, tuple(simulator.declared), tuple(simulator.candidates if candidates is None else candidates), left, columns,
+        quantities, tuple(simulator.declared), wanted, left, columns,
         free, tuple(s.names[t] for t in s.trial), neutral[None] if begun is None else begun, channels=len(simulator.channels),
         fold=fold, block=block,
     )  # fmt: skip
+
+
+def _begun_apart(candidate: Candidate, quantities: Sequence[Quantity], columns) -> Candidate:
+    """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a friction that only holds) begins at a few
+    sizes instead: shapes of its own are kept."""
+    index = {q.name: i for i, q in enumerate(quantities)}
+    own = [quantities[index[name]] for name in candidate.quantities]
+    if any(candidate.shapes):
+        return candidate
+    neutral = np.array([q.neutral for q in quantities])
+    basis = np.zeros((len(own), len(quantities)))
+    for row, q in zip(basis, own, strict=True):
+        row[index[q.name]] = q.scale
+    if np.any(np.abs(columns(neutral, basis)) > 1e-9):
+        return candidate
+    sizes = [{q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own} for k in (1.0, 10.0, 100.0)]
+    return replace(candidate, shapes=tuple(sizes))
 
 
 def without(by_start: np.ndarray, by_value: np.ndarray) -> np.ndarray:

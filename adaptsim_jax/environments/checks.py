@@ -13,7 +13,7 @@ NOTHING = 1e-5  # of what is seen, in its own spread: single precision alone mov
 
 
 def check_pure(play: Play, values: np.ndarray) -> None:
-    """BadInput where two traces of a reset and a step differ: the environment then keeps a state of its own, or draws without a key."""
+    """BadInput where two traces of a reset and a step differ: the environment keeps a state of its own, or draws without a key."""
 
     def run(key, values):
         world = play.world(values)
@@ -26,8 +26,8 @@ def check_pure(play: Play, values: np.ndarray) -> None:
     arrays = all(np.array_equal(a, b) for a, b in zip(first.consts, second.consts, strict=False) if _plain(a))
     if str(first.jaxpr) != str(second.jaxpr) or not arrays:
         raise BadInput(
-            f"env: {play.sim.name} is not pure: called twice alike, reset and step do not do the same; draw from the key alone, and keep "
-            "what changes in the state"
+            f"env: {play.sim.name} is not pure: called twice alike, reset and step do not do the same; draw from the key "
+            "alone, and keep what changes in the state"
         )
 
 
@@ -47,4 +47,6 @@ def check_fields(names: Sequence[str], seen: Callable[[jax.Array], np.ndarray]) 
     moved = np.nanmax(np.abs(found[:, :, 1] - found[:, :, 0]) / scale, axis=(0, 2))
     still = [name for name, by in zip(names, moved, strict=True) if not by > NOTHING]
     if still:
-        raise BadInput(f"fields: nothing that is seen follows from '{still[0]}' anywhere in its range; leave it out, or widen it")
+        raise BadInput(
+            f"fields: nothing that is seen follows from '{still[0]}' anywhere in its range; leave it out, or widen it"
+        )

@@ -217,7 +217,7 @@ def _leaf(model: Any, array: str) -> Any:
     return model
 
 
-def edit_native(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence[float]) -> mujoco.MjModel:
+def edit_native(model: mujoco.MjModel, fields: Sequence[Field], values: Any) -> mujoco.MjModel:
     """`model` itself with `values [F]` in their places, and what MuJoCo derives of them made anew."""
     for field, value in zip(fields, values, strict=True):
         for edit in field.edits:

@@ -93,7 +93,7 @@ def _module(home: str, where: str) -> Any:
 
 
 def _playground(name: str, options: dict[str, Any], where: str) -> Any:
-    registry = _peer("mujoco_playground.registry", "playground", where)
+    registry = _peer("mujoco_playground", "playground", where).registry
     if name not in registry.ALL_ENVS:
         raise BadInput(f"{where}: Playground has no '{name}'; {suggest(name, registry.ALL_ENVS)}")
     options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
@@ -142,6 +142,9 @@ def simulated(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: 
         raise BadInput(
             f"{where}: the environment holds no mjx.Model (as mjx_model or sys), so it has no fields to adapt"
         )
+    for name in ("action_size", "dt"):
+        if not hasattr(env, name):
+            raise BadInput(f"{where}: the environment has no {name}; see docs/howto/environment.md for what it needs")
     native = getattr(env, "mj_model", None) or getattr(getattr(env, "sys", None), "mj_model", None)
     if native is None:
         raise BadInput(f"{where}: the environment holds no mujoco.MjModel (as mj_model) to find names in; add it")
@@ -156,7 +159,7 @@ def simulated(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: 
             return bound(model).reset(key)
 
     def step(model, state, action, physics: Physics | None = None):
-        with jax.numpy_rank_promotion("allow"), _physics(physics):
+        with jax.numpy_rank_promotion("allow"), _physics(physics, type(env).__name__):
             return bound(model).step(state, action)
 
     def seen(state):
@@ -200,22 +203,38 @@ _ACTING: list[Physics] = []  # what steps the model while a target is traced; em
 
 
 @contextlib.contextmanager
-def _physics(physics: Physics | None) -> Iterator[None]:
-    """Within it environments step by `physics`: ours ask `advance`, Playground's by a function of its module."""
+def _physics(physics: Physics | None, name: str) -> Iterator[None]:
+    """Within it environments step by `physics`: ours ask `advance`, Playground's a function of its module, others `mjx.step`.
+
+    Raises BadInput where none of these was asked for: the target would be the simulator again, without a word.
+    """
     if physics is None:
         yield
         return
-    peer = sys.modules.get("mujoco_playground._src.mjx_env")
-    theirs = None if peer is None else peer.step
-    _ACTING.append(physics)
+    asked = []
+
+    def counted(model, data, ctrl, substeps):
+        asked.append(substeps)
+        return physics(model, data, ctrl, substeps)
+
+    peer: Any = sys.modules.get("mujoco_playground._src.mjx_env")
+    theirs, plain = None if peer is None else peer.step, mjx.step
+    _ACTING.append(counted)
+    mjx.step = lambda model, data: counted(model, data, data.ctrl, 1)
     if peer is not None:
-        peer.step = lambda model, data, action, n_substeps=1: physics(model, data, action, n_substeps)
+        peer.step = lambda model, data, action, n_substeps=1: counted(model, data, action, n_substeps)
     try:
         yield
     finally:
         _ACTING.pop()
+        mjx.step = plain
         if peer is not None:
             peer.step = theirs
+    if not asked:
+        raise BadInput(
+            f"{name}: its step does not reach the target's physics; call mjx.step, or advance of "
+            'adaptsim_jax.environments.simulated, inside of step and without a jit of its own, or write engine = "simulator"'
+        )
 
 
 def advance(model: Any, data: Any, ctrl: jax.Array, substeps: int) -> Any:

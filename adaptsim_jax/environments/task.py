@@ -78,9 +78,8 @@ def setting_of(
     fields = (*omega, *hidden_fields(raw.names, table, omega))
     targets = {name: target_of(name, given, fields, raw.native is not None) for name, given in table.items()}
     sim = environment(env, omega, config.length, where)
-    play = make_play(
-        sim, omega, *(p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay")
-    )
+    longest = [p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"]
+    play = make_play(sim, omega, max(longest, default=0.0))
     rest = jnp.asarray([f.nominal for f in fields[space.dim :]], jnp.float32)
     made = trainer(play, space, config.training, _obs_dim(play, omega, where))
     return Setting(config, env, sim, space, fields, play, compiled(made), targets, rest)
@@ -142,8 +141,10 @@ def task_of(setting: Setting) -> Task:
 
 
 def _digest(setting: Setting) -> str:
-    """Of the model and of the environment's own code."""
-    found = hashlib.sha256()
+    """Of all that what is learned depends on: the model, the environment's own code, Omega, how it is trained and shown."""
+    config, space = setting.config, setting.space
+    told = (space, setting.sim.length, config.training, config.policy == "planned", config.planner, config.components)
+    found = hashlib.sha256(repr((*told, config.env, config.options)).encode())
     if setting.sim.native is not None:
         size = mujoco.mj_sizeModel(setting.sim.native)
         buffer = np.empty(size, np.uint8)
@@ -241,7 +242,9 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
 def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
     """`(u [N, D]) -> [N, K]` features of an episode under the same random actions. BadInput where its rewards are not finite."""
     dim = setting.sim.action_dim
-    random = Acting(lambda policy: (), lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory))
+    random = Acting(
+        lambda policy: (), lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory)
+    )
 
     @jax.jit
     @jax.vmap
@@ -252,8 +255,12 @@ def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
         found = run(u)
         if not np.isfinite(np.asarray(found.score)).all():
             bad = int(np.flatnonzero(~np.isfinite(np.asarray(found.score)))[0])
-            at = dict(zip(setting.space.names, np.asarray(setting.space.physical(u[bad])).round(4).tolist(), strict=True))
-            raise BadInput(f"env: the return is not finite under random actions at {at}; mend the reward, or narrow that range")
+            at = dict(
+                zip(setting.space.names, np.asarray(setting.space.physical(u[bad])).round(4).tolist(), strict=True)
+            )
+            raise BadInput(
+                f"env: the return is not finite under random actions at {at}; mend the reward, or narrow that range"
+            )
         return np.asarray(found.features)
 
     return seen
@@ -327,7 +334,8 @@ def measured(setting: Setting, obs: Any, action: Any, reward: Any) -> Rollout:
         if x.shape != shape or not 1 <= t <= T or not np.isfinite(x).all():
             raise BadInput(f"{name}: the shape is {x.shape}; {shape} of finite numbers is wanted, of 1 to {T} steps")
     full = [np.concatenate([x, np.zeros((T - t, *x.shape[1:]), np.float32)]) for x in rows]
-    return look(Steps(*map(jnp.asarray, full), jnp.asarray(np.arange(T) < t, jnp.float32)))
+    on = jnp.asarray(np.arange(T) < t, jnp.float32)
+    return look(Steps(jnp.asarray(full[0]), jnp.asarray(full[1]), jnp.asarray(full[2]), on))
 
 
 def _of_omega(space: Space, target: Target) -> dict[str, float]:

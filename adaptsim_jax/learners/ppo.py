@@ -161,18 +161,18 @@ def make_ppo(config: PPOConfig) -> PPO:
     def actor(state):
         return Actor(state.weights, state.obs.mean, jnp.where(state.obs.count > 0, state.obs.std, 1.0))
 
-    def deployed(actor, obs, extra):
-        return jnp.clip(apply(*actor, obs, extra)[0], -1.0, 1.0)
+    def deployed(actor: Actor, obs, extra):
+        return jnp.clip(apply(actor.weights, actor.mean, actor.std, obs, extra)[0], -1.0, 1.0)
 
     def act(key, actor, obs, extra):
-        mean, log_std, _ = apply(*actor, obs, extra)
+        mean, log_std, _ = apply(actor.weights, actor.mean, actor.std, obs, extra)
         action = mean + jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1) * jax.random.normal(key, mean.shape)
         return action, _log_prob(action, mean, log_std)
 
     def update(key, state, batch, hyper):
         rewards, gain = _scaled(state.gain, batch, hyper.discount)
         told = actor(state._replace(obs=state.obs))
-        value = lambda obs: apply(*told, obs, batch.extra)[2]
+        value = lambda obs: apply(told.weights, told.mean, told.std, obs, batch.extra)[2]
         values = value(batch.obs)
         advantage = gae(rewards, values, value(batch.after), batch, hyper)
         rows = jax.tree.map(

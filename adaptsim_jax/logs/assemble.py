@@ -37,7 +37,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in kept])
     log_trials = tuple(_trial(columns, names, meta, inputs, kept) for columns in trials)
     log_trials, evened = _evened(log_trials)
-    suspected = scales + check_log_units(log_trials, names.only(kept))
+    suspected = scales + check_log_units(log_trials, names.only(kept), meta.units)
     turns = [columns.raw.name for columns in trials if columns.turns]
     turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
     return Log(
@@ -225,7 +225,7 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
 
 
 def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, kept: Sequence[int]) -> LogTrial:
-    raw, n, at = columns.raw, len(names.joints), np.asarray(kept)
+    raw, n, at = columns.raw, len(names.joints), np.asarray(kept, int)
     here = columns.by_joint.get("q", {})
     for j in kept:
         if not np.isfinite(here[j]).any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,14 +17,17 @@ ALIKE = 0.1
 """How far (in log) a speed may be from a known mistake and still be taken for it."""
 
 
-def check_log_units(trials: Sequence[LogTrial], names: ModelNames) -> tuple[str, ...]:
-    """Notes about suspicious units. Raises `BadInput` naming the trial and the line for meta.toml where the data are sure."""
+def check_log_units(
+    trials: Sequence[LogTrial], names: ModelNames, units: Mapping[str, object] | None = None
+) -> tuple[str, ...]:
+    """Notes about suspicious units. units: as declared; angles that are degrees already are not asked about. Raises `BadInput` naming the trial and the line for meta.toml where the data are sure."""
     hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
     for trial in trials:
         if what := _speed_suspect(trial, hinges):
             why = f"velocities and angles differ by a unit: suspected are {what}"
             raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
-    return tuple(note for j in hinges if (note := _large(trials, j, names)))
+    degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
+    return () if degrees else tuple(note for j in hinges if (note := _large(trials, j, names)))
 
 
 def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:

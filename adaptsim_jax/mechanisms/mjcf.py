@@ -115,6 +115,14 @@ def mechanism_of(
         *((f"actuators of held joints do nothing: {', '.join(idle)}",) if idle else ()),
     )
     beyond = (*role.beyond, *walk.beyond, *own, *_medium(model))
+    if bounded := [
+        model.joint(k).name
+        for k in range(model.njnt)
+        if model.ngravcomp and model.jnt_actgravcomp[k] and model.jnt_actfrclimited[k]
+    ]:
+        added.beyond.append(
+            f"gravity compensation within the force limits of {len(bounded)} joints ({bounded[0]}, ...)"
+        )
     return Mechanism(
         tree, actuators, source.path, source.kind, notes, _force_limits(model, tree, place), walk.frames(tree), beyond,
         tuple(added.beyond), idle, role,

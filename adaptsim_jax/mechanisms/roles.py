@@ -102,7 +102,7 @@ def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[s
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
         what = "every joint is in a loop that closes" if loops else "every joint is held"
-        raise BadInput(f"{source.path}: {what}, so that nothing of a tree moves; log a joint that moves")
+        raise BadInput(f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log a joint that does")
     return Roles(held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops))
 
 
@@ -132,7 +132,7 @@ def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
             f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: [hold] in meta.toml)"
         )
     if told["asked"]:
-        out.append(f"held, as [hold] or an equality says: {', '.join(told['asked'])}")
+        out.append(f"held where [hold], an equality or a log that never moves has them: {', '.join(told['asked'])}")
     if told["looped"]:
         out.append(f"held {pose}, as a loop closes over them: {', '.join(told['looped'])}")
     return tuple(out)

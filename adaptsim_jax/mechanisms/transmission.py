@@ -114,7 +114,7 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
         if not gain[0] > 0:
             return Actuator("", 0, "dcmotor", **shared), why
         return Actuator("", 0, "dcmotor", gain=gain[1] / gain[0], kv=gain[1] ** 2 / gain[0], **shared), why
-    why = []
+    why = ["is a plugin's"] if model.actuator_plugin[k] >= 0 else []
     lagged = dyntype in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
     if not lagged and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
         why.append(f"has a memory ({mujoco.mjtDyn(dyntype).name[6:].lower()})")

@@ -21,7 +21,8 @@ MOST_POINTS = 900  # of a figure's curve
 
 
 def rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
-    """A row for each yardstick and joint: what is left of the declared and of the mended model, what needs no model leaves, and skills."""
+    """A row for each yardstick and joint: what is left of the declared and of the mended model, what needs no model leaves, and
+    skills."""
     told = report.get("yardsticks") or {}
     out = []
     for name in NAMES:
@@ -35,7 +36,8 @@ def rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
         for joint, row in first["joints"].items():
             mended, unit = last["joints"][joint], row["unit"]
             out.append({
-                "yardstick": title, "joint": joint, "before": fmt.quantity(row[error], unit), "after": fmt.quantity(mended[error], unit),
+                "yardstick": title, "joint": joint, "before": fmt.quantity(row[error], unit),
+                "after": fmt.quantity(mended[error], unit),
                 "base": fmt.quantity(row[base], unit), "skill_before": _skill(row["skill"]), "skill_after": _skill(mended["skill"]),
             })  # fmt: skip
             title = ""

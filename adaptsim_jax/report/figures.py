@@ -24,6 +24,10 @@ COLOURS = {
     "udr": "#777777",
     "udr_target": "#8C6BB1",
     "learn_in_target": "#A6761D",
+    "cma_es": "#7A9A01",
+    "fine_tune": "#A6761D",
+    "nominal": "#999999",
+    "udr_wide": "#AAAAAA",
     "oracle": "#000000",
     "best_in_omega": "#000000",
 }
@@ -40,6 +44,10 @@ LABELS = {
     "udr": "UDR",
     "udr_target": "UDR+Target",
     "learn_in_target": "LearnInTarget",
+    "cma_es": "CMA-ES",
+    "fine_tune": "Fine-tuning in the target",
+    "nominal": "Trained at nominal values",
+    "udr_wide": "UDR, wider box",
     "oracle": "Oracle (best actions)",
     "best_in_omega": "Best in Ω",
 }

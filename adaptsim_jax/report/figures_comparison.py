@@ -17,18 +17,19 @@ def reward_over_iterations(
     """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
     bottom = look.least(results) if bottom is None else bottom
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
+    by = {r["method"]: r["trials"] for r in rows} if "trials_axis" in results else {}
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     width = max(2.15 * len(settings) + 0.6, 4.6)
     figure, axes = look.new_figure(width, 2.9, 1, len(settings), sharey=True)
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
-            _curve(ax, r["curve"], look.style(r["method"]), look.label(r["method"]), bottom)
+            _curve(ax, r["curve"], look.style(r["method"]), look.label(r["method"]), bottom, by.get(r["method"]))
         look.quiet(ax)
         ax.axhline(1, color=look.INK, linewidth=0.8, linestyle=":")
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.08)
         ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-        ax.set_xlabel("iteration", fontsize=8.5)
+        ax.set_xlabel("target trials" if "trials_axis" in results else "iteration", fontsize=8.5)
     axes[0].set_ylabel(look.reward_of(results).replace(" (", "\n("), fontsize=8.5)
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(
@@ -42,12 +43,14 @@ def reward_over_iterations(
     return figure
 
 
-def _curve(ax, curve: Mapping[str, Any], style: dict, label: str, bottom: float) -> None:
+def _curve(
+    ax, curve: Mapping[str, Any], style: dict, label: str, bottom: float, trials: Sequence[int] | None = None
+) -> None:
     # None stands for minus infinity, a policy that destabilised the target; it is drawn below the panel.
     median, q25, q75 = (
         np.array([bottom - 10 if v is None else v for v in curve[key]]) for key in ("median", "q25", "q75")
     )
-    iterations = np.arange(len(median))
+    iterations = np.arange(len(median)) if trials is None else np.asarray(trials)
     ax.fill_between(iterations, q25, q75, color=style["color"], alpha=0.15, linewidth=0)
     ax.plot(iterations, median, linewidth=1.7, label=label, **style)
 

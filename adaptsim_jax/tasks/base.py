@@ -31,7 +31,7 @@ class Preparation(NamedTuple):
     * `blank(key) -> prepared`: a pytree of arrays with its structure and shapes
     * `make(key, report) -> prepared`: not pure, may take minutes; `report(done, total, note)`
     * `ready(prepared) -> Task`: the task with it
-    * digest: of what it depends on beside the task's options, such as a model file
+    * digest: of all that it depends on beside the seed
     """
 
     blank: Callable[[Array], Any]

@@ -1,4 +1,5 @@
-"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks with the torque, right about friction."""
+"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks with the torque, right about
+friction."""
 
 import mujoco
 import numpy as np
@@ -13,14 +14,19 @@ from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.servo import calibrated
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
 from adaptsim_jax.diagnosis.criteria import Criteria
 from tests.attribution.pendulum import record
 
 NOTHING = Vector((), np.zeros(0))
-HEAVY = """<mujoco><compiler angle="radian"/><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/>
-<inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
+SERVO = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="implicitfast"/><worldbody><body name="link">
+<joint name="hinge" axis="0 1 0" frictionloss="{friction}" solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
+<inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.004 0.001"/></body></worldbody>
+<actuator><position name="hinge" joint="hinge" kp="{kp}" kv="{kv}"/></actuator></mujoco>"""
+HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body name="link">
+<joint name="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
 
 
 def prepared(folder, model=None):
@@ -41,7 +47,9 @@ def test_speed_and_acceleration_of_a_sine_are_its_own():
 def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
     data = record(tmp_path / "rub", friction=0.2, trials=2, held=False)
     truth = tmp_path / "truth.xml"
-    truth.write_text((data / "model.xml").read_text().replace('mass="1.2"', 'mass="1.0"').replace('damping="0.01"', 'damping="0.02"'))
+    truth.write_text(
+        (data / "model.xml").read_text().replace('mass="1.2"', 'mass="1.0"').replace('damping="0.01"', 'damping="0.02"')
+    )
     _, problem, (balance,) = prepared(data, truth)
     missing = residual(problem, balance, NOTHING)[:, 0]
     moves = balance.clear[:, 0] > 0.9
@@ -83,9 +91,11 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 12.0, 0.01)
     for k in range(2):
-        q = 0.4 * np.sin(0.4 * time + k) + 1e-4 * rng.normal(size=len(time))
+        q = 0.3 * np.sin(0.4 * time + k) + 0.1 * np.sin(1.1 * time - k) + 1e-3 * rng.normal(size=len(time))
         torque = 0.5 * rng.normal(size=len(time))  # of another machine: it has nothing to do with the motion
-        np.savetxt(folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments="")
+        np.savetxt(
+            folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments=""
+        )
     (folder / "model.xml").write_text(HEAVY)
     mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "torque"\n')
@@ -95,3 +105,26 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     report, _, whole = examined(machine, Criteria(), 0.5, others)
     assert predicts_nothing(whole.after) and headline(whole.before, False)[0] == "stretches"
     assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")
+
+
+def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(tmp_path):
+    model = mujoco.MjModel.from_xml_string(SERVO.format(kp=8.0, kv=0.8, friction=0.1))
+    rng, folder = np.random.default_rng(1), tmp_path / "servo"
+    folder.mkdir()
+    for k in range(3):
+        data, rows = mujoco.MjData(model), []
+        speed, phase = rng.uniform(0.5, 3.0, 3), rng.uniform(0, 6, 3)
+        for i in range(600):
+            target = 0.4 * np.sin(speed * i / 50 + phase).sum()
+            rows.append([i / 50, data.qpos[0] + 3e-4 * rng.normal(), target])
+            data.ctrl[0] = target
+            mujoco.mj_step(model, data, 20)
+        np.savetxt(folder / f"t{k}.csv", rows, delimiter=",", header="time,q_hinge,target_hinge", comments="")
+    (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0))
+    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "command"\n')
+    machine = load(folder, None)
+    found, (servo,) = calibrated(machine, 0.5)
+    assert servo.scale and servo.kp == pytest.approx(8.0, rel=0.15) and servo.damping == pytest.approx(0.8, rel=0.3)
+    assert servo.coulomb == pytest.approx(0.1, rel=0.3) and servo.p < 0.01
+    assert found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
+    assert calibrated(found, 0.5)[1] == ()  # as they are now, they are right

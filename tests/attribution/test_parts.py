@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.acting import Values, actuated
-from adaptsim_jax.attribution.catalogue import sensor_delay
+from adaptsim_jax.attribution.catalogue import MACHINE, sensor_delay
 from adaptsim_jax.attribution.drive_effects import drive_play
 from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
-from adaptsim_jax.attribution.problem import Group, Problem, beginnings
+from adaptsim_jax.attribution.problem import Group, Problem, beginnings, nuisances, prepare
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.paired import sign_flip
 from adaptsim_jax.effects.base import unit_at
+from adaptsim_jax.mechanisms.tree import make_tree
 
 ROD = np.array([0.6, 0.0, 0.0, -0.09, 0.02, 0.0, 0.0, 0.02, 0.0, 1e-4])
 
@@ -138,3 +139,14 @@ def test_a_controller_behind_play_answers_to_what_its_encoder_reads(target):
     reading = drive_play({"gap": gap, "width": width}, time, still, still, still[0], torque + still)[0]
     np.testing.assert_allclose(torque[0], kp * (target - reading[0]), rtol=1e-4, atol=1e-5)
     assert abs(float(reading[0, 0])) <= gap / 2 and (abs(target) > gap / 2 or abs(float(torque[0, 0])) < width)
+
+
+def test_a_joint_that_nothing_drives_may_have_friction_though_its_file_has_none():
+    """Its torque scale is that of its own weight, not of an actuator it lacks: a bound of 0 would hold its damping there."""
+    tree = make_tree(["hinge"], [-1], np.zeros((1, 3)), np.array([[[0, 0, -1.0], [0, 1.0, 0], [1.0, 0, 0]]]),
+                     np.array([[1.0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.1, 0.0, 0.01]]))  # fmt: skip
+    time = np.arange(0.0, 4.0, 0.005)
+    track = Track("swing", time, 0.5 * np.sin(5.0 * time)[:, None], None, np.zeros((len(time), 1)))
+    problem = prepare(tree, (track,), tuple(e for e in MACHINE if e.name == "viscous"))
+    (high,) = (e.high for e in nuisances(problem).entries if e.owner == "viscous")
+    assert high > 0.1

@@ -8,7 +8,9 @@ from adaptsim_jax.diagnosis.schema import new_report, read_report
 
 
 def _report():
-    return new_report("mechanism", "robot.xml", "within_noise", "Nothing.", {"trials": 1, "samples": 9, "held_out_trials": 1})
+    return new_report(
+        "mechanism", "robot.xml", "within_noise", "Nothing.", {"trials": 1, "samples": 9, "held_out_trials": 1}
+    )
 
 
 def test_a_file_that_cannot_be_written_is_a_line_and_the_rest_is_there(tmp_path):

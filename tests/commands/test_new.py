@@ -125,7 +125,7 @@ def test_a_mechanism_is_one_that_logs_can_be_read_with(tmp_path):
     assert main(["new", "mechanism", "arm", "--dir", str(tmp_path)]) == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
     assert (model.nq, model.nu) == (2, 2)
-    rows = "".join(f"{0.01 * k:.2f},0.1,0.2,0,0\n" for k in range(30))
+    rows = "".join(f"{0.01 * k:.2f},{0.1 + 0.01 * k:.2f},{0.2 - 0.01 * k:.2f},0,0\n" for k in range(30))
     (tmp_path / "log.csv").write_text("time,q_shoulder,q_elbow,tau_shoulder,tau_elbow\n" + rows)
     _, log = read_with_model(tmp_path / "log.csv", tmp_path / "arm.xml")
     assert log.joint_names == ("shoulder", "elbow")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptsim_jax import BadInput, Candidate, Simulator, diagnose_simulator
+from adaptsim_jax import BadInput, Candidate, Quantity, Simulator, diagnose_simulator
 from adaptsim_jax.diagnosis.fit import completed, jacobian
 from adaptsim_jax.diagnosis.starts import problem_of, settle
 
@@ -92,10 +92,14 @@ def test_starts_are_fitted_and_taken_out_of_the_columns():
 
 def test_what_is_no_simulator_is_refused_in_one_line():
     tanks = recorded({}, seed=9)
+    hole = tanks.stretches.measured.copy()
+    hole[1, 3, 1] = np.nan
     spoilt = {
         "shape": {"stretches": replace(tanks.stretches, start=tanks.stretches.start[:, :1])},
         "'leek'": {"declared": ("leek",)},
         "a name twice": {"quantities": (*tanks.quantities, tanks.quantities[0])},
+        "too few": {"stretches": tanks.stretches.of(np.arange(2))},
+        "row 3, channel level_2 is not finite": {"stretches": replace(tanks.stretches, measured=hole)},
         "two answers": {"predict": lambda v, s, w: np.random.default_rng().normal(size=(len(w), 30, 2))},
     }
     for words, change in spoilt.items():
@@ -106,6 +110,37 @@ def test_what_is_no_simulator_is_refused_in_one_line():
             diagnose_simulator(bad)
     with pytest.raises(BadInput, match="leak"):
         diagnose_simulator(tanks, exclude=("leek",))
+
+
+def test_what_shows_nothing_to_first_order_is_begun_at_a_size():
+    """A filter's lag of 0 has no derivative: e^(-dt / lag) is flat there."""
+    tanks = recorded({}, seed=11)
+    lag = Quantity("lag", "s", 0.0, 0.0, 60.0, 1.0, 100.0)
+
+    def predict(values, starts, which):
+        h = TANKS["levels"](values[:, :-1], starts, tanks.volts[which])
+        keep = np.exp(-TANKS["DT"] / np.maximum(values[:, -1], 1e-9))[:, None]
+        seen = [h[:, 0]]
+        for k in range(1, h.shape[1]):
+            seen.append(keep * seen[-1] + (1.0 - keep) * h[:, k])
+        return np.stack(seen, 1)
+
+    own = Candidate("lag", "sensors", ("lag",), "levels are read late", "steps")
+    object.__setattr__(tanks, "quantities", (*tanks.quantities, lag))
+    object.__setattr__(tanks, "candidates", (own, *tanks.candidates))
+    object.__setattr__(tanks, "predict", predict)
+    true, s = np.tile([*(q.neutral for q in tanks.quantities[:-1]), 12.0], (tanks.stretches.count, 1)), tanks.stretches
+    seen = predict(true, s.start, np.arange(s.count)) + 0.5 * np.random.default_rng(0).standard_normal(s.measured.shape)
+    object.__setattr__(tanks, "stretches", replace(s, measured=seen))
+    report = diagnose_simulator(tanks)
+    assert [e["name"] for e in report["effects"]] == ["lag"]
+    assert report["effects"][0]["parameters"]["lag"]["value"] == pytest.approx(12.0, rel=0.1)
+
+
+def test_what_was_not_fitted_is_not_said_to_be_worse_and_few_stretches_are_told():
+    report = diagnose_simulator(recorded({}, seed=12, trials=1))
+    assert any("Only 4 stretches" in note for note in report["notes"])
+    assert all("was not fitted" in c["why"] or "held-out" in c["why"] for c in report["candidates"])
 
 
 def test_the_protocol_is_what_is_asked_for():

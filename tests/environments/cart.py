@@ -34,7 +34,9 @@ class Cart:
 
     name = "cart"
     default_params = Params()
-    fields = {"params.mass": (0.5, 2.0, "log"), "params.damping": (0.1, 2.0)}
+
+    def __init__(self):
+        self.fields = {"params.mass": (0.5, 2.0, "log"), "params.damping": (0.1, 2.0)}
 
     def reset(self, key, params=None): ...
 

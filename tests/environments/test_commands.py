@@ -45,7 +45,14 @@ def test_it_trains_adapts_is_filmed_and_compared(tmp_path, monkeypatch, capsys):
     assert list((tmp_path / "run/adapt-dry").glob("policies.*"))
     sets = [w.replace("task.", "train.task.", 1).replace("phase1.", "train.phase1.", 1) for w in SETS]
     methods = "adaptsim,sysid-point,bayesopt,fine-tune,nominal,udr,udr-wide,best-in-omega,oracle"
-    budgets = ["iterations=1", "starts=1", "sysid.simulations=20", "bayesopt.initial=2", "steps.points=4", "steps.tests=2"]
+    budgets = [
+        "iterations=1",
+        "starts=1",
+        "sysid.simulations=20",
+        "bayesopt.initial=2",
+        "steps.points=4",
+        "steps.tests=2",
+    ]
     more = [word for one in budgets for word in ("--set", one)]
     command = ["compare", "hopper.toml", "--out", "compared", "--seeds", "1", "--settings", "dry", "--methods", methods]
     assert main([*command, *sets, *more]) == 0
@@ -78,8 +85,12 @@ def test_what_is_wrong_is_one_line_and_nothing_is_written(text, tells, tmp_path,
 
 
 def test_a_sweep_goes_over_an_environment(tmp_path):
-    (tmp_path / "env.toml").write_text('env = "cartpole"\n[phase1]\nhorizon = 4\n[targets.weak]\n"body:pole.mass" = 0.7')
-    (tmp_path / "spec.toml").write_text('task = "env.toml"\ntargets = ["weak"]\nseeds = 2\n[grid]\nhyper.delta = [0.1, 0.3]')
+    (tmp_path / "env.toml").write_text(
+        'env = "cartpole"\n[phase1]\nhorizon = 4\n[targets.weak]\n"body:pole.mass" = 0.7'
+    )
+    (tmp_path / "spec.toml").write_text(
+        'task = "env.toml"\ntargets = ["weak"]\nseeds = 2\n[grid]\nhyper.delta = [0.1, 0.3]'
+    )
     sweep = read_sweep(tmp_path / "spec.toml")
     assert sweep.spec.task == "environment" and len(sweep.members) == 4
     assert {m.config.phase1.horizon for m in sweep.members} == {4}

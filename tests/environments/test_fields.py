@@ -8,6 +8,7 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.fields import edit_native, edited, field_of, known_fields, space_of
+from adaptsim_jax.environments.randomise import domain_randomize
 from adaptsim_jax.environments.simulated import simulated
 from tests.environments.small import make
 
@@ -114,3 +115,16 @@ def test_one_compiled_step_serves_all_values():
     light, heavy = (step(jnp.asarray(v, jnp.float32)) for v in ([0.5, 0.1], [2.0, 0.1]))
     assert len(traced) == 1 and light[1] > 3.5 * heavy[1] > 0
     assert space.names == ("body:cart.mass", "joint:slide.damping")
+
+
+def test_domain_randomisation_is_in_the_form_that_playground_and_brax_take():
+    env = make()
+    randomize = domain_randomize(
+        env.mj_model, {"body:cart.mass": [0.5, 2.0, "log"], "option.gravity[2]": [-11.0, -9.0]}
+    )
+    models, in_axes = randomize(env.mjx_model, jax.random.split(jax.random.key(0), 5))
+    mass = np.asarray(jax.vmap(lambda m: m.body_mass[1], in_axes=(in_axes,))(models))
+    assert mass.shape == (5,) and len(set(mass)) == 5 and (mass >= 0.5).all() and (mass <= 2.0).all()
+    assert models.opt.gravity.shape == (5, 3) and models.dof_damping.shape == env.mjx_model.dof_damping.shape
+    with pytest.raises(BadInput, match="of the interface"):
+        domain_randomize(env.mj_model, {"delay": [0.0, 0.1]})

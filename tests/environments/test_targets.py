@@ -1,9 +1,12 @@
 """Targets in MuJoCo C: as the simulator where they are the same, otherwise where they say so; and the interface."""
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from mujoco import mjx
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
@@ -80,3 +83,45 @@ def test_a_target_that_makes_no_sense_is_one_line(table, tells):
     with pytest.raises(BadInput) as error:
         setting_of(make(), EnvironmentConfig(targets={"t": table}))
     assert tells in str(error.value) and "\n" not in str(error.value)
+
+
+class Raw:
+    """An environment that knows nothing of ours: it calls MJX by itself."""
+
+    action_size, dt, length = 1, 0.02, 20
+
+    def __init__(self, step):
+        self.mj_model = make().mj_model
+        self.mjx_model, self._step = mjx.put_model(self.mj_model), step
+
+    def state(self, data):
+        obs = jnp.concatenate([data.qpos, data.qvel])
+        return SimpleState(data, obs, -jnp.abs(data.qpos[0]), jnp.zeros(()))
+
+    def reset(self, key):
+        return self.state(mjx.forward(self.mjx_model, mjx.make_data(self.mjx_model)))
+
+    def step(self, state, action):
+        return self.state(self._step(self.mjx_model, state.data.replace(ctrl=action)))
+
+
+class SimpleState(NamedTuple):
+    data: Any
+    obs: jax.Array
+    reward: jax.Array
+    done: jax.Array
+
+
+def test_an_environment_that_calls_mjx_by_itself_meets_the_target_too():
+    own = EnvironmentConfig(fields={"body:cart.mass": (0.5, 4.0)}, targets={"same": SAME, "stuck": TARGETS["stuck"]})
+    setting = setting_of(Raw(lambda model, data: mjx.step(model, data)), own)
+    same, stuck = (track(*play_in(setting, setting.targets[name])) for name in ("same", "stuck"))
+    assert abs(stuck[-1, 1]) < 0.1 * abs(same[-1, 1])
+
+
+def test_a_step_that_no_target_can_reach_is_refused():
+    own = EnvironmentConfig(fields={"body:cart.mass": (0.5, 4.0)}, targets={"stuck": TARGETS["stuck"]})
+    kept = mjx.step  # as `from mujoco.mjx import step` has it
+    setting = setting_of(Raw(lambda model, data: kept(model, data)), own)
+    with pytest.raises(BadInput, match="does not reach the target's physics"):
+        track(*play_in(setting, setting.targets["stuck"]))

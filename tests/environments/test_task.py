@@ -114,7 +114,9 @@ def test_an_environment_without_a_step_or_a_model_is_refused():
 
 
 def test_a_field_that_does_nothing_is_told_by_name():
-    task = environment_task(Cart(), {"params.mass": [0.5, 2.0], "params.unused": [0.2, 1.0]}, replace(SMALL, targets={}))
+    task = environment_task(
+        Cart(), {"params.mass": [0.5, 2.0], "params.unused": [0.2, 1.0]}, replace(SMALL, targets={})
+    )
     with pytest.raises(BadInput, match=r"follows from 'params.unused'"):
         task.preparation.make(jax.random.key(0))
 
@@ -122,7 +124,7 @@ def test_a_field_that_does_nothing_is_told_by_name():
 def test_rewards_that_are_not_finite_are_told_before_anything_is_trained():
     env = Cart()
     env.reward = lambda state: jnp.log(state.place - 10.0)
-    with pytest.raises(BadInput, match="the return is not finite under random actions at {'params.mass'"):
+    with pytest.raises(BadInput, match=r"the return is not finite under random actions at {'params.mass'"):
         environment_task(env, config=SMALL).preparation.make(jax.random.key(0))
 
 
@@ -140,7 +142,7 @@ def test_the_other_policies_serve_phase_1_too(policy):
     task = task_of(setting_of(Cart(), config))
     task = task.preparation.ready(task.preparation.make(jax.random.key(0)))
     phase1 = make_phase1(task, replace(PHASE1, trajectories=4, parallel=2, capacity=12, archive=12))
-    state, info = jax.jit(phase1.run)(phase1.init(jax.random.key(0)), Phase1Hyper(), jnp.arange(2))
+    _, info = jax.jit(phase1.run)(phase1.init(jax.random.key(0)), Phase1Hyper(), jnp.arange(2))
     assert np.isfinite(np.asarray(info.reward)).all()
     if policy == "planned":  # it needs no training: a plan of 40 steps ahead finds the middle
         params = task.space.physical(jnp.array([0.5, 0.5]))

@@ -209,7 +209,7 @@ def test_a_joint_that_the_model_lacks_decides_nothing(tmp_path, ignored, speaks)
     assert ignored or any("the model lacks are left out: gripper" in note for note in read.notes)
 
 
-def test_a_joint_of_the_model_that_hardly_speaks_stays(tmp_path):
+def test_a_joint_of_the_model_that_hardly_speaks_is_held_where_it_is(tmp_path):
     bag = Bag("ros2")
     states(bag)
     bag.joints("/joint_states", ns(0.3), ("gripper",), [0.02])

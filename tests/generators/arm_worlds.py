@@ -2,7 +2,8 @@
 
     write_arm(folder, robot, kind, seed)     -> folder/model.xml, meta.toml, trial_*.csv; the truth is returned
 
-Shares no code with the package: MuJoCo steps it, with its own Coulomb friction (nearly rigid), and a computed-torque controller that does
+Shares no code with the package: MuJoCo steps it, with its own Coulomb friction (nearly rigid), and a computed-torque controller
+that does
 not know of the effects moves it along sums of slow sines.
 """
 
@@ -77,7 +78,9 @@ def _arm(robot: Path):
     for joint in spec.joints:
         joint.frictionloss, joint.damping, joint.stiffness = 0.0, [0.0] * 3, [0.0] * 3
         joint.limited, joint.actfrclimited = 0, 0
-        joint.armature = max(joint.armature, 0.02)  # a rotor, which the file knows; and friction is rigid where something is heavy
+        joint.armature = max(
+            joint.armature, 0.02
+        )  # a rotor, which the file knows; and friction is rigid where something is heavy
     spec.option.timestep = 5e-4
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec, len(spec.joints)

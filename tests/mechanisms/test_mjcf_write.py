@@ -26,7 +26,7 @@ def test_what_is_written_is_read_back(tmp_path):
         {"damping": {"shoulder": 0.2, "elbow": 0.3}, "frictionloss": {"elbow": 0.5}, "armature": {"shoulder": 0.01}},
         np.array([0.1, 0.0, -9.8]),
         {"kp": {"drive": 1.1}, "delay": {"drive": 0.006}, "limit": {"drive": 3.0}},
-        ("not held: cogging at elbow",),
+        comments=("not held: cogging at elbow",),
     )
     out = tmp_path / "model.xml"
     write_mjcf(arm, out, changes)
@@ -50,6 +50,27 @@ def test_nothing_changed_is_the_same_machine(tmp_path):
     out = tmp_path / "same.xml"
     out.write_text(mended_mjcf(arm, Changes(np.array(arm.tree.inertial))))
     np.testing.assert_allclose(read_mechanism(out).tree.inertial, arm.tree.inertial, rtol=1e-6, atol=1e-9)
+
+
+def test_a_joint_without_an_actuator_gets_a_motor_with_a_limit_and_a_servo_loses_its_kv(tmp_path):
+    path, out = tmp_path / "arm.xml", tmp_path / "model.xml"
+    path.write_text(ARM)
+    changes = Changes(actuators={"limit": {"elbow": 0.2}, "kv": {"drive": 0.0}}, motors={"elbow": 0.05})
+    write_mjcf(read_mechanism(path), out, changes)
+    drive, motor = read_mechanism(out).actuators
+    assert (drive.kp, drive.kv) == (20.0, 0.0)
+    assert (motor.joint, motor.kind, motor.gear) == (1, "motor", pytest.approx(0.05))
+    np.testing.assert_allclose(0.05 * np.array(motor.forcerange), [-0.2, 0.2])
+
+
+def test_a_file_whose_meshes_are_not_there_is_written_without_them(tmp_path):
+    path = tmp_path / "arm.xml"
+    mesh = '<asset><mesh name="gone" file="gone.stl"/></asset><worldbody>'
+    path.write_text(ARM.replace("<worldbody>", mesh).replace('mass="1"', 'mass="1"', 1).replace(
+        '<body name="lower"', '<geom type="mesh" mesh="gone"/><body name="lower"'))  # fmt: skip
+    text = mended_mjcf(read_mechanism(path), Changes(joints={"damping": {"shoulder": 0.7}}))
+    assert "could not be read" in text and "gone.stl" not in text
+    assert mujoco.MjModel.from_xml_string(text).dof_damping[0] == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize("angle", ["", '<compiler angle="radian"/>', '<compiler angle="degree"/>'])

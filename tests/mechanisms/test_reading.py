@@ -28,6 +28,19 @@ def written(path, text):
     return path
 
 
+def test_a_gripper_on_a_welded_base_is_folded_and_told(tmp_path):
+    made = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>')))
+    tree = made.tree
+    assert tree.joint_names == ("arm", "right", "tip") and tree.whole is not None
+    np.testing.assert_allclose(tree.damping, [0.1, 2.0 + 0.8**2 * 3.0, 0.0])
+    np.testing.assert_allclose(tree.armature[1], 0.8**2 * 0.1)
+    np.testing.assert_allclose(tree.stiffness[1] * tree.springref[1], 0.8 * 5.0 * (0.01 - 0.004))  # its force at zero
+    grip = next(x for x in made.actuators if x.name == "grip")
+    np.testing.assert_allclose([grip.gear, grip.offset], [0.5 + 0.5 * 0.8, -60.0 * 0.5 * 0.004])
+    np.testing.assert_allclose(tree.whole.tree.gravcomp[0, 0], 0.4 * 1.0)
+
+
+@pytest.mark.slow
 def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
     """Mass, bias, springs, gravity compensation, and the moment arm of a tendon over a joint and its follower: projected."""
     import jax
@@ -79,6 +92,30 @@ def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
         grip.gain * 0.05 + grip.offset - grip.kp * grip.gear * q[1] - grip.kv * grip.gear * v[1], -9, 9
     )
     np.testing.assert_allclose(pull, (way.T @ data.qfrc_actuator)[1], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_derivatives_with_a_follower_are_those_of_differences(tmp_path):
+    import jax
+
+    from adaptsim_jax.mechanisms import dynamics
+
+    tree = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free=""))).tree
+    q, v, force = np.random.default_rng(1).normal(size=(3, 3))
+
+    @jax.jit
+    def both_ways(q):
+        moved = lambda q: dynamics.acceleration(tree, tree.inertial, q, v, force, tree.armature, tree.gravity)
+        both = lambda q: (moved(q), dynamics.inverse_mass(tree, tree.inertial, q, tree.armature))
+        slopes = jax.vmap(lambda way: jax.jvp(both, (q,), (way,))[1])(np.eye(3))
+        return slopes, jax.vmap(lambda h: jax.tree.map(lambda x, y: (x - y) / 2e-6, both(q + h), both(q - h)))(
+            1e-6 * np.eye(3)
+        )
+
+    with jax.enable_x64(True):
+        slopes, steps = both_ways(q)
+    for slope, step in zip(slopes, steps, strict=True):
+        np.testing.assert_allclose(slope, step, rtol=1e-5, atol=1e-4)  # of differences
 
 
 def test_what_no_log_has_is_held_where_the_file_or_a_person_has_it(tmp_path):

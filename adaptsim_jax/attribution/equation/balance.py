@@ -16,19 +16,23 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect
-from adaptsim_jax.mechanisms import equations
+from adaptsim_jax.mechanisms import dynamics, equations
+from adaptsim_jax.mechanisms.tree import Tree
 
 GAIN = "torque_gain"
 ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
 """Effects that change what an actuator does by what it was told."""
 LEAST_GAIN = 0.02
+AT_END = 0.005  # rad (m): from the end of a range, within which it may push
 SOMEWHAT = 2048  # rows that one compiled program takes
 
 
 @dataclass(frozen=True)
 class Balance:
-    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K], time [K],
-    clear [K, n]: whether a joint moved.
+    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K],
+    time [K],
+    clear [K, n]: whether a joint moved, and was not at the end of its range; known [K, n]: what acts whatever is fitted, which is what
+    holds bodies up against gravity, less what bodies of joints that follow others take.
 
     q, v, a, u, sign [n, T]: the motion of all runs one after the other; clock [T] s; mean [K, T] averages over windows; runs: the rows
     of each."""
@@ -48,6 +52,7 @@ class Balance:
     trial: np.ndarray
     time: np.ndarray
     names: tuple[str, ...]
+    known: np.ndarray | float = 0.0
 
     @property
     def joints(self) -> int:
@@ -76,12 +81,34 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
             Balance(
                 group, q, v, a, u, sign, np.concatenate([r.time for r in runs]),
                 tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T,
-                mean @ np.concatenate([r.clear for r in runs], 1).T,
+                mean @ (np.concatenate([r.clear for r in runs], 1) * _inside(group.model.tree, q)).T,
                 np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
-                tuple(t.name for t in tracks),
+                tuple(t.name for t in tracks), _known(group.model.tree, mean, q, v, a),
             )
         )  # fmt: skip
     return tuple(out)
+
+
+def _inside(tree: Tree, q: np.ndarray) -> np.ndarray:
+    """Which of the angles [n, T] are within a joint's range, whose end pushes back."""
+    low, high = np.asarray(tree.range, float).T[:, :, None]
+    return ~np.asarray(tree.limited)[:, None] | ((q > low + AT_END) & (q < high - AT_END))
+
+
+def _known(tree: Tree, mean: scipy.sparse.csr_matrix, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray | float:
+    every = tree if tree.whole is None else tree.whole.tree
+    if tree.whole is None and not any(every.compensated):
+        return 0.0
+    return mean @ _by_pieces(partial(_given, tree), q, v, a).T
+
+
+@jax.jit
+def _given(tree, q, v, a):
+    up = dynamics.compensation(tree, q)
+    up = 0.0 * q if up is None else up
+    if tree.whole is None:
+        return up
+    return up - dynamics.inverse_dynamics(tree, 0.0 * jnp.asarray(tree.inertial), q, v, a, jnp.asarray(tree.gravity))
 
 
 def _by_pieces(make, *along: np.ndarray) -> np.ndarray:
@@ -109,7 +136,9 @@ def _turned(tree, inertial, way, q):
 
 def turned(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Change of the force of gravity [K, n] as the joints turn by `way` [n]."""
-    return balance.averaged(_by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q))
+    return balance.averaged(
+        _by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q)
+    )
 
 
 @jax.jit
@@ -127,7 +156,7 @@ def actuator_force(balance: Balance, values: Values, u: np.ndarray | None = None
     is logged, an encoder's offset included."""
     with jax.enable_x64(True):
         tau, pull = _actuated(values._replace(effects={}), balance.q, balance.v, balance.u if u is None else u)
-    return np.asarray(tau + 0.0 * balance.q), np.asarray(pull + 0.0 * balance.q)
+    return np.asarray(tau) + 0.0 * balance.q, np.asarray(pull) + 0.0 * balance.q
 
 
 @jax.jit
@@ -187,7 +216,7 @@ def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
     n = balance.joints
     offset = values.effects.get("encoder_offset", {}).get("offset", np.zeros((n, 1)))[:, 0]
     inertial = values.inertial[..., 0]
-    takes = balance.regressor @ inertial.ravel()
+    takes = balance.regressor @ inertial.ravel() - balance.known
     if np.any(offset):  # the bodies are where their encoders do not say
         takes = takes + turned(balance, inertial, offset)
     gravity = values.gravity[:, 0] - np.asarray(group.model.tree.gravity)

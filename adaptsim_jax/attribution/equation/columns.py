@@ -22,8 +22,8 @@ from adaptsim_jax.effects.base import Effect
 
 TOLD = ("encoder_offset",)
 """Effects on what is measured of which the balance can tell; the others move time or need a path."""
-NOT_TOLD = ("presliding",)
-"""Effects on forces that have a state."""
+NOT_TOLD = ("presliding", "hard_stop", "friction_drift", "periodic_disturbance")
+"""Effects on forces that have a state, act in few places, or go with time as much else does."""
 STEP = 0.02  # share of a value, by which it is moved for a difference
 LEAST = 1e-4
 

@@ -10,20 +10,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import Balance, actuator_force
+from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of, means
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.diagnosis.paired import sign_flip
 
 TOLD = 2.5  # 1/kp over its standard error, from which on it is told
+SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
 
 
 @dataclass(frozen=True)
 class Servo:
-    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp itself is told, and
+    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp
+    itself is told, and
     not only what is over it; error: rms of the command error [rad], and what is left of it; p of a test over blocks against the file's
     gains."""
 
@@ -44,7 +46,7 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     law = values.actuator[:, :, 0]
     gear = values.gear[:, 0]
-    takes = balance.regressor @ values.inertial[..., 0].ravel()
+    takes = balance.regressor @ values.inertial[..., 0].ravel() - balance.known
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
     speed, sign = balance.averaged(balance.v), balance.averaged(balance.sign)
     out = []
@@ -71,7 +73,18 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     for k, j, x, scale, size, left, p in found:
         kp = 1.0 / x[0] if scale else like if like is not None else -law[2, k] * gear[k] ** 2
         made.append(
-            Servo(j, kp, max(kp * x[1], 0.0), max(kp * x[2], 0.0), max(kp * x[3], 0.0), kp * x[4], bool(scale), size, left, p)
+            Servo(
+                j,
+                kp,
+                max(kp * x[1], 0.0),
+                max(kp * x[2], 0.0),
+                max(kp * x[3], 0.0),
+                kp * x[4],
+                bool(scale),
+                size,
+                left,
+                p,
+            )
         )
     return made
 
@@ -81,7 +94,9 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
     weight = np.sqrt(np.maximum(clear, 0.03))
     fold = folds_of(balance.trial, balance.time)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
-    solve = lambda some: np.linalg.lstsq((columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6)[0] / size
+    solve = lambda some: (
+        np.linalg.lstsq((columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6)[0] / size
+    )
     whole = solve(np.ones(len(y), bool))
     each, left = [], np.zeros_like(y)
     for f in np.unique(fold):
@@ -100,13 +115,19 @@ def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
     return sign_flip(np.log((a + usual) / (b + usual)))
 
 
-def file_gain(balance: Balance, problem: Problem, k: int) -> float:
-    """kp of the file at a joint of a group [N m/rad]."""
+def drive_gains(problem: Problem, balance: Balance) -> dict[int, float | None]:
+    """Torque over volts or amperes of the driven joints of a group, from told = (forces that the motion takes, by the file's
+    bodies) / gain
+    + friction and rotor over it; None where these do not give the scale."""
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
-    return float(-values.actuator[2, k, 0] * values.gear[k, 0] ** 2)
-
-
-def told_force(balance: Balance, problem: Problem) -> np.ndarray:
-    """Force of the actuators by the file's law [K, n]."""
-    values = values_of(problem, balance.group, Vector((), np.zeros(0)))
-    return balance.averaged(actuator_force(balance, values)[0])
+    takes = balance.regressor @ values.inertial[..., 0].ravel()
+    takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
+    told, speed, sign = balance.averaged(balance.u), balance.averaged(balance.v), balance.averaged(balance.sign)
+    out: dict[int, float | None] = {}
+    for k, j in enumerate(balance.group.joints):
+        if not np.any(told[:, k]):
+            continue
+        columns = np.stack([takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(told))], 1)
+        x, spread, _ = _regressed(balance, told[:, k], columns, balance.clear[:, k])
+        out[int(j)] = 1.0 / x[0] if x[0] > SURE * spread[0] else None
+    return out

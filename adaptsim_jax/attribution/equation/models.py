@@ -8,7 +8,7 @@ import numpy as np
 from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.backward import Step as Told
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.search import Step, Witness, refitted, witness
+from adaptsim_jax.attribution.equation.search import FACTOR, Step, Witness, refitted, within, witness
 from adaptsim_jax.attribution.equation.solve import Compared
 from adaptsim_jax.attribution.forecast import Forecast, forecast
 from adaptsim_jax.attribution.held_out import HeldOut, Model
@@ -43,7 +43,9 @@ class Said:
     @property
     def named(self) -> tuple[Named, ...]:
         return tuple(
-            Named(k.candidate, test_of(k.test), k.alternatives, k.steady, k.test.p) for w in self.witnesses for k in w.kept
+            Named(k.candidate, test_of(k.test), k.alternatives, k.steady, k.test.p)
+            for w in self.witnesses
+            for k in w.kept
         )
 
 
@@ -54,9 +56,11 @@ def said(
     reach: Reach,
     criteria: Criteria,
     commanded: bool,
+    factor: float = FACTOR,
 ) -> Said:
-    """Search the balances of all groups. null: what is fitted whatever is named."""
-    found = tuple(parallel_map(lambda b: witness(problem, b, part_of(null, b), reach, criteria, commanded), balances))
+    """Search the balances of all groups. null: what is fitted whatever is named; commanded, factor: as of `witness`, `within`."""
+    own = lambda b: within(part_of(null, b), factor)
+    found = tuple(parallel_map(lambda b: witness(problem, b, own(b), reach, criteria, commanded), balances))
     return merged(null, found)
 
 
@@ -86,9 +90,10 @@ def test_of(c: Compared) -> Test:
     return Test(c.gain, c.p, c.better, c.folds, c.blocks)
 
 
-def selection(problem: Problem, found: Said, reach: Reach) -> Selection:
-    """As a search by simulation hands it on: models that predict stretches, effects that are named, what was tried."""
-    null, final = (model_of(problem, found, v, added) for v, added in ((found.null, ()), (found.final, found.added)))
+def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selection:
+    """As a search by simulation hands it on: models that predict stretches, effects that are named, what was tried. null: the declared
+    model."""
+    final = model_of(problem, found, found.final, found.added)
     steps = [s for w in found.witnesses for s in w.steps]
     opening = sorted((_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out)
     trace = tuple(Told(s.action, s.candidate, None, s.test and test_of(s.test), s.why) for s in steps)

@@ -1,4 +1,5 @@
-"""Which effects the torque along the measured motion asks for: friction first, forward by left-out blocks, then each beside the others.
+"""Which effects the torque along the measured motion asks for: friction first, forward by left-out blocks, then each beside the
+others.
 
 Everything is linear but for a few shapes, which lie on grids, so that no set of effects is a minimum to be stuck in, and thousands
 of sets are judged in seconds.
@@ -9,19 +10,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import Table, balanced
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums, compared, rows_of, solved
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates, shape_entries
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
 FIRST = ("coulomb", "armature")
 """Effects that are tried at all joints at once before any other: real joints rub."""
 TRIED = 6  # candidates of a round that are judged
-GAIN = 0.02  # share of a joint's squared missing torque that each number of an effect must take off where it was left out
+GAIN = (
+    0.02  # share of a joint's squared missing torque that each number of an effect must take off where it was left out
+)
 LEVEL = 0.01  # of the paired test over blocks
 STEADY = 1.0  # an amplitude over its standard error
 SLOWEST = 0.15  # of a joint's usual speed: what sets in below is not told from what holds a joint still
@@ -97,7 +100,9 @@ class _State:
         """Weights from what a set leaves."""
         self.table.explained = fitted.columns @ fitted.step
         left = self.rows.missing - self.table.explained
-        self.rows = rows_of(self.rows.missing, left, self.balance.trial, self.balance.time, self.least, self.balance.clear)
+        self.rows = rows_of(
+            self.rows.missing, left, self.balance.trial, self.balance.time, self.least, self.balance.clear
+        )
         self._summed()
 
     def _summed(self) -> None:
@@ -127,7 +132,6 @@ def witness(
 ) -> Witness:
     """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
     which may be late at each joint, and no measured torque."""
-    null = within(null)
     state = _State(problem, balance, null, reach, criteria)
     joints = set(balance.group.joints)
     every = [
@@ -154,7 +158,9 @@ def witness(
     final, errors = _exact(state, added, whole)
     base = state.set_of(())
     first = _exact(state, (), base)[0]
-    return Witness(balance, first, final, errors, tuple(added), tuple(kept), tuple(steps), state.rows, base, whole, state)
+    return Witness(
+        balance, first, final, errors, tuple(added), tuple(kept), tuple(steps), state.rows, base, whole, state
+    )
 
 
 def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
@@ -235,9 +241,7 @@ def _level(p: Sequence[float]) -> float:
     return max(LEVEL, float(ranked[good].max()) if good.any() else 0.0)
 
 
-def _why_not(
-    state: _State, whole: Solved, c: Candidate, test: Compared, least: float, level: float = LEVEL
-) -> str:
+def _why_not(state: _State, whole: Solved, c: Candidate, test: Compared, least: float, level: float = LEVEL) -> str:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:
         return "left-out blocks do not confirm it"
@@ -283,8 +287,9 @@ def _steady(whole: Solved, c: Candidate) -> float:
 def _at_bound(whole: Solved, c: Candidate) -> bool:
     at = _numbers(whole, c)
     value = np.array([whole.entries[i].start for i in at]) + whole.step[at]
-    ends = lambda i, z: abs(z - (e := whole.entries[i]).high) < 1e-6 * abs(e.high) or (
-        e.low < min(e.off, e.start) and abs(z - e.low) < 1e-6 * abs(e.low)
+    ends = lambda i, z: (
+        abs(z - (e := whole.entries[i]).high) < 1e-6 * abs(e.high)
+        or (e.low < min(e.off, e.start) and abs(z - e.low) < 1e-6 * abs(e.low))
     )
     return any(ends(i, z) for i, z in zip(at, value, strict=True))
 
@@ -338,7 +343,10 @@ def _backward(state: _State, added: Sequence[Candidate], steps: list[Step]) -> t
     added = [k for c in added for k in _split(c)]
     while True:
         whole = state.set_of(added)
-        tests = [(c, compared(state.rows, state.set_of([k for k in added if k is not c]), whole, state.own(c))) for c in added]
+        tests = [
+            (c, compared(state.rows, state.set_of([k for k in added if k is not c]), whole, state.own(c)))
+            for c in added
+        ]
         failing, quiet = [], []
         for c, test in tests:
             least = state.criteria.described if state.problem.effect(c.effect).describes else GAIN * len(c.entries)

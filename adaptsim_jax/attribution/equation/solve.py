@@ -1,13 +1,14 @@
 """Sets of columns fitted to the missing forces, with what is known beforehand, and judged by blocks that were left out."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from adaptsim_jax.attribution.estimate import bounded_step
-from adaptsim_jax.diagnosis.paired import sign_flip
 from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.diagnosis.paired import sign_flip
 
 FOLDS = 8  # of recordings of fewer trials than `TRIALS`
 TRIALS = 5
@@ -20,7 +21,8 @@ FLOOR = 0.1  # of the usual loss of a block: one that hardly moved says little, 
 
 @dataclass(frozen=True)
 class Rows:
-    """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of how many neighbours say the same; less
+    """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of how many neighbours say the
+    same; less
     where a joint hardly moves: what holds it is anything up to the level of its friction), size [n], fold and block [K]."""
 
     missing: np.ndarray
@@ -54,7 +56,8 @@ class Solved:
 
 @dataclass(frozen=True)
 class Compared:
-    """One set against another: share of the loss that it takes off (geometric mean over blocks), p of a sign-flip test, of all joints and
+    """One set against another: share of the loss that it takes off (geometric mean over blocks), p of a sign-flip test, of all
+    joints and
     of those concerned."""
 
     gain: float
@@ -65,7 +68,9 @@ class Compared:
     blocks: int
 
 
-def rows_of(missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray, clear: np.ndarray) -> Rows:
+def rows_of(
+    missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray, clear: np.ndarray
+) -> Rows:
     """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by sizes `least` [n]."""
     clear = np.maximum(clear, LEAST_CLEAR)
     usual = _block_means(np.square(left) * clear, trial, time) / _block_means(clear, trial, time)
@@ -136,7 +141,7 @@ class Sums:
         self.order = np.argsort(rows.fold, kind="stable")
         counts = np.bincount(rows.fold)
         ends = np.concatenate([[0], np.cumsum(counts)])
-        self.parts = [slice(int(i), int(j)) for i, j in zip(ends[:-1], ends[1:], strict=True)]
+        self.parts = [slice(int(i), int(j)) for i, j in itertools.pairwise(ends)]
         self.y = (rows.missing * rows.weight)[self.order]
         self.blocks: dict = {}
         self.products: dict = {}

@@ -18,6 +18,7 @@ SPAN = 0.16  # s, of a window: half of its weight lies in the middle third
 LEAST_ROWS = 12  # of a window
 GRID = 4e-3  # s: faster logs are read at about this
 HOP = 0.25  # of a window, from one to the next
+MOST = 3000  # windows of a recording: of longer ones they lie farther apart
 CREEP = 0.02  # of a joint's usual speed, below which the direction of dry friction is not told from zero
 CLEAR = 0.1  # of the usual speed, below which a joint may be held by friction, which is then anything up to its level
 DOUBT = 3.0  # times the noise of a speed, likewise
@@ -26,7 +27,8 @@ DOUBT = 3.0  # times the noise of a speed, likewise
 @dataclass(frozen=True)
 class Run:
     """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told over the window of a row, sign [n, T]
-    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
+    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages
+    over windows; at [K] s, their middles."""
 
     trial: int
     time: np.ndarray
@@ -54,9 +56,11 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
     speeds = np.concatenate([np.abs(v) for *_, v, _, _ in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
+    total = sum(time[-1] - time[0] for _, time, *_ in made)
+    hop = max(HOP * span, total / MOST)
     for k, time, q, v, u, seen in made:
         dt = time[1] - time[0]
-        mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt))
+        mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt), hop)
         if not len(at):
             continue
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
@@ -89,7 +93,9 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
         seen *= np.interp(time, track.time, there.astype(float)) > 0.5
     q, v = _local(np.stack(columns), dt, _rows(dt))
     u = np.where(np.isfinite(track.u), track.u, 0.0)
-    area = np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)])  # each is held to the next row
+    area = np.concatenate(
+        [np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)]
+    )  # each is held to the next row
     edges = np.append(time - 0.5 * dt, time[-1] + 0.5 * dt)
     middle = np.stack([np.diff(np.interp(edges, track.time, z)) / dt for z in area.T], 1)
     middle[0] = u[0]
@@ -105,10 +111,10 @@ def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray]
     return savgol_filter(q, rows, 2, axis=1), savgol_filter(q, rows, 2, deriv=1, delta=dt, axis=1)
 
 
-def _windows(time: np.ndarray, seen: np.ndarray, span: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
+def _windows(time: np.ndarray, seen: np.ndarray, span: float, hop: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
     """Means over windows [K, T] of (1 + cos)^2's shape, and their middles [K]."""
     dt = time[1] - time[0]
-    wide, hop = max(4, round(span / dt)), max(1, round(HOP * span / dt))
+    wide, hop = max(4, round(span / dt)), max(1, round(hop / dt))
     shape = np.square(1.0 + np.cos(2.0 * np.pi * (np.arange(1, wide) / wide - 0.5)))
     shape /= shape.sum()
     begins = np.arange(0, len(time) - wide, hop)

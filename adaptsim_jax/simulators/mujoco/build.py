@@ -4,6 +4,7 @@ A joint that nothing was logged of is held where `roles.roles` has it; one in a 
 model says.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -35,6 +36,12 @@ class Stepped:
         return replace(self, model=model)
 
 
+def turns_of_balls(source: Source, log: Log) -> list[str]:
+    """Angles of a log that are one of a ball joint's three turns, which MuJoCo's own coordinates have not."""
+    single = {source.model.joint(k).name for k in range(source.model.njnt)}
+    return [name for name in log.joint_names if name not in single]
+
+
 def stepped(source: Source, log: Log) -> Stepped:
     """The model of a file for a log of it. Raises BadInput where MuJoCo refuses it."""
     spec, _ = read_spec(source.path)
@@ -51,7 +58,7 @@ def stepped(source: Source, log: Log) -> Stepped:
         )
         data = np.zeros(len(tie.data))
         data[:2] = mimic.offset, mimic.factor
-        tie.data = data
+        tie.data, tie.solref, tie.solimp = data, STIFF, HARD  # of a URDF, which is exact
     for key in list(spec.keys):
         spec.delete(key)
     model = _compiled(source.path, spec)
@@ -67,12 +74,11 @@ def stepped(source: Source, log: Log) -> Stepped:
     free = next((int(model.jnt_qposadr[k]) for k in range(model.njnt) if model.jnt_type[k] == FREE), -1)
     if logged and free < 0:
         notes.append("base_x .. base_qz are not used: the model's base cannot move")
-    angle = [at[name] for name in log.joint_names if name in at]
-    if len(angle) < len(log.joint_names):
-        lacks = next(name for name in log.joint_names if name not in at)
+    if turns := turns_of_balls(source, log):
         raise BadInput(
-            f"{source.path}: '{lacks}' is one turn of a ball joint, which the mujoco simulator does not read; hold the ball"
+            f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco does not read; take tree"
         )
+    angle = [at[name] for name in log.joint_names]
     return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes))
 
 
@@ -105,7 +111,8 @@ def _weld(spec: mujoco.MjSpec, values, logged: bool, notes: list[str]) -> None:
 def _hold(spec: mujoco.MjSpec, source: Source, log: Log, values, notes: list[str]) -> None:
     """A stiff equality for each joint that stands still."""
     told = []
-    tied = _tied(source.model)
+    turns = turns_of_balls(source, log)
+    tied = _tied(source.model, [n for n in (*log.joint_names, *log.meta.hold) if n not in turns])
     for joint in spec.joints:
         name = joint.name
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE) or name in log.joint_names:
@@ -122,29 +129,37 @@ def _hold(spec: mujoco.MjSpec, source: Source, log: Log, values, notes: list[str
         told.append(f"{name} = {value:.4g}")
     if told:
         notes.append(f"held, as no log has them or [hold] says so: {', '.join(told)}")
+    if loose := sorted(tied - set(log.joint_names) - set(log.meta.hold)):
+        notes.append(f"not logged, moved by what they are tied to: {', '.join(loose)}")
 
 
-def _tied(model: mujoco.MjModel) -> set[str]:
-    """Joints that a loop, an equality or a tendon moves: they need no log."""
-    out = set()
-    bodies = set()
+def _tied(model: mujoco.MjModel, logged: Collection[str]) -> set[str]:
+    """Joints that a loop, an equality or a tendon ties to one that is logged: they need no log."""
+    groups: list[set[int]] = []
     for e in range(model.neq):
+        if not model.eq_active0[e]:
+            continue
         if model.eq_type[e] == TIE:
-            out |= {int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0}
+            groups.append({int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0})
         elif model.eq_type[e] in (CONNECT, WELD):
             ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
             if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
                 ends = [int(model.site_bodyid[k]) for k in ends]
-            ways = []
-            for b in ends:
-                way = set()
-                while b > 0:
-                    way.add(b)
-                    b = int(model.body_parentid[b])
-                ways.append(way)
-            bodies |= ways[0] ^ ways[1]
-    out |= {k for k in range(model.njnt) if int(model.jnt_bodyid[k]) in bodies}
-    out |= {
-        int(model.wrap_objid[w]) for w in range(model.nwrap) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-    }
-    return {model.joint(k).name for k in out}
+            bodies = set(_upwards(model, ends[0])) ^ set(_upwards(model, ends[1]))
+            groups.append({k for k in range(model.njnt) if int(model.jnt_bodyid[k]) in bodies})
+    for t in range(model.ntendon):
+        rows = range(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
+        joint = int(mujoco.mjtWrap.mjWRAP_JOINT)
+        groups.append({int(model.wrap_objid[w]) for w in rows if model.wrap_type[w] == joint})
+    reached = {model.joint(name).id for name in logged}
+    while more := [g for g in groups if g & reached and not g <= reached]:
+        reached = reached.union(*more)
+    return {model.joint(k).name for k in reached}
+
+
+def _upwards(model: mujoco.MjModel, body: int) -> list[int]:
+    out = []
+    while body > 0:
+        out.append(body)
+        body = int(model.body_parentid[body])
+    return out

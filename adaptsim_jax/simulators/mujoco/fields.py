@@ -17,6 +17,8 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 
 DELAY = "command.delay"
+TILTS = ("world.tilt_x", "world.tilt_y")
+"""rad: gravity turned about the world's x and y."""
 LATEST = 0.05  # s
 STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
 FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
@@ -47,6 +49,8 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     """The number of that name. Raises BadInput where the model has none, with what is near."""
     if name == DELAY:
         return Field(name, DELAY, (), 0, 0.0, -LATEST, LATEST, max(float(model.opt.timestep), 1e-3))
+    if name in TILTS:
+        return Field(name, name, (), 0, 0.0, -0.5, 0.5, 0.002)
     found = FORM.fullmatch(name)
     if found is None:
         raise BadInput(
@@ -149,6 +153,14 @@ def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence
     out = copy.copy(model)
     anew = False
     for made, value in zip(fields, values, strict=True):
+        if value == made.neutral:  # a number for several elements has their mean, which is not what each of them has
+            continue
+        if made.name in TILTS:
+            turned = np.zeros(3)
+            half = np.eye(3)[TILTS.index(made.name)] * np.sin(0.5 * value)
+            mujoco.mju_rotVecQuat(turned, out.opt.gravity, np.array([np.cos(0.5 * value), *half]))
+            out.opt.gravity = turned
+            continue
         for element in made.elements:
             if made.field == "body.mass" and out.body_mass[element] > 0:
                 out.body_inertia[element] *= value / out.body_mass[element]

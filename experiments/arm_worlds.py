@@ -1,0 +1,80 @@
+"""Own worlds of a real arm's kind (`tests/generators/arm_worlds.py`): which effects the torque witness names, right and wrong.
+
+    python experiments/arm_worlds.py ../shared/data/robots OUT --first 100 --count 20 --kinds null
+    python experiments/arm_worlds.py ../shared/data/robots OUT --first 200 --count 30 --kinds friction rotor gain offset spring
+
+A line a world; `--whole` runs all of `adaptsim diagnose` instead of the witness alone.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
+from adaptsim_jax.core import compile_flags
+from adaptsim_jax.diagnosis.criteria import Criteria
+from experiments.torque_witness import prepared
+from tests.generators.arm_worlds import KINDS, write_arm
+
+ROBOTS = (
+    "unitree_z1__z1",
+    "ufactory_lite6__lite6",
+    "ufactory_xarm7__xarm7_nohand",
+    "kuka_iiwa_14__iiwa14",
+    "kinova_gen3__gen3",
+)
+
+
+def named_by_witness(folder: Path) -> tuple[set[tuple[str, int]], float]:
+    """(effect, joint) named, and the farthest inertial coordinate."""
+    machine = load(folder, None)
+    problem, told = prepared(machine)
+    null = declared_vector(machine, problem)
+    found = said(problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False)
+    eta = [abs(z) for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == INERTIA]
+    return {(n.candidate.effect, j) for n in found.named for j in n.candidate.joints}, max(eta)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("robots", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--first", type=int, default=100)
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--kinds", nargs="+", default=["friction"], choices=KINDS)
+    parser.add_argument("--whole", action="store_true")
+    args = parser.parse_args()
+    compile_flags.small_steps()
+    total = {"right": 0, "wrong": 0, "missed": 0, "hidden": 0}
+    for k, seed in enumerate(range(args.first, args.first + args.count)):
+        robot, kind, folder = ROBOTS[seed % len(ROBOTS)], args.kinds[k % len(args.kinds)], args.out / f"{seed}"
+        truth = {tuple(e) for e in write_arm(folder, args.robots / f"{robot}.xml", kind, seed)["effects"]}
+        began = time.process_time()
+        if args.whole:
+            rows = diagnose(folder)["effects"]
+            index = {n: j for j, n in enumerate(load(folder, None).tree.joint_names)}
+            names, far = {(row["name"], index[j]) for row in rows for j in row["joints"]}, np.nan
+        else:
+            names, far = named_by_witness(folder)
+        for key, some in (
+            ("right", names & truth),
+            ("wrong", names - truth),
+            ("missed", truth - names),
+            ("hidden", truth),
+        ):
+            total[key] += len(some)
+        print(
+            f"{seed} {robot} {kind}: right {len(names & truth)} of {len(truth)}, wrong {sorted(names - truth)}, missed "
+            f"{sorted(truth - names)}, inertia {far:.2f}, {time.process_time() - began:.0f} s", flush=True,
+        )  # fmt: skip
+    print(total)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,220 @@
+"""Return in the target against target trials, for each way of adapting a simulator: one figure and one table.
+
+    python experiments/return_against_trials.py --out runs/trials                            all tasks, 10 seeds: hours
+    python experiments/return_against_trials.py --out runs/trials --tasks cartpole --seeds 3 --small
+    python experiments/return_against_trials.py --out runs/trials --show                     figure and table of what is there
+
+Resumable: each task, seed and method is a part of its own in `OUT/TASK/seed-N.json`. Five targets a task: one within Omega, four that
+Omega cannot say; they run in MuJoCo C. Returns are normalised in each target: 0 UDR, 1 the oracle or the best in Omega. Tasks of
+Playground need the extra `[environments]`.
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.files import output_folder, write_bytes, write_json
+from adaptsim_jax.core.progress import progress
+
+BUDGETS = (0, 2, 5, 10, 20, 40)
+METHODS = (
+    "udr", "oracle", "adaptsim", "sysid_point", "sysid_bayes", "bayesopt", "cma_es", "fine_tune", "nominal", "best_in_omega",
+)  # fmt: skip
+SWING = {"body:cart.mass": [0.6, 1.6], "actuator:slide.gear": [6.0, 14.0]}
+TASKS: dict[str, dict[str, Any]] = {
+    "cartpole": {
+        "env": "cartpole",
+        "fields": {"body:pole.mass": [0.1, 0.5], "body:cart.mass": [0.6, 1.6], "actuator:motor.gear": [6.0, 14.0]},
+        "targets": {
+            "within": {"body:pole.mass": 0.35, "body:cart.mass": 0.8, "actuator:motor.gear": 8.0},
+            "weak": {"actuator:motor.gear": 4.5},
+            "dry": {"joint:slide.frictionloss": 1.5},
+            "late": {"delay": 0.03, "body:pole.mass": 0.4},
+            "drag": {"joint:slide.damping": 3.0, "action_scale": 0.8},
+        },
+    },
+    "arm": {
+        "env": "arm",
+        "fields": {
+            "body:payload.mass": [0.05, 1.0], "joint:shoulder.damping": [0.05, 0.8],
+            "joint:elbow.damping": [0.05, 0.6], "actuator:shoulder.gear": [2.5, 6.0],
+        },
+        "targets": {
+            "within": {"body:payload.mass": 0.7, "joint:elbow.damping": 0.4},
+            "payload": {"body:payload.mass": 1.6},
+            "dry": {"joint:shoulder.frictionloss": 0.6, "joint:elbow.frictionloss": 0.3},
+            "late": {"delay": 0.04},
+            "weak": {"action_scale": 0.6, "joint:elbow.armature": 0.05},
+        },
+    },
+    "cartpole_swingup": {
+        "env": "playground:CartpoleSwingup",
+        "fields": SWING | {"body:pole_1.mass": [0.05, 0.3]},
+        "targets": {
+            "within": {"body:pole_1.mass": 0.2, "actuator:slide.gear": 8.0},
+            "weak": {"actuator:slide.gear": 4.5},
+            "dry": {"joint:slider.frictionloss": 1.0},
+            "late": {"delay": 0.03},
+            "drag": {"joint:hinge_1.damping": 0.02, "action_scale": 0.8},
+        },
+    },
+    "acrobot_swingup": {
+        "env": "playground:AcrobotSwingup",
+        "fields": {"body:lower_arm.mass": [0.5, 2.0], "joint:elbow.damping": [0.01, 0.2], "actuator:elbow.gear": [1.4, 3.0]},
+        "targets": {
+            "within": {"body:lower_arm.mass": 1.4, "actuator:elbow.gear": 2.4},
+            "weak": {"actuator:elbow.gear": 1.1},
+            "dry": {"joint:elbow.frictionloss": 0.2},
+            "late": {"delay": 0.02},
+            "upper": {"body:upper_arm.mass": 1.6, "joint:shoulder.damping": 0.15},
+        },
+    },
+    "pendulum_swingup": {
+        "env": "playground:PendulumSwingup",
+        "fields": {"body:pole.mass": [0.5, 2.0], "joint:hinge.damping": [0.02, 0.3], "actuator:torque.gear": [0.6, 1.6]},
+        "targets": {
+            "within": {"body:pole.mass": 0.8, "actuator:torque.gear": 0.8},
+            "heavy": {"body:pole.mass": 2.6},
+            "dry": {"joint:hinge.frictionloss": 0.15},
+            "late": {"delay": 0.05},
+            "weak": {"action_scale": 0.5},
+        },
+    },
+}  # fmt: skip
+STEPS = {"cartpole": 6_000_000, "arm": 6_000_000}  # of PPO; Playground's tasks 20 million
+SMALL = {"steps": 1_024_000}
+
+
+def options_of(task: str, small: bool) -> dict[str, Any]:
+    training = SMALL if small else {"steps": STEPS.get(task, 20_000_000)}
+    return TASKS[task] | {"training": training}
+
+
+def comparison(options: dict[str, Any], small: bool) -> Any:
+    from adaptsim_jax.baselines.config import default_comparison
+
+    base = default_comparison("environment")
+    train = replace(base.train, task=options)
+    if small:
+        train = replace(train, phase1=replace(train.phase1, trajectories=300))
+        sysid = replace(base.sysid, simulations=100)
+        return replace(base, train=train, sysid=sysid, starts=1, iterations=10, steps=replace(base.steps, tests=6))
+    return replace(base, train=train, starts=2, iterations=19)
+
+
+def run(out: Path, task: str, seed: int, methods: list[str], small: bool) -> None:
+    """The methods of one task and seed that are not there yet."""
+    path = out / task / f"seed-{seed}.json"
+    output_folder(path.parent)
+    found = json.loads(path.read_text()) if path.exists() else {}
+    left = [m for m in methods if m not in found]
+    if not left:
+        return
+    from adaptsim_jax.adaptation.prepared import learned
+    from adaptsim_jax.baselines.compare_steps import tried
+    from adaptsim_jax.environments.config import EnvironmentConfig
+    from adaptsim_jax.environments.kind import environment_setting
+    from adaptsim_jax.environments.task import task_of
+
+    options = options_of(task, small)
+    setting = environment_setting(configs.from_table(EnvironmentConfig, options, task))
+    made = task_of(setting)
+    assert made.preparation is not None
+    names = list(TASKS[task]["targets"])
+    with progress(f"{task}, seed {seed}") as report:
+        ready = learned(made, made.preparation, seed, out / task / f"policy-{seed}", report)
+        for method, deployed in tried(setting, ready, names, left, comparison(options, small), seed, report):
+            found[method] = {"trials": deployed.trials.tolist(), "returns": deployed.returns.tolist()}
+            write_json(path, found)
+
+
+def rows(out: Path) -> list[dict[str, Any]]:
+    """For each task, target, method and budget: normalised returns by seed."""
+    table = []
+    for task in TASKS:
+        seeds = [json.loads(p.read_text()) for p in sorted((out / task).glob("seed-*.json"))]
+        seeds = [s for s in seeds if {"udr", "oracle"} <= set(s)]
+        if not seeds:
+            continue
+        last = lambda m, seeds=seeds: np.mean([np.array(s[m]["returns"])[:, -1] for s in seeds if m in s], 0)
+        lower, upper = (
+            last("udr"),
+            np.max([last(m) for m in ("oracle", "best_in_omega") if all(m in s for s in seeds)], 0),
+        )
+        for method in METHODS:
+            own = [s[method] for s in seeds if method in s]
+            for t, target in enumerate(TASKS[task]["targets"]):
+                for budget in BUDGETS:
+                    values = [_at(o, t, budget) for o in own]
+                    if values and None not in values and upper[t] - lower[t] > 0.02 * abs(upper[t]):
+                        norm = (np.array(values, float) - lower[t]) / (upper[t] - lower[t])
+                        row = {"task": task, "target": target, "method": method, "budget": budget}
+                        table.append(row | {"per_seed": norm.tolist(), "mean": float(norm.mean())})
+    return table
+
+
+def _at(run: dict[str, Any], t: int, budget: int) -> float | None:
+    there = [i for i, n in enumerate(run["trials"]) if n <= budget]
+    return run["returns"][t][there[-1]] if there else None
+
+
+def show(out: Path) -> list[Path]:
+    """figure.png, table.md and results.json of what is there."""
+    from adaptsim_jax.report import figures as look
+
+    table = rows(out)
+    write_json(out / "results.json", {"budgets": BUDGETS, "rows": table})
+    tasks = list(dict.fromkeys(r["task"] for r in table))
+    figure, axes = look.new_figure(3.0 * max(len(tasks), 1) + 1.2, 3.2, 1, max(len(tasks), 1), sharey=True)
+    text = []
+    for ax, task in zip(axes, tasks, strict=False):
+        text += [f"\n{task}\n\n| method | {' | '.join(map(str, BUDGETS))} |", f"| --- |{' --- |' * len(BUDGETS)}"]
+        for method in METHODS:
+            cells = [
+                [r["per_seed"] for r in table if (r["task"], r["method"], r["budget"]) == (task, method, b)]
+                for b in BUDGETS
+            ]
+            means = [float(np.mean(c)) if c else None for c in cells]
+            if any(m is not None for m in means):
+                text.append(f"| {look.label(method)} | {' | '.join('' if m is None else f'{m:.2f}' for m in means)} |")
+                drawn = [(b, m) for b, m in zip(BUDGETS, means, strict=True) if m is not None]
+                ax.plot(
+                    *zip(*drawn, strict=True), marker="o", markersize=3, label=look.label(method), **look.style(method)
+                )
+        look.quiet(ax)
+        ax.set_title(task, fontsize=9)
+        ax.set_xlabel("target trials")
+        ax.set_ylim(-0.5, 1.1)
+    axes[0].set_ylabel("return (0 UDR, 1 oracle)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=7)
+    write_bytes(out / "table.md", ("Means over targets and seeds.\n" + "\n".join(text) + "\n").encode())
+    return [look.save(figure, out / "figure.png"), out / "table.md", out / "results.json"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--tasks", default=",".join(TASKS))
+    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument(
+        "--small", action="store_true", help="a tenth of the training and of Phase 1: what two cores do in minutes"
+    )
+    parser.add_argument("--show", action="store_true", help="figure and table of what is there; nothing is run")
+    args = parser.parse_args()
+    if not args.show:
+        for task in args.tasks.split(","):
+            for seed in range(args.seeds):
+                run(args.out, configs.pick("task", task, TASKS), seed, args.methods.split(","), args.small)
+    for path in show(args.out):
+        print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()

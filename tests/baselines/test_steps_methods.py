@@ -1,0 +1,52 @@
+"""Every row of a comparison over many steps, tried on a mass on a rail whose policy takes seconds to train."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.adaptation.phase1_config import Phase1Config
+from adaptsim_jax.baselines.compare_steps import tried
+from adaptsim_jax.baselines.config import default_comparison
+from adaptsim_jax.baselines.registry import STEPS
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.environments.config import EnvironmentConfig
+from adaptsim_jax.environments.task import setting_of, task_of
+from adaptsim_jax.environments.trainer import PPOTraining
+from tests.environments.cart import Cart
+
+PHASE1 = Phase1Config(trajectories=4, parallel=2, horizon=2, updates=2, capacity=8, archive=8, hidden=(8,))
+SIZES = {
+    "iterations": 2, "starts": 1, "sysid": {"simulations": 20, "first_fit": {"updates": 50}, "next_fit": {"updates": 50}},
+    "bayesopt": {"initial": 2}, "steps": {"points": 4, "tests": 2, "share": 0.25},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made():
+    training = PPOTraining(steps=32 * 25 * 24, parallel=32, unroll=25, hidden=(8,))
+    targets = {"heavy": {"params.mass": 2.5}, "weak": {"params.push": 2.0, "delay": 0.04}}
+    setting = setting_of(Cart(), EnvironmentConfig(training=training, targets=targets, references=2, components=4))
+    import jax
+
+    task = task_of(setting)
+    return setting, task.preparation.make(jax.random.key(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", STEPS)
+def test_a_method_deploys_something_in_every_target(method, made):
+    if method == "cma_es":
+        pytest.importorskip("cma", reason="cma is an extra")
+    setting, prepared = made
+    base = default_comparison("environment")
+    table = configs.over(configs.to_table(base), SIZES | {"train": {"phase1": configs.to_table(PHASE1)}})
+    config = configs.from_table(type(base), table, "test")
+    said = []
+    found = dict(tried(setting, prepared, list(setting.targets), [method], config, 0, lambda *told: said.append(told)))
+    trials, returns = found[method]
+    assert returns.shape == (2, len(trials)) and np.isfinite(returns).all() and said
+    assert (returns >= 0.0).all() and (returns <= 25.0).all()  # a step is worth 1 at most
+    counted = {
+        "adaptsim": [1, 2, 3], "bayesopt": [1, 2, 3], "cma_es": [1, 2, 3], "sysid_bayes": [0, 1, 2], "sysid_point": [0, 1, 2],
+        "fine_tune": [0, 2],
+    }  # fmt: skip
+    assert list(trials) == counted.get(method, [0])
