@@ -39,6 +39,7 @@ Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
+TOLD_GAIN = 0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
 
 
 def diagnose(
@@ -177,7 +178,7 @@ def scaled(machine: Machine, horizon: float) -> Machine:
     if not machine.gain_unknown:
         return machine
     if (law := by_torque(machine)) is not None:
-        return replace(machine, actuator=law)
+        return replace(machine, actuator=law, gain_told=True)
     problem = prepare(
         machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
@@ -227,6 +228,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
                 [e.key for e in vector.entries if e.owner == owner and of[e.joints[0]] not in wanted]
             )
     if machine.gain_unknown:
-        gain = [Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1") for j in range(problem.joints)]
+        prior = TOLD_GAIN if machine.gain_told else np.inf  # free, gain and inertias shrink together
+        gain = [Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior) for j in range(problem.joints)]
         vector = vector.with_entries(gain)
     return vector
