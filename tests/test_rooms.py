@@ -32,7 +32,8 @@ WITHIN = {
     ),
     "logs": (
         "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "sent", "quality",
-        "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "recording", "tables", "command_files", "angles",
+        "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "recording", "tables", "command_files",
+        "angles",
         "messages",
         "stamps", "trajectories", "lerobot", "log_checks", "model_names", "followed",
         "pendulum_log", "joint_columns", "scales", "guess", "bag",

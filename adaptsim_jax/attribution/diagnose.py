@@ -115,9 +115,7 @@ def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
         report["message"] = f"kp is not the file's: {where} N m/rad. {report['message']}"
 
 
-def mjcf_files(
-    machine: Machine, whole: Examined, criteria: Criteria
-) -> dict[str, Callable[[], str]]:
+def mjcf_files(machine: Machine, whole: Examined, criteria: Criteria) -> dict[str, Callable[[], str]]:
     """What makes the text of `declared.xml` and of `model.xml`."""
     problem, found = whole.problem, whole.found
     by_torque = whole.said if whole.judge == TORQUE else None

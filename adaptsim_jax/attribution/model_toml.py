@@ -81,7 +81,9 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
         law[0, joints.index(name)] = value
     for name, times in given.get("servo", {}).items():
         if name not in joints or not isinstance(times, (int, float)):
-            raise BadInput(f"{path}: servo.{name} must be a factor on the kp of a joint; {config.suggest(name, joints)}")
+            raise BadInput(
+                f"{path}: servo.{name} must be a factor on the kp of a joint; {config.suggest(name, joints)}"
+            )
         law[:3, joints.index(name)] *= times
         law[3, joints.index(name)] = 0.0
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)

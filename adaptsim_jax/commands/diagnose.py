@@ -59,7 +59,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         choices=("stretches", "whole", "torque"),
         help="of a mechanism, by which effects are judged (default: the one that tells most of this recording)",
     )
-    parser.add_argument("--horizon", type=float, default=0.5, metavar="S", help="length of simulated stretches (default 0.5)")
+    parser.add_argument(
+        "--horizon", type=float, default=0.5, metavar="S", help="length of simulated stretches (default 0.5)"
+    )
     parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects TASK` lists them all",

@@ -20,7 +20,10 @@ ALIKE = 0.1
 def check_log_units(
     trials: Sequence[LogTrial], names: ModelNames, units: Mapping[str, object] | None = None
 ) -> tuple[str, ...]:
-    """Notes about suspicious units. units: as declared; angles that are degrees already are not asked about. Raises `BadInput` naming the trial and the line for meta.toml where the data are sure."""
+    """Notes about suspicious units. units: as declared; angles that are degrees already are not asked about.
+
+    Raises `BadInput` naming the trial and the line for meta.toml where the data are sure.
+    """
     hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
     for trial in trials:
         if what := _speed_suspect(trial, hinges):

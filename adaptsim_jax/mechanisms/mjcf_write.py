@@ -20,7 +20,8 @@ class Changes:
     """What to put in; None, or a joint that a table does not name, stays as it is.
 
     inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss (N m), stiffness (N m/rad),
-    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, kv (N m s/rad), delay and
+    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, kv (N m
+    s/rad), delay and
     lag in s, limit (N m); motors {joint name: N m per unit of its command} are put in where the joint has no actuator, with the limit
     under `limit` by the joint's name; comments: what the file cannot hold, a line each.
     """

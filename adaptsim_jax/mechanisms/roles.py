@@ -102,7 +102,9 @@ def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[s
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
         what = "every joint is in a loop that closes" if loops else "every joint is held"
-        raise BadInput(f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log a joint that does")
+        raise BadInput(
+            f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log a joint that does"
+        )
     return Roles(held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops))
 
 

@@ -56,7 +56,9 @@ def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
     assert report["error"]["after"] < 0.5 * report["error"]["before"]
     assert report["candidates"][0]["accepted"] and report["candidates"][0]["name"] == "coulomb"
     assert [c["accepted"] for c in report["candidates"]].count(True) == 1
-    (power,) = [row for row in report["power"] if row["name"] == "bias"]  # what could have been found is a part of what was
+    (power,) = [
+        row for row in report["power"] if row["name"] == "bias"
+    ]  # what could have been found is a part of what was
     assert 0.0 < power["size"] < 0.1 and power["unit"] == "N m" and power["power"] == 0.8
     model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
     assert model.dof_frictionloss[0] == pytest.approx(0.2, rel=0.1)

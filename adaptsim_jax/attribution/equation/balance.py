@@ -95,7 +95,9 @@ def _inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     return ~np.asarray(tree.limited)[:, None] | ((q > low + AT_END) & (q < high - AT_END))
 
 
-def _known(tree: Tree, mean: scipy.sparse.csr_matrix, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray | float:
+def _known(
+    tree: Tree, mean: scipy.sparse.csr_matrix, q: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> np.ndarray | float:
     every = tree if tree.whole is None else tree.whole.tree
     if tree.whole is None and not any(every.compensated):
         return 0.0
