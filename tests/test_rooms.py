@@ -41,7 +41,7 @@ WITHIN = {
     ),
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",
-        "yardstick", "rows", "simulated",
+        "yardstick", "rows", "written", "simulated",
     ),
     "environments": (
         "fields", "randomise", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",

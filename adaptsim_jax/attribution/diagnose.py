@@ -24,13 +24,13 @@ from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.servo import calibrated, servo_entries, servo_notes, servo_rows, span_of
-from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf

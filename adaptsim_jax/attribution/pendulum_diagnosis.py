@@ -22,15 +22,15 @@ from adaptsim_jax.attribution.pendulum import (
     own_catalogue,
     pendulum_machine,
 )
-from adaptsim_jax.attribution.written import cleared, write_all, write_partial
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
+from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.meta import check_known
-from adaptsim_jax.logs.model_file import declared_model, write_model
+from adaptsim_jax.logs.model_file import declared_model, text_of
 from adaptsim_jax.logs.noise.floor import noise_floor, smooth
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.quality.findings import Audit
@@ -113,13 +113,16 @@ def diagnose_pendulum(
         null, _ = model_file(recording, problem, found.null, {})
         file, lost = model_file(recording, problem, found.final, provenance)
         report["notes"] += lost
-        if reward is not None and found.named and (worth := reward(null, file)):
-            report["task_reward"] = worth
+        if reward is not None and found.named:
+            try:
+                report |= {"task_reward": worth} if (worth := reward(null, file)) else {}
+            except Exception as error:  # policies are trained for it: the search must not go with them
+                report["warnings"].append(f"what it is worth to the task is not known: {' '.join(str(error).split())}")
         files = {}
         if folder is not None:
-            write_model(folder / "model.toml", replace(file, path=str(folder / "model.toml")))
+            files = {"model.toml": lambda: text_of(file)}
             if recording.model != LINEAR:  # which no MJCF can say
-                files = mjcf_files(machine, whole, criteria or Criteria())
+                files |= mjcf_files(machine, whole, criteria or Criteria())
         return _written(report, evidence, run, folder, page, files)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core import config
-from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import telling
@@ -19,6 +19,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
 from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import ROUNDS, problem_of, settle
+from adaptsim_jax.diagnosis.written import cleared, write_all
 from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
 
 METRIC = "median over left-out stretches of the RMS error of a signal over its noise, starts fitted"
@@ -53,7 +54,7 @@ def diagnose_simulator(
     check_simulator(simulator)
     criteria = criteria or Criteria()
     kept = rows.check_exclude(tuple(exclude), simulator.candidates, "simulator")
-    folder = None if out is None else output_folder(out)
+    folder = None if out is None else cleared(output_folder(out))
     step = rows.stepping(progress, 0.02)
     step("starts")
     problem = problem_of(simulator, kept)
@@ -63,8 +64,8 @@ def diagnose_simulator(
     report["run"] = evidence["run"] = Run(f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
-        write_bytes(folder / rows.MODEL, config.dumps(model_table(problem, found, name)).encode())
-        (page or plain)(folder, report, evidence)
+        model = lambda: config.dumps(model_table(problem, found, name))
+        write_all(folder, report, evidence, page or plain, {rows.MODEL: model})
     return report
 
 

@@ -215,13 +215,6 @@ def body_position(tree: Tree, q: Array, body: int, point: Array = (0.0, 0.0, 0.0
     return stacked(out, _like(tree, None, q))
 
 
-def tip_height(tree: Tree, q: Array, body: int, point: Array = (0.0, 0.0, 0.0)) -> jax.Array:
-    """`[...]` m: of a point as in `body_position`, against gravity and from the world's origin."""
-    at = body_position(tree, q, body, point)
-    up = -lifted(tree.gravity, 1, at.ndim - 1, at.dtype)
-    return jnp.sum(at * up, axis=0) / jnp.sqrt(jnp.sum(up**2, axis=0))
-
-
 def energy(tree: Tree, inertial: Array, q: Array, v: Array, armature: Array, gravity: Array) -> jax.Array:
     """`[...]` J: kinetic (with armature) and potential (zero where all centres of mass are at their branch's first joint)."""
     q, v = jnp.asarray(q), jnp.asarray(v)

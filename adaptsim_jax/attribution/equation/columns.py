@@ -1,7 +1,6 @@
 """What each parameter does to the balance of forces: a column of mean force in the windows, linear in amplitudes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from adaptsim_jax.attribution.equation.balance import (
     turned,
 )
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, off_value, values_of
+from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.effects.base import Effect
 
 TOLD = ("encoder_offset",)
@@ -145,13 +144,3 @@ class Table:
         moved[at] += size
         there = residual(self.problem, self.balance, self.vector.at(moved))
         return (self.missing() - there) / size
-
-
-def without_effect(problem: Problem, vector: Vector, keys) -> Vector:
-    """A vector with some entries at the values at which they do nothing."""
-    values = [
-        e.off if e.key in keys and e.owner in (INERTIA, TILT)
-        else off_value(problem, e.owner, e.name, e.joints[0]) if e.key in keys else z
-        for e, z in zip(vector.entries, vector.values, strict=True)
-    ]  # fmt: skip
-    return replace(vector, values=np.array(values))

@@ -2,9 +2,9 @@
 
 import json
 
-from adaptsim_jax.attribution.written import UNFINISHED, cleared, write_all, write_partial
 from adaptsim_jax.diagnosis.run import plain
 from adaptsim_jax.diagnosis.schema import new_report, read_report
+from adaptsim_jax.diagnosis.written import UNFINISHED, cleared, write_all, write_partial
 
 
 def _report():
