@@ -87,6 +87,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
     """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes, of which
     the simplest has the name."""
     gone: set[tuple] = set()
+    sure: set[tuple] = set()  # effects that were far from going: they are tested again once nothing else goes
     while True:
 
         def tested(c: Candidate, model=model) -> tuple[Candidate, Model, Test, float]:
@@ -94,13 +95,12 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             less = without(problem, model, c, criteria)
             return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
 
-        tests = parallel_map(tested, model.added)
-        failing, read = [], None
-        for c, less, test, steady in tests:
-            if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
-                read = c, test
-            elif why := why_not(problem, model, less, c, test, steady, criteria):
-                failing.append((test.gain, c, less, test, why))
+        tests = parallel_map(tested, [c for c in model.added if c.key not in sure])
+        read, failing = _weak(problem, model, tests, criteria)
+        if sure and not read and not failing:
+            tests += parallel_map(tested, [c for c in model.added if c.key in sure])
+            read, failing = _weak(problem, model, tests, criteria)
+        sure |= {c.key for c, _, test, _ in tests if test.gain > criteria.apart}
         if read:
             c, test = read
             trace.append(Step("read", c, None, test, "commands changed between rows: how they are read, not an effect"))
@@ -132,6 +132,18 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         Named(c, test, tuple(other.added[-1] for other, _ in others), steady, test.p)
         for (c, _, test, steady), others in zip(tests, alike, strict=True)
     )
+
+
+def _weak(problem: Problem, model: Model, tests, criteria: Criteria):
+    """Of tested effects (candidate, model without it, test, steadiness) one that is only how rows are read, with its test, and those
+    that do not stay."""
+    read, failing = None, []
+    for c, less, test, steady in tests:
+        if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
+            read = c, test
+        elif why := why_not(problem, model, less, c, test, steady, criteria):
+            failing.append((test.gain, c, less, test, why))
+    return read, failing
 
 
 def look_alikes(

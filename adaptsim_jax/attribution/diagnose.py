@@ -23,7 +23,8 @@ from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gain
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
-from adaptsim_jax.attribution.servo import calibrated, servo_entries, servo_notes, servo_rows, span_of
+from adaptsim_jax.attribution.select import Hint
+from adaptsim_jax.attribution.servo import calibrated, friction_first, servo_entries, servo_notes, servo_rows, span_of
 from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
@@ -83,6 +84,7 @@ def diagnose(
     report, evidence, whole = examined(
         machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
         narrow=lambda vector: vector.with_entries(servo_entries(off)),
+        first=(lambda problem, null: friction_first(problem, null, off)) if off else None,
     )  # fmt: skip
     problem, found = whole.problem, whole.found
     report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
@@ -137,10 +139,12 @@ def examined(
     keep: Callable[[dict[str, Any]], None] | None = None,
     yardstick: str | None = None,
     torques: bool = True,
+    first: Callable[[Problem, Vector], Hint] | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Examined]:
     """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is fitted, what is kept; effects: the
     catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes;
-    yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at."""
+    yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at; first: makes
+    what the search goes on from."""
     fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
     fitted = (*fitted, "position_gain") if machine.servo_times else fitted
     known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
@@ -158,7 +162,8 @@ def examined(
         null = narrow(declared_vector(machine, problem))
         so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
         factor = factor_of(machine.log.meta) if torques else None
-        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor)
+        hint = first(problem, null) if first else None
+        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor, hint)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
 

@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import evidence_of, reported
-from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.select import Hint, Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import bound_notes, curves, held_missing, judged_by_torque, quiet_notes
 from adaptsim_jax.attribution.yardsticks import (
     STRETCHES,
@@ -59,13 +59,14 @@ def examine(
     keep: Callable[[Selection], None] = lambda found: None,
     asked: str | None = None,
     factor: float | None = FACTOR,
+    hint: Hint | None = None,
 ) -> Examined:
     """Judge by the yardstick that tells most of the declared model, before anything is named. null: what is fitted whatever is named;
     asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is
-    not looked at."""
+    not looked at; hint: as of `select`, where the balance says nothing."""
     told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()
     if not told:
-        found = by_simulation(problem, null, criteria, say, keep)
+        found = by_simulation(problem, null, criteria, say, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         commanded = np.any(machine.actuator[2] != 0.0)
         why = (

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import Fit, Weights, losses
+from adaptsim_jax.attribution.weights import Fit, Weights
 
 ROUNDS = 6
 
@@ -84,9 +84,15 @@ def fitted_starts(
     made = ready(problem, vector, rows)
     starts = widened(made, starts_of(problem))
 
-    def by_lane(starts):
+    def by_lane(
+        starts,
+    ):  # over all rows: of a long stretch a sum over some of them does not see a start that flings a joint away
         paths = simulated(made, starts)
-        return losses(problem, paths, weights), paths
+        squares = [
+            np.square(residuals(g, p)[..., : len(g.joints)]).sum((1, 2))
+            for g, p in zip(problem.groups, paths, strict=True)
+        ]
+        return np.sum(squares, 0), paths
 
     best, paths = by_lane(starts)
     for _ in range(rounds):

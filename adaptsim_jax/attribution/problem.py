@@ -63,6 +63,10 @@ class Problem:
     def effect(self, name: str) -> Effect:
         return next(e for e in self.effects if e.name == name)
 
+    def offers(self, name: str) -> bool:
+        """Whether an effect is in the catalogue that is searched."""
+        return any(e.name == name for e in self.effects)
+
 
 def prepare(
     tree: Tree,

@@ -3,7 +3,7 @@
 Every step that chooses looks at folds (trials) that were left out of the parameters with which they are predicted (`held_out.py`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,16 +22,19 @@ from adaptsim_jax.attribution.held_out import (
     placed,
     refit,
 )
-from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import eased
+from adaptsim_jax.attribution.stays import eased, steady_each
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit
+
+Hint = tuple[Vector, tuple[Candidate, ...]]
+"""Values and effects of another witness, to go on from."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +59,12 @@ def select(
     criteria: Criteria,
     say: Callable[[str], None] = lambda note: None,
     keep: "Callable[[Selection], None]" = lambda found: None,
-    hint: tuple[Vector, tuple[Candidate, ...]] | None = None,
+    hint: Hint | None = None,
 ) -> Selection:
     """Forward, then each effect beside the others, then against its look-alikes. keep: told of what is found, as it goes; hint:
     values and
     effects to go on from (of another witness), if they predict left-out folds better than the declared model."""
-    base = first = declared(problem, null, criteria)
+    base = first = declared(problem, null, criteria, roughly=hint is not None)
     say("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     trace: list[Step] = []
@@ -91,22 +94,37 @@ def select(
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
 
 
-def _hinted(problem: Problem, base: Model, hint, criteria: Criteria, trace: list[Step]) -> Model | None:
+def _hinted(problem: Problem, base: Model, hint: Hint, criteria: Criteria, trace: list[Step]) -> Model | None:
     """What another witness has found, fitted; None where it does not predict better than the base."""
     vector, added = hint
     model = modelled(problem, added, fit(problem, vector, rounds=ROUNDS))
     test = paired(problem, base.held.loss, losses(problem, model.held.paths, base.fit.weights))
     if test.gain <= criteria.size or test.p > criteria.confidence:
         return None
-    trace += [Step("added", c, None, test, "by the torque along the motion") for c in added]
-    return model
+    trace += [Step("added", c, None, test, "along the measured motion") for c in added]
+    return _steady(problem, model, criteria)
 
 
-def declared(problem: Problem, null: Vector, criteria: Criteria) -> Model:
+def _steady(problem: Problem, model: Model, criteria: Criteria) -> Model:
+    """Without the joints at which an effect that was put in at many differs between folds by as much as it is."""
+    added, gone = [], []
+    for c in model.added:
+        each = steady_each(model, c) >= criteria.steady if c.sharing == "all" else np.ones(len(c.entries), bool)
+        gone += [e.key for e, stays in zip(c.entries, each, strict=True) if not stays]
+        if each.any():
+            added.append(_of(c, [e for e, stays in zip(c.entries, each, strict=True) if stays]))
+    if not gone:
+        return model
+    again = fit(problem, model.fit.vector.without(gone), model.fit.starts, rounds=criteria.rounds)
+    return modelled(problem, added, again)
+
+
+def declared(problem: Problem, null: Vector, criteria: Criteria, roughly: bool = False) -> Model:
     """The declared model fitted; where that leaves far more than noise, also by way of the stretches' beginnings, over which a fit
-    has fewer minima: of both the one that predicts better."""
-    models = [modelled(problem, (), fit(problem, null, rounds=ROUNDS))]
-    if criteria.beginning < 1.0 and over_floor(problem, models[0]) > criteria.odd:
+    has fewer minima: of both the one that predicts better. roughly: only as far as another is to be compared with it."""
+    glance = 2 * criteria.glance if roughly else None
+    models = [modelled(problem, (), fit(problem, null, rounds=ROUNDS, glance=glance))]
+    if not roughly and criteria.beginning < 1.0 and over_floor(problem, models[0]) > criteria.odd:
         begun = fit(beginnings(problem, criteria.beginning), null, rounds=ROUNDS)
         models.append(modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=ROUNDS)))
     return min(models, key=lambda m: over_floor(problem, m))
@@ -139,7 +157,9 @@ def _forward(problem, base: Model, scores, family: int, reach, criteria: Criteri
     """The best candidate that gains held out, fitted; None where none does. family: how many candidates there are in all."""
     hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
     good = lambda model, test: (
-        test.gain > criteria.size and test.better > 0.5 * test.folds and test.p <= criteria.confidence
+        test.gain > criteria.size * max(1, more(model, base))
+        and test.better > 0.5 * test.folds
+        and test.p <= criteria.confidence
     )
     begun = _begun(problem, base, reach, hopeful[: 2 * criteria.tried])
     # half by what they gain at first order, half by what a step leaves
@@ -229,10 +249,13 @@ def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
     if c.sharing != "all" or all(values[e.key] == e.off for e in c.entries):
         return c, []
     still = [e for e in c.entries if values[e.key] == e.off]
-    acting = tuple(e for e in c.entries if e not in still)
-    joints = tuple(j for e in acting for j in e.joints)
-    sharing = "joint" if len(joints) == 1 else c.sharing
-    return replace(c, joints=joints, entries=acting, sharing=sharing), [e.key for e in still]
+    return _of(c, [e for e in c.entries if e not in still]), [e.key for e in still]
+
+
+def _of(c: Candidate, entries: Sequence[Entry]) -> Candidate:
+    """A candidate with some of its entries, at their joints alone."""
+    joints = tuple(j for e in entries for j in e.joints)
+    return replace(c, joints=joints, entries=tuple(entries), sharing="joint" if len(joints) == 1 else c.sharing)
 
 
 def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:

@@ -13,10 +13,12 @@ import numpy as np
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import LEVEL, TIMES, Servo, servos
+from adaptsim_jax.attribution.equation.search import FIRST
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.problem import prepare
+from adaptsim_jax.attribution.problem import Problem, own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.score import Candidate, entries_of
 
 SPANS = (0.5, 1.0, 2.0, 4.0)  # s
 WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
@@ -67,6 +69,23 @@ def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
 def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
     """What is fitted of such gains whatever is named."""
     return [Entry("position_gain", "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
+
+
+def friction_first(problem: Problem, null: Vector, off: tuple[Servo, ...]) -> tuple[Vector, tuple[Candidate, ...]]:
+    """Values and effects from which a search goes on where servos have gains of their own: dry friction as the command errors show it,
+    and a rotor of its own, at each of them. Geared servos rub, and without it no gain is right."""
+    reach = scaled_reach(problem, *own_inertia(problem, null))
+    level = {("coulomb", "level", (s.joint,)): s.coulomb for s in off}
+    joints = tuple(s.joint for s in off)
+    sharing = "all" if len(joints) > 1 else "joint"
+    added = tuple(
+        Candidate(name, joints, sharing, entries_of(problem, reach, problem.effect(name), joints, False))
+        for name in FIRST if problem.offers(name)
+    )  # fmt: skip
+    entries = [e for c in added for e in c.entries]
+    return null.with_entries(
+        entries, [float(np.clip(level.get(e.key, e.start), e.low, e.high)) for e in entries]
+    ), added
 
 
 def servo_rows(

@@ -20,8 +20,9 @@ def why_not(
     """
     if test.p > max(criteria.confidence, 1.01 * 2.0**-test.parts):
         return "left-out stretches do not confirm it"
-    if test.gain < criteria.size:
-        return f"takes less than {100 * criteria.size:.0f} % off the squared error"
+    least = criteria.size * len(c.entries)
+    if test.gain < least:
+        return f"takes less than {100 * least:.0f} % off the squared error"
     if steady < criteria.steady:
         return f"its size differs between trials: {steady:.1f} times its scatter"
     if _too_short(problem, model, c, criteria):
@@ -101,7 +102,12 @@ def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:
 
 
 def steadiness(model: Model, c: Candidate) -> float:
-    """An effect's amplitude over its scatter between folds (jackknife, all other values held): the largest of its amplitudes'.
+    """An effect's amplitude over its scatter between folds: the largest of its amplitudes'."""
+    return float(np.max(steady_each(model, c)))
+
+
+def steady_each(model: Model, c: Candidate) -> np.ndarray:
+    """The amplitudes of an effect [K] over their scatter between folds (jackknife, all other values held).
 
     With the others free, an amplitude that trades places with inertias would scatter, though every fold wants it.
     """
@@ -114,4 +120,4 @@ def steadiness(model: Model, c: Candidate) -> float:
     )
     scatter = np.sqrt((folds - 1) / folds * np.square(moved - moved.mean(0)).sum(0))
     off = np.array([model.fit.vector.entries[i].off for i in at])
-    return float(np.max(np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)))
+    return np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)
