@@ -4,6 +4,31 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class TorqueCriteria:
+    """Of the search along the measured motion (`attribution/equation`).
+
+    tried: candidates of a round that are judged.
+    gain: share of a joint's squared missing torque that each number of an effect must take off where it was left out.
+    level: of the paired test over blocks.
+    steady: an amplitude over its standard error.
+    slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
+    worth: of a joint's torque, root mean square: an effect of less is not worth a name.
+    discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
+    paired: of the log's sampling interval; measured torques of all joints that are late or early by less are how a logger pairs them
+        with angles (of the cycle before, filtered), not an effect.
+    """
+
+    tried: int = 6
+    gain: float = 0.02
+    level: float = 0.01
+    steady: float = 1.0
+    slowest: float = 0.15
+    worth: float = 0.03
+    discovery: float = 0.05
+    paired: float = 1.5
+
+
+@dataclass(frozen=True)
 class Criteria:
     """Each with its unit and reason (`docs/attribution.md`).
 
@@ -33,6 +58,7 @@ class Criteria:
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
     beginning: share of the stretches over which is fitted, and searched again where nothing was named, if more than `odd` is left.
     few: stretches beyond `odd` from which on they are looked at by themselves, where all else is explained.
+    torque: of the search along the measured motion.
     left: of the error of these, at most, that an effect which acts now and then may leave.
     """
 
@@ -59,3 +85,4 @@ class Criteria:
     beginning: float = 0.15
     few: int = 3
     left: float = 1 / 3
+    torque: TorqueCriteria = TorqueCriteria()

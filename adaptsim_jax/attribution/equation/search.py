@@ -16,20 +16,11 @@ from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates, shape_entries
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from adaptsim_jax.effects.base import Reach
 
 FIRST = ("coulomb", "armature")
 """Effects that are tried at all joints at once before any other: real joints rub."""
-TRIED = 6  # candidates of a round that are judged
-GAIN = (
-    0.02  # share of a joint's squared missing torque that each number of an effect must take off where it was left out
-)
-LEVEL = 0.01  # of the paired test over blocks
-STEADY = 1.0  # an amplitude over its standard error
-SLOWEST = 0.15  # of a joint's usual speed: what sets in below is not told from what holds a joint still
-WORTH = 0.03  # of a joint's torque, root mean square: an effect of less is not worth a name
-DISCOVERY = 0.05  # share of false ones among what like drives have (Benjamini and Hochberg, 1995)
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
@@ -79,8 +70,11 @@ class Witness:
 class _State:
     """The search of one group: its table of columns, the entries that are always fitted, the effects so far."""
 
-    def __init__(self, problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria):
+    def __init__(
+        self, problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, commanded: bool
+    ):
         self.problem, self.balance, self.reach, self.criteria = problem, balance, reach, criteria
+        self.commanded, self.limits = commanded, criteria.torque
         self.table = Table(problem, balance, null)
         self.null = null
         self.base = self.table.stack(null.entries)
@@ -132,12 +126,12 @@ def witness(
 ) -> Witness:
     """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
     which may be late at each joint, and no measured torque."""
-    state = _State(problem, balance, null, reach, criteria)
+    state = _State(problem, balance, null, reach, criteria, commanded)
     joints = set(balance.group.joints)
     every = [
         _trusted(c) for c in candidates(problem, null, reach)
         if set(c.joints) <= joints and balanced(problem.effect(c.effect))
-        and c.shaped().get("speed", np.inf) > SLOWEST * max(reach.speed[j] for j in c.joints)
+        and c.shaped().get("speed", np.inf) > criteria.torque.slowest * max(reach.speed[j] for j in c.joints)
         and (commanded or not (c.sharing == "joint" and problem.effect(c.effect).place == "command"))
     ]  # fmt: skip
     steps: list[Step] = []
@@ -196,7 +190,7 @@ def _friction_first(state: _State, every: Sequence[Candidate], steps: list[Step]
         less, more = state.set_of(added), state.set_of([*added, *some])
         joints = sorted({k for c in some for k in state.own(c)})
         test = compared(state.rows, less, more, joints)
-        if test.gain > GAIN and test.p <= LEVEL:
+        if test.gain > state.limits.gain and test.p <= state.limits.level:
             added = [*added, *some]
             state.weigh(state.set_of(added))
             steps += [Step("added", c, test, "at all joints") for c in some]
@@ -217,15 +211,15 @@ def _forward(state: _State, added: list[Candidate], every, steps: list[Step]) ->
     now = state.set_of(added)
     for laws in (True, False):
         some = [c for c in _open(state, added, every) if state.problem.effect(c.effect).describes is not laws]
-        ranked = _ranked(state, now, some)[:TRIED]
+        ranked = _ranked(state, now, some)[: state.limits.tried]
         best = None
         for c in ranked:
             more = state.set_of([*added, c])
             test = compared(state.rows, now, more, state.own(c))
-            least = state.criteria.described if not laws else GAIN * len(c.entries)
-            why = _why_not(state, more, c, test, least)
+            least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
+            why = _why_not(state, more, c, test, least, state.limits.level)
             steps.append(Step("refused" if why else "tried", c, test, why))
-            value = test.gain - GAIN * len(c.entries)
+            value = test.gain - state.limits.gain * len(c.entries)
             if not why and (best is None or value > best[0]):
                 best = value, c, test
         if best is not None:
@@ -234,14 +228,14 @@ def _forward(state: _State, added: list[Candidate], every, steps: list[Step]) ->
     return None
 
 
-def _level(p: Sequence[float]) -> float:
+def _level(p: Sequence[float], own: TorqueCriteria) -> float:
     """Up to which p an effect that like drives have is taken at each of them, by how many joints show it."""
     ranked = np.sort(p)
-    good = ranked <= DISCOVERY * np.arange(1, len(p) + 1) / len(p)
-    return max(LEVEL, float(ranked[good].max()) if good.any() else 0.0)
+    good = ranked <= own.discovery * np.arange(1, len(p) + 1) / len(p)
+    return max(own.level, float(ranked[good].max()) if good.any() else 0.0)
 
 
-def _why_not(state: _State, whole: Solved, c: Candidate, test: Compared, least: float, level: float = LEVEL) -> str:
+def _why_not(state: _State, whole: Solved, c: Candidate, test: Compared, least: float, level: float) -> str:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:
         return "left-out blocks do not confirm it"
@@ -249,12 +243,12 @@ def _why_not(state: _State, whole: Solved, c: Candidate, test: Compared, least: 
         return f"takes less than {100 * least:.0f} % off the squared missing torque"
     if test.overall < 0.0:
         return "the torques of all joints together are missed by more"
-    if _steady(whole, c) < STEADY:
+    if _steady(whole, c) < state.limits.steady:
         return f"its size is only {_steady(whole, c):.1f} times its error"
     if _at_bound(whole, c):
         return "its value is at the end of what such a machine may have"
-    if _worth(state, whole, c) < WORTH:
-        return f"it is less than {100 * WORTH:.0f} % of the joint's torque"
+    if _worth(state, whole, c) < state.limits.worth:
+        return f"it is less than {100 * state.limits.worth:.0f} % of the joint's torque"
     return ""
 
 
@@ -266,12 +260,14 @@ def _worth(state: _State, whole: Solved, c: Candidate) -> float:
 
 
 def _only_read(state: _State, whole: Solved, c: Candidate) -> bool:
-    """A shift of all commands by less than a row: how rows are read, and no effect."""
-    if c.effect != "delay":
+    """A shift of all commands by less than a row, or of measured torques by as much as loggers pair them with angles: how rows are
+    read, and no effect."""
+    if c.effect not in ("delay", "actuator_lag"):
         return False
-    value = float(whole.step[_numbers(whole, c)][0])
-    dt, criteria = state.reach.dt, state.criteria
-    return -criteria.within_row * dt < value < criteria.least_shift * dt
+    value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
+    if not state.commanded:
+        return abs(value) < state.limits.paired
+    return c.effect == "delay" and -state.criteria.within_row < value < state.criteria.least_shift
 
 
 def _numbers(whole: Solved, c: Candidate) -> list[int]:
@@ -312,7 +308,9 @@ def _ranked(state: _State, now: Solved, some: Sequence[Candidate]) -> list[Candi
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
         at += block.shape[2]
-        gain = _gain(own, flat, fold, c) / max(0.5 * total[state.own(c)].sum(), 1e-300) - GAIN * len(c.entries)
+        gain = _gain(own, flat, fold, c) / max(0.5 * total[state.own(c)].sum(), 1e-300) - state.limits.gain * len(
+            c.entries
+        )
         if c.key not in best or gain > best[c.key][0]:
             best[c.key] = gain, c
     return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
@@ -340,7 +338,7 @@ def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: Candidate) ->
 def _backward(state: _State, added: Sequence[Candidate], steps: list[Step]) -> tuple[list[Candidate], list[Candidate]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that stay are not shown by themselves:
     what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone."""
-    added = [k for c in added for k in _split(c)]
+    added, own = [k for c in added for k in _split(c)], state.limits
     while True:
         whole = state.set_of(added)
         tests = [
@@ -349,8 +347,8 @@ def _backward(state: _State, added: Sequence[Candidate], steps: list[Step]) -> t
         ]
         failing, quiet = [], []
         for c, test in tests:
-            least = state.criteria.described if state.problem.effect(c.effect).describes else GAIN * len(c.entries)
-            level = _level([t.p for k, t in tests if k.effect == c.effect]) if c.effect in FIRST else LEVEL
+            least = state.criteria.described if state.problem.effect(c.effect).describes else own.gain * len(c.entries)
+            level = _level([t.p for k, t in tests if k.effect == c.effect], own) if c.effect in FIRST else own.level
             if why := _why_not(state, whole, c, test, least, level):
                 if c.effect in FIRST and test.gain > 0.0 and len([k for k, _ in tests if k.effect == c.effect]) > 1:
                     quiet.append(c)
