@@ -103,7 +103,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         sure |= {c.key for c, _, test, _ in tests if test.gain > criteria.apart}
         if read:
             c, test = read
-            trace.append(Step("read", c, None, test, "commands changed between rows: how they are read, not an effect"))
+            trace.append(Step("read", c, None, test, "how rows are read, not an effect"))
             model = replace(model, added=tuple(k for k in model.added if k is not c))
             continue
         if failing:

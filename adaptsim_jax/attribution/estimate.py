@@ -13,7 +13,7 @@ import scipy.linalg
 from adaptsim_jax.attribution.linear import Linear, linear, normal
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, Weights, group_losses, losses, weigh
 
@@ -61,21 +61,32 @@ def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.zeros_like(right)
 
 
-def start_steps(lin: Linear, step: np.ndarray) -> list[np.ndarray]:
+def start_steps(problem: Problem, lin: Linear, step: np.ndarray) -> list[np.ndarray]:
     """Change of the starts [2n, W] that goes with a step of the parameters: [P], or [W, P] for each stretch."""
     out = []
-    for r, x, s in zip(lin.residual, lin.start, lin.shared, strict=True):
+    for group, r, x, s in zip(problem.groups, lin.residual, lin.start, lin.shared, strict=True):
         left = r - (s @ (step if step.ndim == 1 else step[:, : s.shape[2], None])).reshape(r.shape)
-        out.append(refitted_start(x, left))
+        out.append(refitted_start(x, left, usual(problem, group)))
     return out
 
 
-def refitted_start(start: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Least-squares change of the starts [2n, W] for residuals [W, R]."""
-    scale = np.sqrt(np.square(start).sum(1))
+def usual(problem: Problem, group: Group) -> np.ndarray:
+    """How far a start [2n] may be off as easily as a row by what is left of it: an angle by the range of the motion, a speed by the
+    usual one. A servo forgets at which speed it began before the second row, and any would do."""
+    r, j = problem.reach, list(group.joints)
+    return np.concatenate([(r.q_high - r.q_low)[j] + 1e-3, r.speed[j]])
+
+
+def refitted_start(start: np.ndarray, left: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Least-squares change of the starts [S, W] for residuals [W, R] by their derivatives [W, R, S]; size: as of `usual`."""
+    prior = np.zeros(start.shape[2])
+    prior[: len(size)] = size**-2.0
+    prior = np.square(left).mean(1)[:, None] * prior
+    scale = np.sqrt(np.square(start).sum(1) + prior)
     scale = np.where(scale > 0, scale, 1.0)
     x = start / scale[:, None]
     normal = np.swapaxes(x, 1, 2) @ x + 1e-9 * np.eye(x.shape[2])
+    normal[:, np.arange(x.shape[2]), np.arange(x.shape[2])] += prior / scale**2
     return (np.linalg.solve(normal, np.swapaxes(x, 1, 2) @ left[..., None])[..., 0] / scale).T
 
 
@@ -102,7 +113,7 @@ def settled(
         offer(starts)
     for _ in range(refine):
         moves = [
-            refitted_start(x, mine.flat(residuals(g, p)))
+            refitted_start(x, mine.flat(residuals(g, p)), usual(problem, g))
             for g, (_, _, p), x, mine in zip(problem.groups, best, lin.start, lin.counted, strict=True)
         ]
         offer([x + _as_long(d, len(x)) for (x, _, _), d in zip(best, moves, strict=True)])
@@ -142,7 +153,7 @@ def fit(
         taken = None
         for _ in range(6):
             step = bounded_step(n.hess.sum(0), n.slope.sum(0), now.vector, damping)
-            moves = start_steps(lin, step)
+            moves = start_steps(problem, lin, step)
             trial = now.vector.at(now.vector.values + step)
             moved = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
             at, loss, paths = settled(problem, lin, trial, (moved, now.starts))

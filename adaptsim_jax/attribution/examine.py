@@ -107,8 +107,9 @@ def examine(
 
 
 def tells(machine: Machine) -> bool:
-    """Whether the torque along the motion is known, up to a gain: of a servo with gains of its own only its command is."""
-    return not np.any(machine.actuator[2] != 0.0) and not machine.tree.linear
+    """Whether the torque along the motion is known, up to a gain: that of a servo by its command error, where its gains are the
+    file's."""
+    return not machine.servo_times and not machine.tree.linear
 
 
 def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:

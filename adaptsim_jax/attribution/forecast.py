@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.estimate import refitted_start
+from adaptsim_jax.attribution.estimate import refitted_start, usual
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
@@ -100,7 +100,10 @@ def fitted_starts(
             moves = [_along_a_line(g, p, len(x)) for g, p, x in zip(problem.groups, paths, starts, strict=True)]
         else:
             lin = linear(problem, Fit(vector, starts, weights, best, "", 0), entries=())
-            moves = [refitted_start(x, r) for x, r in zip(lin.start, lin.residual, strict=True)]
+            moves = [
+                refitted_start(x, r, usual(problem, g))
+                for g, x, r in zip(problem.groups, lin.start, lin.residual, strict=True)
+            ]
         length, gained, fall = np.ones(width), np.zeros(width, bool), np.zeros(width)
         for _ in range(3):
             trial = tuple(x + length * d for x, d in zip(starts, moves, strict=True))

@@ -83,7 +83,7 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like
     steps = np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
-    starts = [x + d for x, d in zip(now.starts, start_steps(lin, rows - now.vector.values), strict=True)]
+    starts = [x + d for x, d in zip(now.starts, start_steps(problem, lin, rows - now.vector.values), strict=True)]
     groups = range(len(problem.groups))
     free = len(apart(problem, vector.entries)) == len(groups)  # else a shared value ties the folds' parameters together
     some = [k for k in groups if not (free and like and unchanged(problem, k, now, like.fit))]
@@ -199,7 +199,7 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begu
     tries = [np.where(whole, step, length * step) for length in (1.0, 0.5, 0.2)]
     best = None
     for step in tries:
-        moved = [x + d for x, d in zip(base.fit.starts, start_steps(wide, step), strict=True)]
+        moved = [x + d for x, d in zip(base.fit.starts, start_steps(problem, wide, step), strict=True)]
         trial = vector.at(vector.values + step).with_entries(shapes)
         starts, by_lane, _ = settled(problem, base.lin, trial, (moved, base.fit.starts))
         if best is None or by_lane.sum() < best[2].sum():

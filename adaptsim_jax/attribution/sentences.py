@@ -103,6 +103,16 @@ def soft_friction(named: tuple[Named, ...], kind: str, over: float) -> list[str]
     ]
 
 
+def read_so(problem: Problem, found: Selection) -> list[str]:
+    """What was fitted as a way in which rows are read."""
+    read = [s.candidate.effect for s in found.trace if s.action == "read" and s.candidate is not None]
+    said = [
+        "All rotors come out heavier by what damps them in a small part of a row: as where a simulator's implicit steps made "
+        "these logs. Read so; no effect is named for it."
+    ]
+    return [*early_commands(problem, found), *(said if "armature" in read else [])]
+
+
 def early_commands(problem: Problem, found: Selection) -> list[str]:
     """What a delay below zero means."""
     vector = found.final.fit.vector

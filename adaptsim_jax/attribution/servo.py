@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.commands import LEVEL, TIMES, Servo, servos
+from adaptsim_jax.attribution.equation.commands import LESS, LEVEL, TIMES, Servo, servos
 from adaptsim_jax.attribution.equation.search import FIRST
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
@@ -35,7 +35,7 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     law = machine.actuator.copy()
     damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
     file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
-    off = [s for s in found if s.p < LEVEL and s.left < s.error and not 1 / TIMES < s.kp / file[s.joint] < TIMES]
+    off = [s for s in found if s.p < LEVEL and s.left < LESS * s.file and not 1 / TIMES < s.kp / file[s.joint] < TIMES]
     for s in off:
         times = s.kp / file[s.joint]
         law[:3, s.joint] *= times
@@ -111,7 +111,7 @@ def servo_rows(
             "name": "position_gain", "where": name, "joints": [name],
             "parameters": {"kp": ends | {"unit": "N m/rad", "meaning": told}},
             "physics": "the stiffness of the position controller is not the file's", "alternatives": [],
-            "held_out_gain": 1.0 - (s.left / s.error) ** 2, "p_value": s.p,
+            "held_out_gain": 1.0 - (s.left / s.file) ** 2, "p_value": s.p,
         })  # fmt: skip
     return rows
 

@@ -64,13 +64,30 @@ def eased(problem: Problem, less: Model, model: Model) -> float:
 
 def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
     """Whether it is how commands are read: they act early at all driven joints, by no more than those of a controller that is faster
-    than its log (half of the difference of both intervals)."""
+    than its log (half of the difference of both intervals); or rotors are heavier at all of them by what damps a joint in a small part
+    of a row, which is how a simulator's implicit step damps it."""
+    if c.effect == "armature":
+        return _in_step(problem, model, c, criteria)
     driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
     times = [
         z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key == c.entries[0].key
     ]
     early = bool(times) and -criteria.within_row * problem.reach.dt < times[0] < 0.0
     return c.effect == "delay" and early and len(c.entries) == 1 and driven <= set(c.joints)
+
+
+def _in_step(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether rotors differ at all driven joints by less than their damping times the shift in time that the log resolves: damping
+    that acts that much earlier does the same."""
+    values = {e.key: z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)}
+    damping = np.zeros(problem.joints)
+    for g in problem.groups:
+        damping[list(g.joints)] = -g.actuator[3] * g.gear**2
+    damping += [values.get(("viscous", "damping", (j,)), 0.0) for j in range(problem.joints)]
+    shift = criteria.least_shift * problem.reach.dt
+    driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
+    small = [abs(values.get(e.key, e.off) - e.off) < shift * min(damping[j] for j in e.joints) for e in c.entries]
+    return driven <= set(c.joints) and all(small)
 
 
 def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of, means
+from adaptsim_jax.attribution.equation.solve import LEAST_CLEAR, blocks_of, folds_of, means
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.diagnosis.paired import sign_flip
@@ -20,14 +20,15 @@ TOLD = 2.5  # 1/kp over its standard error, from which on it is told
 SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
+LESS = 0.7  # of what the file's gains leave of the command errors, that others must leave at most to be taken
 
 
 @dataclass(frozen=True)
 class Servo:
     """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp
     itself is told, and
-    not only what is over it; error: rms of the command error [rad], and what is left of it; p of a test over blocks against the file's
-    gains."""
+    not only what is over it; error: rms of the command error [rad] where the joint moves, and what is left of it by these gains and
+    by the file's; p of a test over blocks of the one against the other."""
 
     joint: int
     kp: float
@@ -38,6 +39,7 @@ class Servo:
     scale: bool
     error: float
     left: float
+    file: float
     p: float
 
 
@@ -64,34 +66,24 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         x, spread, left = _regressed(balance, error, columns, balance.clear[:, k])
         scale = x[0] > TOLD * spread[0] and 1.0 / x[0] < 1e5
         if scale:
-            usual.append(1.0 / x[0])
+            usual.append(1.0 / (x[0] * kp))
         file = error - (takes[:, k] + kv * speed[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]) / kp
         p = _better(balance, file, left)
-        found.append((k, j, x, scale, float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(left**2))), p))
-    like = float(np.median(usual)) if usual else None
+        weight = np.maximum(balance.clear[:, k], LEAST_CLEAR)
+        sizes = [float(np.sqrt(np.average(np.square(z), weights=weight))) for z in (error, left, file)]
+        found.append((k, j, x, scale, sizes, p))
+    like = float(np.median(usual)) if usual else 1.0  # times the file's, where a joint does not tell its own
     made = []
-    for k, j, x, scale, size, left, p in found:
-        kp = 1.0 / x[0] if scale else like if like is not None else -law[2, k] * gear[k] ** 2
-        made.append(
-            Servo(
-                j,
-                kp,
-                max(kp * x[1], 0.0),
-                max(kp * x[2], 0.0),
-                max(kp * x[3], 0.0),
-                kp * x[4],
-                bool(scale),
-                size,
-                left,
-                p,
-            )
-        )
+    for k, j, x, scale, sizes, p in found:
+        kp = 1.0 / x[0] if scale else like * -law[2, k] * gear[k] ** 2
+        rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
+        made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), *sizes, p))
     return made
 
 
 def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.ndarray):
     """Coefficients, their standard errors by a jackknife over folds, and what is left of each fold by the others' coefficients."""
-    weight = np.sqrt(np.maximum(clear, 0.03))
+    weight = np.sqrt(np.maximum(clear, LEAST_CLEAR))
     fold = folds_of(balance.trial, balance.time)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
     solve = lambda some: (
