@@ -10,13 +10,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion, residual
+from adaptsim_jax.attribution.equation.balance import Balance, residual
 from adaptsim_jax.attribution.equation.columns import Table, balanced
-from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums, compared, rows_of, solved
+from adaptsim_jax.attribution.equation.searched import Searched, ranked
+from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums, compared, solved
+from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_read, steadiness, why_not
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates, shape_entries
-from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
 FIRST = ("coulomb", "armature")
@@ -25,8 +27,6 @@ FACTOR = 3.0  # within which a body's mass and moments are taken to be those of 
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
 ROUNDS = 8
-LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
-"""Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
 
 
 @dataclass(frozen=True)
@@ -64,61 +64,7 @@ class Witness:
     rows: Rows
     base: Solved = field(repr=False)
     whole: Solved = field(repr=False)
-    state: "_State" = field(repr=False)
-
-
-class _State:
-    """The search of one group: its table of columns, the entries that are always fitted, the effects so far."""
-
-    def __init__(
-        self, problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, commanded: bool
-    ):
-        self.problem, self.balance, self.reach, self.criteria = problem, balance, reach, criteria
-        self.commanded, self.limits = commanded, criteria.torque
-        self.table = Table(problem, balance, null)
-        self.null = null
-        self.base = self.table.stack(null.entries)
-        missing = self.table.missing()
-        self.told = balance.averaged(actuator_force(balance, self.table.values)[0])
-        torque = np.sqrt(np.mean(np.square(self.told), 0))
-        size = np.sqrt(np.mean(np.square(missing), 0))
-        taken = self.told + missing  # by the motion, where nothing is told of what acts
-        self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
-        self.least = np.maximum(LEAST_OF_TORQUE * torque, LEAST_OF_MISSING * size)
-        self.rows = rows_of(missing, missing, balance.trial, balance.time, self.least, balance.clear)
-        self._summed()
-        self.weigh(self.set_of(()))
-        self.local = {j: k for k, j in enumerate(balance.group.joints)}
-
-    def weigh(self, fitted: Solved) -> None:
-        """Weights from what a set leaves."""
-        self.table.explained = fitted.columns @ fitted.step
-        left = self.rows.missing - self.table.explained
-        self.rows = rows_of(
-            self.rows.missing, left, self.balance.trial, self.balance.time, self.least, self.balance.clear
-        )
-        self._summed()
-
-    def _summed(self) -> None:
-        self.sums = Sums(self.rows)
-        self.sums.add("", self.base)
-
-    def set_of(self, added: Sequence[Candidate]) -> Solved:
-        entries, names, now = list(self.null.entries), [""], list(self.null.values)
-        for c in added:
-            entries += c.entries
-            now += [e.start for e in c.entries]
-            names.append((c.key, c.shape))
-            self.sums.add(names[-1], self.table.stack(c.entries, c.shaped()))
-        found = solved(self.sums, names, entries, np.array(now))
-        changed = [i for i, e in enumerate(entries) if e.owner in ON_TORQUE[1:]]
-        if not changed:
-            return found
-        driven = self.told + found.columns[..., changed] @ found.step[changed]
-        return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
-
-    def own(self, c: Candidate) -> list[int]:
-        return [self.local[j] for j in c.joints]
+    state: "Searched" = field(repr=False)
 
 
 def witness(
@@ -126,7 +72,7 @@ def witness(
 ) -> Witness:
     """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
     which may be late at each joint, and no measured torque."""
-    state = _State(problem, balance, null, reach, criteria, commanded)
+    state = Searched(problem, balance, null, reach, criteria, commanded)
     joints = set(balance.group.joints)
     every = [
         _trusted(c) for c in candidates(problem, null, reach)
@@ -145,10 +91,10 @@ def witness(
     added, quiet = _backward(state, added, steps)
     kept = []
     whole = state.set_of(added)
-    for c in (c for c in added if c not in quiet and not _only_read(state, whole, c)):
+    for c in (c for c in added if c not in quiet and not only_read(state, whole, c)):
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
-        kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), _steady(whole, c)))
+        kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c)))
     final, errors = _exact(state, added, whole)
     base = state.set_of(())
     first = _exact(state, (), base)[0]
@@ -179,7 +125,7 @@ def _split(c: Candidate) -> list[Candidate]:
     ]
 
 
-def _friction_first(state: _State, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
+def _friction_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
     hides another (a file's damping and rotors that are not there: dry friction that is)."""
     added: list[Candidate] = []
@@ -201,23 +147,22 @@ def _taken(added: Sequence[Candidate]) -> set[tuple[str, int]]:
     return {(c.effect, j) for c in added for j in c.joints}
 
 
-def _open(state: _State, added: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:
+def _open(state: Searched, added: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:
     taken = _taken(added)
     return [c for c in every if not any((c.effect, j) in taken for j in c.joints)]
 
 
-def _forward(state: _State, added: list[Candidate], every, steps: list[Step]) -> Candidate | None:
+def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) -> Candidate | None:
     """The candidate that takes most off where it was left out, for the numbers that it has."""
     now = state.set_of(added)
     for laws in (True, False):
         some = [c for c in _open(state, added, every) if state.problem.effect(c.effect).describes is not laws]
-        ranked = _ranked(state, now, some)[: state.limits.tried]
         best = None
-        for c in ranked:
+        for c in ranked(state, now, some)[: state.limits.tried]:
             more = state.set_of([*added, c])
             test = compared(state.rows, now, more, state.own(c))
             least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
-            why = _why_not(state, more, c, test, least, state.limits.level)
+            why = why_not(state, more, c, test, least, state.limits.level)
             steps.append(Step("refused" if why else "tried", c, test, why))
             value = test.gain - state.limits.gain * len(c.entries)
             if not why and (best is None or value > best[0]):
@@ -228,114 +173,9 @@ def _forward(state: _State, added: list[Candidate], every, steps: list[Step]) ->
     return None
 
 
-def _level(p: Sequence[float], own: TorqueCriteria) -> float:
-    """Up to which p an effect that like drives have is taken at each of them, by how many joints show it."""
-    ranked = np.sort(p)
-    good = ranked <= own.discovery * np.arange(1, len(p) + 1) / len(p)
-    return max(own.level, float(ranked[good].max()) if good.any() else 0.0)
-
-
-def _why_not(state: _State, whole: Solved, c: Candidate, test: Compared, least: float, level: float) -> str:
-    """Why a candidate is not taken beside the others of a set; empty if it is."""
-    if test.p > level:
-        return "left-out blocks do not confirm it"
-    if test.gain < least:
-        return f"takes less than {100 * least:.0f} % off the squared missing torque"
-    if test.overall < 0.0:
-        return "the torques of all joints together are missed by more"
-    if _steady(whole, c) < state.limits.steady:
-        return f"its size is only {_steady(whole, c):.1f} times its error"
-    if _at_bound(whole, c):
-        return "its value is at the end of what such a machine may have"
-    if _worth(state, whole, c) < state.limits.worth:
-        return f"it is less than {100 * state.limits.worth:.0f} % of the joint's torque"
-    return ""
-
-
-def _worth(state: _State, whole: Solved, c: Candidate) -> float:
-    """Root mean square of an effect's torque over that of the joint, at the joint where it is most."""
-    at = _numbers(whole, c)
-    force = np.sqrt(np.mean(np.square(whole.columns[..., at] @ whole.step[at]), 0))
-    return float(np.max(force / np.maximum(state.torque, 1e-300)))
-
-
-def _only_read(state: _State, whole: Solved, c: Candidate) -> bool:
-    """A shift of all commands by less than a row, or of measured torques by as much as loggers pair them with angles: how rows are
-    read, and no effect."""
-    if c.effect not in ("delay", "actuator_lag"):
-        return False
-    value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
-    if not state.commanded:
-        return abs(value) < state.limits.paired
-    return c.effect == "delay" and -state.criteria.within_row < value < state.criteria.least_shift
-
-
-def _numbers(whole: Solved, c: Candidate) -> list[int]:
-    keys = {e.key for e in c.entries}
-    return [i for i, e in enumerate(whole.entries) if e.key in keys]
-
-
-def _steady(whole: Solved, c: Candidate) -> float:
-    at = _numbers(whole, c)
-    return float(np.max(np.abs(whole.step[at]) / np.maximum(whole.error[at], 1e-300)))
-
-
-def _at_bound(whole: Solved, c: Candidate) -> bool:
-    at = _numbers(whole, c)
-    value = np.array([whole.entries[i].start for i in at]) + whole.step[at]
-    ends = lambda i, z: (
-        abs(z - (e := whole.entries[i]).high) < 1e-6 * abs(e.high)
-        or (e.low < min(e.off, e.start) and abs(z - e.low) < 1e-6 * abs(e.low))
-    )
-    return any(ends(i, z) for i, z in zip(at, value, strict=True))
-
-
-def _ranked(state: _State, now: Solved, some: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates by what they gain held out at first order, the best shape of each."""
-    if not some:
-        return []
-    rows = state.rows
-    weigh = lambda z: (z * rows.weight[..., None]).reshape(-1, z.shape[2])
-    a, y = weigh(now.columns), ((rows.missing - now.columns @ now.step) * rows.weight)
-    inverse = np.linalg.pinv(now.hess, rcond=1e-12, hermitian=True)
-    fold = np.repeat(rows.fold, y.shape[1])
-    flat, total = y.ravel(), np.square(y).sum(0)
-    blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
-    wide = weigh(np.concatenate(blocks, 2))
-    freed = wide - a @ (inverse @ (a.T @ wide))
-    best: dict[tuple, tuple[float, Candidate]] = {}
-    at = 0
-    for c, block in zip(some, blocks, strict=True):
-        own = freed[:, at : at + block.shape[2]]
-        at += block.shape[2]
-        gain = _gain(own, flat, fold, c) / max(0.5 * total[state.own(c)].sum(), 1e-300) - state.limits.gain * len(
-            c.entries
-        )
-        if c.key not in best or gain > best[c.key][0]:
-            best[c.key] = gain, c
-    return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
-
-
-def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: Candidate) -> float:
-    """Half the squares that amplitudes of the other folds take off each."""
-    folds, count = fold.max() + 1, columns.shape[1]
-    hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
-    for f in range(folds):
-        mine = columns[fold == f]
-        hess[f], slope[f] = mine.T @ mine, mine.T @ y[fold == f]
-    low = np.array([e.low - e.start for e in c.entries])
-    high = np.array([e.high - e.start for e in c.entries])
-    prior = np.diag([e.prior**-2.0 for e in c.entries])
-    gain = 0.0
-    for f in range(folds):
-        h = hess.sum(0) - hess[f] + prior
-        step = np.linalg.lstsq(h + 1e-9 * np.diag(np.diagonal(h)), slope.sum(0) - slope[f], rcond=1e-10)[0]
-        step = np.clip(step, low, high)
-        gain += float(step @ slope[f] - 0.5 * step @ hess[f] @ step)
-    return gain
-
-
-def _backward(state: _State, added: Sequence[Candidate], steps: list[Step]) -> tuple[list[Candidate], list[Candidate]]:
+def _backward(
+    state: Searched, added: Sequence[Candidate], steps: list[Step]
+) -> tuple[list[Candidate], list[Candidate]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that stay are not shown by themselves:
     what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone."""
     added, own = [k for c in added for k in _split(c)], state.limits
@@ -348,8 +188,8 @@ def _backward(state: _State, added: Sequence[Candidate], steps: list[Step]) -> t
         failing, quiet = [], []
         for c, test in tests:
             least = state.criteria.described if state.problem.effect(c.effect).describes else own.gain * len(c.entries)
-            level = _level([t.p for k, t in tests if k.effect == c.effect], own) if c.effect in FIRST else own.level
-            if why := _why_not(state, whole, c, test, least, level):
+            level = level_of([t.p for k, t in tests if k.effect == c.effect], own) if c.effect in FIRST else own.level
+            if why := why_not(state, whole, c, test, least, level):
                 if c.effect in FIRST and test.gain > 0.0 and len([k for k, _ in tests if k.effect == c.effect]) > 1:
                     quiet.append(c)
                 else:
@@ -361,7 +201,7 @@ def _backward(state: _State, added: Sequence[Candidate], steps: list[Step]) -> t
         added = [k for k in added if k is not c]
 
 
-def _alike(state: _State, added, c: Candidate, less: Solved, whole: Solved, every) -> tuple[Candidate, ...]:
+def _alike(state: Searched, added, c: Candidate, less: Solved, whole: Solved, every) -> tuple[Candidate, ...]:
     """Effects that do nearly as well in its place."""
     rest = [k for k in added if k is not c]
     others = [k for k in _open(state, rest, every) if k.effect != c.effect and set(k.joints) & set(c.joints)]
@@ -369,15 +209,15 @@ def _alike(state: _State, added, c: Candidate, less: Solved, whole: Solved, ever
     gained = compared(state.rows, less, whole, state.own(c)).gain
     gap = max(state.criteria.gap, 1.0 - (1.0 - gained) ** state.criteria.alike)
     out = []
-    for k in _ranked(state, less, others)[:3]:
+    for k in ranked(state, less, others)[:3]:
         other = state.set_of([*rest, k])
         test = compared(state.rows, other, whole, state.own(c))
-        if test.gain < gap and not _at_bound(other, k):
+        if test.gain < gap and not at_bound(other, k):
             out.append(k)
     return tuple(out)
 
 
-def _exact(state: _State, added: Sequence[Candidate], whole: Solved) -> tuple[Vector, np.ndarray]:
+def _exact(state: Searched, added: Sequence[Candidate], whole: Solved) -> tuple[Vector, np.ndarray]:
     """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one; standard errors [P]."""
     problem, balance = state.problem, state.balance
     entries, values = list(whole.entries), list(np.array([*state.null.values]) + whole.step[: len(state.null)])

@@ -1,0 +1,118 @@
+"""What a search along the measured motion knows of a group: its columns, the entries that are always fitted, rows and weights; and by
+what a candidate is ranked."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion
+from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.base import Reach
+
+LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
+"""Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
+
+
+class Searched:
+    """The search of one group: its table of columns, the entries that are always fitted, the effects so far."""
+
+    def __init__(
+        self, problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, commanded: bool
+    ):
+        self.problem, self.balance, self.reach, self.criteria = problem, balance, reach, criteria
+        self.commanded, self.limits = commanded, criteria.torque
+        self.table = Table(problem, balance, null)
+        self.null = null
+        self.base = self.table.stack(null.entries)
+        missing = self.table.missing()
+        self.told = balance.averaged(actuator_force(balance, self.table.values)[0])
+        torque = np.sqrt(np.mean(np.square(self.told), 0))
+        size = np.sqrt(np.mean(np.square(missing), 0))
+        taken = self.told + missing  # by the motion, where nothing is told of what acts
+        self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
+        self.least = np.maximum(LEAST_OF_TORQUE * torque, LEAST_OF_MISSING * size)
+        self.rows = rows_of(missing, missing, balance.trial, balance.time, self.least, balance.clear)
+        self._summed()
+        self.weigh(self.set_of(()))
+        self.local = {j: k for k, j in enumerate(balance.group.joints)}
+
+    def weigh(self, fitted: Solved) -> None:
+        """Weights from what a set leaves."""
+        self.table.explained = fitted.columns @ fitted.step
+        left = self.rows.missing - self.table.explained
+        self.rows = rows_of(
+            self.rows.missing, left, self.balance.trial, self.balance.time, self.least, self.balance.clear
+        )
+        self._summed()
+
+    def _summed(self) -> None:
+        self.sums = Sums(self.rows)
+        self.sums.add("", self.base)
+
+    def set_of(self, added: Sequence[Candidate]) -> Solved:
+        entries, names, now = list(self.null.entries), [""], list(self.null.values)
+        for c in added:
+            entries += c.entries
+            now += [e.start for e in c.entries]
+            names.append((c.key, c.shape))
+            self.sums.add(names[-1], self.table.stack(c.entries, c.shaped()))
+        found = solved(self.sums, names, entries, np.array(now))
+        changed = [i for i, e in enumerate(entries) if e.owner in ON_TORQUE[1:]]
+        if not changed:
+            return found
+        driven = self.told + found.columns[..., changed] @ found.step[changed]
+        return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
+
+    def own(self, c: Candidate) -> list[int]:
+        return [self.local[j] for j in c.joints]
+
+
+def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates by what they gain held out at first order, the best shape of each."""
+    if not some:
+        return []
+    rows = state.rows
+    weigh = lambda z: (z * rows.weight[..., None]).reshape(-1, z.shape[2])
+    a, y = weigh(now.columns), ((rows.missing - now.columns @ now.step) * rows.weight)
+    inverse = np.linalg.pinv(now.hess, rcond=1e-12, hermitian=True)
+    fold = np.repeat(rows.fold, y.shape[1])
+    flat, total = y.ravel(), np.square(y).sum(0)
+    blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
+    wide = weigh(np.concatenate(blocks, 2))
+    freed = wide - a @ (inverse @ (a.T @ wide))
+    best: dict[tuple, tuple[float, Candidate]] = {}
+    at = 0
+    for c, block in zip(some, blocks, strict=True):
+        own = freed[:, at : at + block.shape[2]]
+        at += block.shape[2]
+        gain = _gain(own, flat, fold, c) / max(0.5 * total[state.own(c)].sum(), 1e-300) - state.limits.gain * len(
+            c.entries
+        )
+        if c.key not in best or gain > best[c.key][0]:
+            best[c.key] = gain, c
+    return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
+
+
+def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: Candidate) -> float:
+    """Half the squares that amplitudes of the other folds take off each."""
+    folds, count = fold.max() + 1, columns.shape[1]
+    hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
+    for f in range(folds):
+        mine = columns[fold == f]
+        hess[f], slope[f] = mine.T @ mine, mine.T @ y[fold == f]
+    low = np.array([e.low - e.start for e in c.entries])
+    high = np.array([e.high - e.start for e in c.entries])
+    prior = np.diag([e.prior**-2.0 for e in c.entries])
+    gain = 0.0
+    for f in range(folds):
+        h = hess.sum(0) - hess[f] + prior
+        step = np.linalg.lstsq(h + 1e-9 * np.diag(np.diagonal(h)), slope.sum(0) - slope[f], rcond=1e-10)[0]
+        step = np.clip(step, low, high)
+        gain += float(step @ slope[f] - 0.5 * step @ hess[f] @ step)
+    return gain

@@ -1,0 +1,72 @@
+"""Whether an effect stays beside the others of a set, by what the torque along the motion says of left-out blocks, and if not, why."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.searched import Searched
+from adaptsim_jax.attribution.equation.solve import Compared, Solved
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.diagnosis.criteria import TorqueCriteria
+
+
+def level_of(p: Sequence[float], own: TorqueCriteria) -> float:
+    """Up to which p an effect that like drives have is taken at each of them, by how many joints show it."""
+    ranked = np.sort(p)
+    good = ranked <= own.discovery * np.arange(1, len(p) + 1) / len(p)
+    return max(own.level, float(ranked[good].max()) if good.any() else 0.0)
+
+
+def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least: float, level: float) -> str:
+    """Why a candidate is not taken beside the others of a set; empty if it is."""
+    if test.p > level:
+        return "left-out blocks do not confirm it"
+    if test.gain < least:
+        return f"takes less than {100 * least:.0f} % off the squared missing torque"
+    if test.overall < 0.0:
+        return "the torques of all joints together are missed by more"
+    if steadiness(whole, c) < state.limits.steady:
+        return f"its size is only {steadiness(whole, c):.1f} times its error"
+    if at_bound(whole, c):
+        return "its value is at the end of what such a machine may have"
+    if _worth(state, whole, c) < state.limits.worth:
+        return f"it is less than {100 * state.limits.worth:.0f} % of the joint's torque"
+    return ""
+
+
+def _worth(state: Searched, whole: Solved, c: Candidate) -> float:
+    """Root mean square of an effect's torque over that of the joint, at the joint where it is most."""
+    at = _numbers(whole, c)
+    force = np.sqrt(np.mean(np.square(whole.columns[..., at] @ whole.step[at]), 0))
+    return float(np.max(force / np.maximum(state.torque, 1e-300)))
+
+
+def only_read(state: Searched, whole: Solved, c: Candidate) -> bool:
+    """A shift of all commands by less than a row, or of measured torques by as much as loggers pair them with angles: how rows are
+    read, and no effect."""
+    if c.effect not in ("delay", "actuator_lag"):
+        return False
+    value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
+    if not state.commanded:
+        return abs(value) < state.limits.paired
+    return c.effect == "delay" and -state.criteria.within_row < value < state.criteria.least_shift
+
+
+def _numbers(whole: Solved, c: Candidate) -> list[int]:
+    keys = {e.key for e in c.entries}
+    return [i for i, e in enumerate(whole.entries) if e.key in keys]
+
+
+def steadiness(whole: Solved, c: Candidate) -> float:
+    at = _numbers(whole, c)
+    return float(np.max(np.abs(whole.step[at]) / np.maximum(whole.error[at], 1e-300)))
+
+
+def at_bound(whole: Solved, c: Candidate) -> bool:
+    at = _numbers(whole, c)
+    value = np.array([whole.entries[i].start for i in at]) + whole.step[at]
+    ends = lambda i, z: (
+        abs(z - (e := whole.entries[i]).high) < 1e-6 * abs(e.high)
+        or (e.low < min(e.off, e.start) and abs(z - e.low) < 1e-6 * abs(e.low))
+    )
+    return any(ends(i, z) for i, z in zip(at, value, strict=True))
