@@ -2,20 +2,22 @@
 witness."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
 from adaptsim_jax.attribution.equation.search import FACTOR
-from adaptsim_jax.attribution.held_out import Model, held_error, over_floor
+from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.held_out import Model, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import evidence_of, reported
-from adaptsim_jax.attribution.select import Hint, Selection, select, select_shorter
+from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import bound_notes, curves, held_missing, judged_by_torque, quiet_notes
 from adaptsim_jax.attribution.yardsticks import (
     STRETCHES,
@@ -47,6 +49,7 @@ class Examined:
     after: dict[str, Measure | None]
     judge: str
     why: str
+    simulated: bool = False  # errors are told of simulated stretches, whoever judged
 
 
 def examine(
@@ -89,12 +92,18 @@ def examine(
     before = _simulated(problem, declared, horizon) | {
         TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
     }
-    judge, why = headline(before, False, asked)
+    follows = bool(np.any(machine.actuator[2] != 0.0))
+    judge, why = headline(before, follows, asked)
     if judge == TORQUE:
+        words = confirmed(problem, words, criteria) if follows else words
         found = selection(problem, words, declared, reach)
-        after = _simulated(problem, found.final, horizon)
-        after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
-        return Examined(problem, found, words, before, after, judge, why)
+        if follows and over_floor(problem, found.final) > criteria.explained:
+            found = _polished(problem, found)
+        if not follows or asked or over_floor(problem, found.final) < criteria.near:
+            after = _simulated(problem, found.final, horizon)
+            after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
+            return Examined(problem, found, words, before, after, judge, why, follows)
+        judge, why = STRETCHES, "what the command errors show leaves far more than noise in simulated stretches"
     effects = [
         (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
     ]
@@ -104,6 +113,14 @@ def examine(
     before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
     after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}
     return Examined(problem, found, words, before, after, judge, why)
+
+
+def _polished(problem: Problem, found: Selection) -> Selection:
+    """With the final values fitted by simulation, where that predicts better: along the motion a time or a gain is only so exact."""
+    again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS, glance=2)
+    model = modelled(problem, found.final.added, again)
+    better = over_floor(problem, model) < over_floor(problem, found.final)
+    return replace(found, final=model) if better else found
 
 
 def tells(machine: Machine) -> bool:
@@ -136,7 +153,7 @@ def report_of(
     """The report, and the arrays behind its page."""
     problem, found = e.problem, e.found
     report = reported(machine, problem, found, criteria, horizon)
-    if e.judge == TORQUE and e.said is not None:
+    if e.judge == TORQUE and e.said is not None and not e.simulated:
         judged_by_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
         report["notes"] += [*quiet_notes(problem, e.said), *bound_notes(problem, e.said)]
     report["yardsticks"] = {

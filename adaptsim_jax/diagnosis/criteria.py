@@ -55,6 +55,8 @@ class Criteria:
     quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0: always goes on.
     beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take off of the squared error
         beyond the noise (0.9: it is three times what is left); what is smaller may name a part of that. 0: no such rule.
+    near: the same of a machine that follows commands, up to which what its command errors show is enough, and nothing is fitted by
+        simulation.
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
     beginning: share of the stretches over which is fitted, and searched again where nothing was named, if more than `odd` is left.
     few: stretches beyond `odd` from which on they are looked at by themselves, where all else is explained.
@@ -81,6 +83,7 @@ class Criteria:
     explained: float = 1.5
     quiet: float = 0.0
     beyond: float = 0.0
+    near: float = 3.0
     odd: float = 10.0
     beginning: float = 0.15
     few: int = 3

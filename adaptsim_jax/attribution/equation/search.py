@@ -18,11 +18,13 @@ from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_rea
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates, shape_entries
+from adaptsim_jax.attribution.stays import in_step
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
 FIRST = ("coulomb", "armature")
 """Effects that are tried at all joints at once before any other: real joints rub."""
+ORDER = ("coulomb", "delay", "armature")
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
@@ -96,6 +98,8 @@ def witness(
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c)))
     final, errors = _exact(state, added, whole)
+    if state.commanded and in_step(problem, final.entries, final.values, criteria):  # how rows are read
+        kept = [k for k in kept if k.candidate.effect != "armature"]
     base = state.set_of(())
     first = _exact(state, (), base)[0]
     return Witness(
@@ -129,8 +133,10 @@ def _friction_first(state: Searched, every: Sequence[Candidate], steps: list[Ste
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
     hides another (a file's damping and rotors that are not there: dry friction that is)."""
     added: list[Candidate] = []
-    for name in FIRST:
-        some = [c for c in every if c.effect == name and c.sharing == "joint"]
+    for name in ORDER:
+        some = [c for c in every if c.effect == name and c.sharing == ("common" if name == "delay" else "joint")]
+        if name == "delay":  # of all commands, where there are any, which else looks like rotors
+            some = ranked(state, state.set_of(added), some)[:1] if state.commanded else []
         if not some:
             continue
         less, more = state.set_of(added), state.set_of([*added, *some])

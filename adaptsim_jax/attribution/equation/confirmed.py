@@ -1,0 +1,45 @@
+"""What the balance of torques named of a machine that follows commands, held against simulation, without a fit by it.
+
+A command error is small beside what drives it, so that trifles of a servo's law show in it which no motion shows. Each effect must
+therefore also simulate left-out stretches better than the balance refitted without it.
+"""
+
+from dataclasses import replace
+
+from adaptsim_jax.attribution.equation.models import Said, model_of, without
+from adaptsim_jax.attribution.held_out import Model, paired
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.stays import eased, worth
+from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.diagnosis.criteria import Criteria
+
+
+def confirmed(problem: Problem, found: Said, criteria: Criteria) -> Said:
+    """Without the effects that simulation does not bear out, the weakest first, each refitted by the balance."""
+    while found.named:
+        whole = model_of(problem, found, found.final, found.added)
+        weak = []
+        for named in found.named:
+            less = without(problem, found, [named.candidate], [])
+            gain = _gain(problem, model_of(problem, less, less.final, less.added), whole, criteria)
+            if gain is not None:
+                weak.append((gain, named.candidate, less))
+        if not weak:
+            return found
+        _, gone, less = min(weak, key=lambda w: w[0])
+        found = replace(
+            less,
+            witnesses=tuple(
+                replace(w, kept=tuple(k for k in w.kept if k.candidate is not gone)) for w in less.witnesses
+            ),
+        )
+    return found
+
+
+def _gain(problem: Problem, less: Model, whole: Model, criteria: Criteria) -> float | None:
+    """Share of the left-out loss that an effect takes off where it does not stay; None where it does."""
+    test = paired(problem, losses(problem, less.held.paths, whole.fit.weights), whole.held.loss)
+    holds = test.p <= criteria.confidence and test.gain > criteria.size
+    if holds and eased(problem, less, whole) > 0.0 and worth(problem, less, whole) >= criteria.worth:
+        return None
+    return test.gain
