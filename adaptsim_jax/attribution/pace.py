@@ -22,6 +22,8 @@ TIMES = 10.0
 """A clock is told where it leaves so many times less than a rotor's inertia at every joint does."""
 OFF = 1.2
 """Times that a clock is off, from which on it is told."""
+HELD = 4.0
+"""Times that a declared friction is what moves a joint, from which on it is doubted."""
 NOMINAL = 1e-4
 """Of an interval: steps this even are counted, not measured."""
 
@@ -132,6 +134,32 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
         f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts in N m'
     )
     return (Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),)
+
+
+def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+    """Joints that move though the file gives them more dry friction than motion and gravity leave of any logged torque."""
+    levels = np.asarray(machine.tree.frictionloss)
+    motion = _sharp(tracks) if np.any(levels > 0) else None
+    if (
+        motion is None
+        or len(motion.q) < LEAST
+        or not np.all(np.isfinite(motion.a))
+        or not np.ptp(motion.tau, axis=0).any()
+    ):
+        return ()
+    rest = np.abs(motion.tau - sum(_parts(motion, design)))
+    out = []
+    for j in np.flatnonzero(levels > 0):
+        moves = np.abs(motion.v[:, j]) > 0.2 * np.max(np.abs(motion.v[:, j]))
+        most = float(np.quantile(rest[moves, j], 0.9))
+        if levels[j] > HELD * most:
+            name, unit = machine.tree.joint_names[j], "N m" if machine.tree.kinds[j] == "hinge" else "N"
+            text = (
+                f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, {levels[j] / most:.2g} times what its motion "
+                "leaves for it: a placeholder? Put in a measured friction, or 0"
+            )
+            out.append(Finding("friction", "warn", "", name, text, float(levels[j])))
+    return tuple(out)
 
 
 def _column(machine: Machine, joint: int) -> str:

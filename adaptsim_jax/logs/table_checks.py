@@ -102,6 +102,8 @@ def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word:
     bad = np.flatnonzero(np.diff(time) <= 0)
     if not bad.size:
         return
+    if len(time) > 1 and not np.ptp(time):
+        raise BadInput(f'{path}: time never changes; name the column that does by [columns] time = "..." in meta.toml')
     if lost := lost_digits(time):
         raise BadInput(f"{path}: {lost}")
     i = int(bad[0]) + 1
