@@ -46,8 +46,8 @@ def _check_units(machine: Machine) -> None:
         if told := other_unit([t.q[:, j] for t in log.trials], [t.u[:, k] for t in log.trials], slides):
             lines = f'q_{names[j]} = "{told[0]}" and target_{names[j]} = "{told[1]}"'
             raise BadInput(
-                f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles are in {told[0]}; write {lines} under "
-                f"[units] in meta.toml; {AS_DECLARED}"
+                f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles are in {told[0]}; write {lines} "
+                f"under [units] in meta.toml; {AS_DECLARED}"
             )
 
 

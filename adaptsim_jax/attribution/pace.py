@@ -30,23 +30,12 @@ NOMINAL = 1e-4
 
 def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
     """Raises BadInput where gravity says that time runs otherwise than it was stamped."""
-    motion = motion_of(tracks)
-    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or np.linalg.norm(machine.tree.gravity) == 0.0:
+    # long blocks average noise, short ones follow fast motion
+    looks = [_paced(motion, design) for motion in (motion_of(tracks), _sharp(tracks))]
+    looks = [look for look in looks if look is not None]
+    if not looks or np.linalg.norm(machine.tree.gravity) == 0.0:
         return ()
-    n = motion.q.shape[1]
-    moving, weight = _parts(motion, design)
-    rest = motion.tau - weight
-    spread = np.maximum(np.std(rest, axis=0), 1e-9)
-    if np.max(spread) < 1e-6:
-        return ()
-    told = lambda columns: (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
-    y = (rest / spread).reshape(-1)
-    rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
-    rotors = told(motion.a[:, :, None] * np.eye(n))
-    pace = told(moving[:, :, None])
-    as_is = _left(y - pace[:, 0], np.concatenate([rubs, rotors], 1))[0]
-    left, x = _left(y, np.concatenate([pace, rubs], 1))
-    factor = float(np.sqrt(x[0])) if x[0] > 0 else 0.0
+    left, factor, as_is = min(looks)
     if left > GOOD or not 1.0 / 20.0 < factor < 20.0 or 1.0 / OFF < factor < OFF:
         return ()
     step = float(np.median(np.concatenate([np.diff(t.time) for t in tracks])))
@@ -67,6 +56,26 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
         return ()
     text = f"{says}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
     return (Finding("pace", "warn", "", "time", text, factor),)
+
+
+def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
+    """What another clock leaves, how many times slow this one runs by it, and what rotors leave in its place."""
+    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)):
+        return None
+    n = motion.q.shape[1]
+    moving, weight = _parts(motion, design)
+    rest = motion.tau - weight
+    spread = np.maximum(np.std(rest, axis=0), 1e-9)
+    if np.max(spread) < 1e-6:
+        return None
+    told = lambda columns: (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
+    y = (rest / spread).reshape(-1)
+    rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
+    rotors = told(motion.a[:, :, None] * np.eye(n))
+    pace = told(moving[:, :, None])
+    as_is = _left(y - pace[:, 0], np.concatenate([rubs, rotors], 1))[0]
+    left, x = _left(y, np.concatenate([pace, rubs], 1))
+    return left, float(np.sqrt(x[0])) if x[0] > 0 else 0.0, as_is
 
 
 def _seconds(machine: Machine) -> float:
@@ -155,8 +164,8 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
         if levels[j] > HELD * most:
             name, unit = machine.tree.joint_names[j], "N m" if machine.tree.kinds[j] == "hinge" else "N"
             text = (
-                f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, {levels[j] / most:.2g} times what its motion "
-                "leaves for it: a placeholder? Put in a measured friction, or 0"
+                f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, {levels[j] / most:.2g} times what its "
+                "motion leaves for it: a placeholder? Put in a measured friction, or 0"
             )
             out.append(Finding("friction", "warn", "", name, text, float(levels[j])))
     return tuple(out)

@@ -30,8 +30,8 @@ class Columns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
 
     `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
-    `named`: (stem, joint) -> its column; `scaled`: joints whose angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of a free
-    base.
+    `named`: (stem, joint) -> its column; `scaled`: joints whose angles are declared in a scale that is no unit of angle;
+    `base [T, 7]`: place and orientation of a free base.
     """
 
     raw: RawTrial
@@ -116,7 +116,8 @@ def also_there(trial: RawTrial, stem: str, joint: str) -> str:
     if not some:
         return ""
     named = f"{', '.join(some[:6])}{', ...' if len(some) > 6 else ''}"
-    return f' (also there: {named}; if it is one of these, write {stem}_{joint} = "..." under [columns], {stem} = "..." for lists of all)'
+    mend = f'write {stem}_{joint} = "..." under [columns], {stem} = "..." for lists of all'
+    return f" (also there: {named}; if it is one of these, {mend})"
 
 
 def _place(found: Role, zero_based: bool) -> int | str:

@@ -31,7 +31,8 @@ def is_lerobot(folder: Path) -> bool:
 
 
 def read_lerobot(folder: Path, out: Callable[[str], bool] = lambda name: False) -> list[RawTrial]:
-    """Every episode; of those that are `out`, by their name, no more than that. Raises `BadInput`: no such features, damaged files, pyarrow missing."""
+    """Every episode; of those that are `out`, by their name, no more than that. Raises `BadInput`: no such features, damaged
+    files, pyarrow missing."""
     info = _info(folder)
     features = info["features"]
     if "observation.state" not in features:

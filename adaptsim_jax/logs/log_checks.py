@@ -58,10 +58,11 @@ def _large(trials: Sequence[LogTrial], j: int, names: ModelNames) -> str:
     odd = int(reaches.argmax())
     if reaches[odd] > max(LARGE, ODD * reach):
         return (
-            f"angles of {names.joints[j]} reach {reaches[odd]:.3g} rad in {trials[odd].name}, {reach:.2g} rad in the others: if they are "
-            "degrees there, convert that file"
+            f"angles of {names.joints[j]} reach {reaches[odd]:.3g} rad in {trials[odd].name}, {reach:.2g} rad in the others: if they "
+            "are degrees there, convert that file"
         )
     speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
     if reach < LARGE or (speeds and np.median(speeds) < FAST):
         return ""
-    return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]'
+    more = "; LeRobot may write per cent of a range, too" if trials[0].path.endswith(".parquet") else ""
+    return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]{more}'

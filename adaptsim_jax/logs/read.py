@@ -94,7 +94,7 @@ def _names_of(path: str) -> tuple[Source, ModelNames]:
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
-    trials = read_raw(Path(meta.data) if meta.data else source, meta, names.joints if names else ())
+    trials = read_raw(Path(meta.data) if meta.data else source, meta, names)
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 
@@ -110,8 +110,9 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
     )
 
 
-def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. joints: the model's."""
+def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list[RawTrial]:
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. names: the model's."""
+    joints = names.joints if names else ()
     out = lambda name: any(fnmatch.fnmatchcase(name, pattern) for pattern in meta.exclude)
     if data.is_dir() and lerobot.is_lerobot(data):
         whole = lerobot.read_lerobot(data, out)
@@ -136,7 +137,16 @@ def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawT
     gone = [path for path in (*files, *bags) if out(_stem(path))]
     files, bags = ([path for path in some if path not in gone] for some in (files, bags))
     # in a folder of both, [columns] speaks of the tables
-    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()))
+    servos = (
+        {
+            f"ctrl{k}": a.joint
+            for k, a in enumerate(names.actuators or (), 1)
+            if a.kind == "position" and a.joint not in names.slides
+        }
+        if names
+        else {}
+    )
+    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()), servos)
     recorded = [ros.read_bag(path, wanted) for path in bags]
     tables = [
         command_files.with_commands(trial, commands, meta.columns, meta.ignore)

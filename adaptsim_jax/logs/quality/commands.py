@@ -27,7 +27,7 @@ POOR, CUT, APART = 0.03, 0.3, 0.7
 """A command is doubted from this share on; one cut on its way is told where it leaves this share of that, and this share of what
 a limit of force leaves."""
 FOLLOWS, NEAR_UNIT = 0.7, 0.4
-"""Square of the correlation of angle and target from which on their sizes are compared, and how far (in log) these may be from units'."""
+"""Square of the correlation of angle and target from which on their sizes are compared; how far (in log) these may be from units'."""
 SPREAD, SURE, LEAST_TRIALS = 1.2, 8.0, 3
 """Ratio of gains between trials from which on they differ, in standard errors of their difference."""
 

@@ -67,6 +67,8 @@ def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
         return target
     angle, u = q[here], target[here]
     begins = np.concatenate([[True], np.abs(np.diff(u)) > 0.5 * TURN])
+    if begins.sum() > 1 and np.ptp(u) > 1.1 * TURN:  # what counts anew stays within a turn
+        return target
     first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
     turns = np.round((angle - u) / TURN)[first]
     moved = u + TURN * turns
