@@ -285,7 +285,7 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
         (lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])}, "line 9: time runs backwards"),
         (
             lambda c: c | {"time": 0 * c["time"] + 5.0},
-            "time never changes; name the column that does by [columns] time",
+            "time never changes; call the one that does time, in a log by [columns] time",
         ),
         (lambda c: c | {"time": np.array(["2026-05-01 12:00:00.25"] * 60)}, "a date; write seconds, with pandas"),
         (lambda c: c | {"time": 1e3 * c["time"]}, 'time is suspected in milliseconds; write time = "ms"'),
