@@ -5,7 +5,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.quality.commands import Cut, cut, exchanged, gains_by_trial
+from adaptsim_jax.logs.quality.commands import Cut, cut, exchanged, gains_by_trial, other_unit
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import Track
@@ -20,6 +20,7 @@ def check_commands(machine: Machine) -> tuple[Finding, ...]:
         return ()
     tracks = [Track(t.time, t.q, t.v, t.u) for t in machine.tracks]
     driven = [j for j in range(machine.tree.n) if machine.actuator[0, j] != 0.0]
+    _check_units(machine)
     _check_order(machine, tracks, driven)
     found = []
     for j in driven:
@@ -32,6 +33,22 @@ def check_commands(machine: Machine) -> tuple[Finding, ...]:
         if gains is not None:
             found.append(_gains(machine, j, gains))
     return tuple(found)
+
+
+def _check_units(machine: Machine) -> None:
+    """BadInput where a servo's target follows its angle in another unit."""
+    log, names = machine.log, machine.tree.joint_names
+    for a in machine.mechanism.actuators:
+        if a.kind != "position" or a.more or a.name not in log.input_names:
+            continue
+        j, k = a.joint, log.input_names.index(a.name)
+        slides = machine.tree.kinds[j] == "slide"
+        if told := other_unit([t.q[:, j] for t in log.trials], [t.u[:, k] for t in log.trials], slides):
+            lines = f'q_{names[j]} = "{told[0]}" and target_{names[j]} = "{told[1]}"'
+            raise BadInput(
+                f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles are in {told[0]}; write {lines} "
+                f"under [units] in meta.toml; {AS_DECLARED}"
+            )
 
 
 def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.commands_told import check_commands
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.pace import amperes, check_pace
+from adaptsim_jax.attribution.pace import amperes, check_pace, held_fast
 from adaptsim_jax.attribution.problem import drive_force
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import (
@@ -39,8 +39,8 @@ def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
     """Tracks with torques at the joints, and the design of the declared tree; None where a regression of torque cannot judge them."""
     if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
         return None
-    if machine.log.input_kind == "command" and np.any(machine.actuator[2:4]):
-        return None  # a servo's force is of the angles themselves
+    if machine.log.input_kind == "command" and (np.any(machine.actuator[2:4]) or machine.mechanism.drives_beyond):
+        return None  # a servo's force is of the angles themselves, and that of a muscle is not known
     tracks = [Track(t.time, t.q, t.v, _force(machine, t.q, t.v, t.u)) for t in machine.tracks]
     return tracks, _design(machine.tree, _program(machine.tree.n))
 
@@ -65,6 +65,7 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
     if log.input_kind in ("none", "torque"):
         told += check_pace(machine, tracks, declared)
+        told += held_fast(machine, tracks, declared)
     warned = told + (() if machine.gain_unknown else _weighed(machine, tracks, declared))
     late = lateness(tracks, declared)
     step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))

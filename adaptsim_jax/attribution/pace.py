@@ -22,29 +22,20 @@ TIMES = 10.0
 """A clock is told where it leaves so many times less than a rotor's inertia at every joint does."""
 OFF = 1.2
 """Times that a clock is off, from which on it is told."""
+HELD = 4.0
+"""Times that a declared friction is what moves a joint, from which on it is doubted."""
 NOMINAL = 1e-4
 """Of an interval: steps this even are counted, not measured."""
 
 
 def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
     """Raises BadInput where gravity says that time runs otherwise than it was stamped."""
-    motion = motion_of(tracks)
-    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or np.linalg.norm(machine.tree.gravity) == 0.0:
+    # long blocks average noise, short ones follow fast motion
+    looks = [_paced(motion, design) for motion in (motion_of(tracks), _sharp(tracks))]
+    looks = [look for look in looks if look is not None]
+    if not looks or np.linalg.norm(machine.tree.gravity) == 0.0:
         return ()
-    n = motion.q.shape[1]
-    moving, weight = _parts(motion, design)
-    rest = motion.tau - weight
-    spread = np.maximum(np.std(rest, axis=0), 1e-9)
-    if np.max(spread) < 1e-6:
-        return ()
-    told = lambda columns: (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
-    y = (rest / spread).reshape(-1)
-    rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
-    rotors = told(motion.a[:, :, None] * np.eye(n))
-    pace = told(moving[:, :, None])
-    as_is = _left(y - pace[:, 0], np.concatenate([rubs, rotors], 1))[0]
-    left, x = _left(y, np.concatenate([pace, rubs], 1))
-    factor = float(np.sqrt(x[0])) if x[0] > 0 else 0.0
+    left, factor, as_is = min(looks)
     if left > GOOD or not 1.0 / 20.0 < factor < 20.0 or 1.0 / OFF < factor < OFF:
         return ()
     step = float(np.median(np.concatenate([np.diff(t.time) for t in tracks])))
@@ -65,6 +56,26 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
         return ()
     text = f"{says}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
     return (Finding("pace", "warn", "", "time", text, factor),)
+
+
+def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
+    """What another clock leaves, how many times slow this one runs by it, and what rotors leave in its place."""
+    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)):
+        return None
+    n = motion.q.shape[1]
+    moving, weight = _parts(motion, design)
+    rest = motion.tau - weight
+    spread = np.maximum(np.std(rest, axis=0), 1e-9)
+    if np.max(spread) < 1e-6:
+        return None
+    told = lambda columns: (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
+    y = (rest / spread).reshape(-1)
+    rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
+    rotors = told(motion.a[:, :, None] * np.eye(n))
+    pace = told(moving[:, :, None])
+    as_is = _left(y - pace[:, 0], np.concatenate([rubs, rotors], 1))[0]
+    left, x = _left(y, np.concatenate([pace, rubs], 1))
+    return left, float(np.sqrt(x[0])) if x[0] > 0 else 0.0, as_is
 
 
 def _seconds(machine: Machine) -> float:
@@ -132,6 +143,32 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
         f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts in N m'
     )
     return (Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),)
+
+
+def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+    """Joints that move though the file gives them more dry friction than motion and gravity leave of any logged torque."""
+    levels = np.asarray(machine.tree.frictionloss)
+    motion = _sharp(tracks) if np.any(levels > 0) else None
+    if (
+        motion is None
+        or len(motion.q) < LEAST
+        or not np.all(np.isfinite(motion.a))
+        or not np.ptp(motion.tau, axis=0).any()
+    ):
+        return ()
+    rest = np.abs(motion.tau - sum(_parts(motion, design)))
+    out = []
+    for j in np.flatnonzero(levels > 0):
+        moves = np.abs(motion.v[:, j]) > 0.2 * np.max(np.abs(motion.v[:, j]))
+        most = float(np.quantile(rest[moves, j], 0.9))
+        if levels[j] > HELD * most:
+            name, unit = machine.tree.joint_names[j], "N m" if machine.tree.kinds[j] == "hinge" else "N"
+            text = (
+                f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, {levels[j] / most:.2g} times what its "
+                "motion leaves for it: a placeholder? Put in a measured friction, or 0"
+            )
+            out.append(Finding("friction", "warn", "", name, text, float(levels[j])))
+    return tuple(out)
 
 
 def _column(machine: Machine, joint: int) -> str:

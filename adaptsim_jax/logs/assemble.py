@@ -9,13 +9,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from adaptsim_jax.core.config import nearest, suggest
+from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.columns import is_ignored, role
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
-from adaptsim_jax.logs.joint_columns import Columns, columns_of
+from adaptsim_jax.logs.joint_columns import Columns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta
@@ -112,14 +112,16 @@ def _moving(
 
 def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np.ndarray]) -> None:
     raw, joint = columns.raw, names.joints[j]
+    if not here:
+        raise BadInput(
+            f"{raw.path}: has no angles; add columns q1 or q_{joint}, one for each joint{also_there(raw, 'q', joint)}"
+        )
     have = [names.joints[k] for k in here]
     mend = (
         f"record it in every trial, or write [hold] and {joint} = 0.0 in meta.toml, in rad or m"
-        f" (this trial has {', '.join(have) or 'no angle'})"
+        f" (this trial has {', '.join(have)})"
     )
-    near = nearest(joint, [c for c in (*raw.columns, *raw.ignored) if c not in have])
-    hint = f"did you mean '{near}'? Then name it by [columns] in meta.toml;" if near and not have else ""
-    raise BadInput(f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {hint}{mend}")
+    raise BadInput(f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {mend}")
 
 
 def _strange(trial: RawTrial, names: ModelNames, held: Mapping[str, float | None]) -> tuple[str, ...]:

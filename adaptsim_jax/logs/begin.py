@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is one, or no data."""
     folder = _folder(data, out)
     names = _model_names(model)
-    columns, ros_topics, chosen = _columns(data, topics)
+    columns, ros_topics, chosen = _columns(data, topics, names.joints if names else ())
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
     arrays = _arrays(data)
     found = replace(
@@ -109,7 +109,9 @@ def _from(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder)).as_posix()
 
 
-def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
+def _columns(
+    data: Path, topics: dict[str, str], joints: Sequence[str]
+) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
     if data.is_dir() and lerobot.is_lerobot(data):
         trial = lerobot.read_lerobot(data)[0]
@@ -121,9 +123,9 @@ def _columns(data: Path, topics: dict[str, str]) -> tuple[dict[str, np.ndarray],
     bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
     if not bags:
         raise BadInput(f"{data}: holds no recordings ({', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set)")
-    there, chosen = ros.bag_topics(bags[0], topics)
+    there, chosen = ros.bag_topics(bags[0], topics, joints)
     lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
-    return ros.read_bag(bags[0], topics).columns, lines, chosen
+    return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen
 
 
 def _state_files(data: Path) -> list[Path]:

@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import flipped_joints, model_angles
-from adaptsim_jax.logs.joint_columns import Columns
+from adaptsim_jax.logs.joint_columns import Columns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.quality.turns import followed_turns
@@ -191,7 +191,7 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], 
             if names.joints[j] in moving and not any(names.joints[j] in a.joints for a in actuators):
                 raise BadInput(
                     f"{columns.raw.path}: joint '{names.joints[j]}' has a target, but no actuator in the model; add "
-                    f'<position joint="{names.joints[j]}" .../> to it, or write ignore = ["target{j + 1}"] in meta.toml'
+                    f'<position joint="{names.joints[j]}" .../> to it, or write ignore = ["{columns.named["target", j]}"] in meta.toml'
                 )
     if idle:
         notes = (*notes, f"no command logged, taken as 0: {', '.join(idle)}")
@@ -232,7 +232,7 @@ def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> 
     )
     raise BadInput(
         f"{path}: no command for actuator '{actuator.name}' of joint '{joint}'; add column {column}, or hold the joint: "
-        f"[hold] and {joint} = 0.0 in meta.toml"
+        f"[hold] and {joint} = 0.0 in meta.toml{also_there(columns.raw, 'target', joint)}"
     )
 
 
@@ -269,4 +269,5 @@ def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta, moving: Seq
         raise BadInput(
             f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add column {column} (or "
             f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off'
+            f"{also_there(columns.raw, 'target', a.joint)}"
         )

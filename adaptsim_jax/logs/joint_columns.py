@@ -30,8 +30,8 @@ class Columns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
 
     `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
-    `scaled`: joints whose angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of a free
-    base.
+    `named`: (stem, joint) -> its column; `scaled`: joints whose angles are declared in a scale that is no unit of angle;
+    `base [T, 7]`: place and orientation of a free base.
     """
 
     raw: RawTrial
@@ -40,6 +40,7 @@ class Columns:
     ctrl: dict[int | str, np.ndarray]
     turns: bool
     written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    named: dict[tuple[str, int], str] = field(default_factory=dict)
     scaled: dict[int, bool] = field(default_factory=dict)
     base: np.ndarray | None = None
 
@@ -103,9 +104,20 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         ctrl,
         turns,
         written,
+        taken,
         scaled,
         _base(trial, roles),
     )
+
+
+def also_there(trial: RawTrial, stem: str, joint: str) -> str:
+    """What to say of a trial's other columns where one is missing: it may be among them by another name."""
+    some = [name for name in trial.ignored if name.strip()]
+    if not some:
+        return ""
+    named = f"{', '.join(some[:6])}{', ...' if len(some) > 6 else ''}"
+    mend = f'write {stem}_{joint} = "..." under [columns], {stem} = "..." for lists of all'
+    return f" (also there: {named}; if it is one of these, {mend})"
 
 
 def _place(found: Role, zero_based: bool) -> int | str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,9 @@ def is_lerobot(folder: Path) -> bool:
     return (folder / "meta" / "info.json").is_file()
 
 
-def read_lerobot(folder: Path) -> list[RawTrial]:
-    """Every episode. Raises `BadInput`: no such features, damaged files, pyarrow missing."""
+def read_lerobot(folder: Path, out: Callable[[str], bool] = lambda name: False) -> list[RawTrial]:
+    """Every episode; of those that are `out`, by their name, no more than that. Raises `BadInput`: no such features, damaged
+    files, pyarrow missing."""
     info = _info(folder)
     features = info["features"]
     if "observation.state" not in features:
@@ -48,7 +49,15 @@ def read_lerobot(folder: Path) -> list[RawTrial]:
         for episode, table in _episodes(path, parquet, wanted):
             parts.setdefault(episode, []).append((path, table))
     fps = info.get("fps")
-    return [_trial(folder, episode, parts[episode], features, fps) for episode in sorted(parts)]
+    bare = lambda e: RawTrial(_name(e), str(parts[e][0][0]), {}, np.zeros(0, np.int64))
+    return [
+        bare(episode) if out(_name(episode)) else _trial(folder, episode, parts[episode], features, fps)
+        for episode in sorted(parts)
+    ]
+
+
+def _name(episode: int) -> str:
+    return f"episode_{episode}"
 
 
 def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
@@ -110,7 +119,7 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
     if count < MIN_ROWS:
         raise BadInput(
             f"{path}: episode {episode} has {count} rows; a trial needs at least {MIN_ROWS}, write "
-            f'[trials] and exclude = ["episode_{episode}"] in meta.toml'
+            f'[trials] and exclude = ["{_name(episode)}"] in meta.toml'
         )
     notes: tuple[str, ...] = ()
     if "timestamp" in arrays:
@@ -138,7 +147,7 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
             if written:
                 said = ", ".join(dict.fromkeys(written))
                 doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({said})"
-    return RawTrial(f"episode_{episode}", str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt)
+    return RawTrial(_name(episode), str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt)
 
 
 def _names(feature: Any, width: int) -> list[str] | None:

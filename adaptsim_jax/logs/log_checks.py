@@ -13,6 +13,10 @@ from adaptsim_jax.logs.units import GAINS
 
 LARGE = 4 * np.pi
 """Angle in rad beyond which degrees are suspected where no speeds tell."""
+FAST = 20.0
+"""rad/s beyond which such angles may be degrees where speeds agree with them."""
+ODD = 15.0
+"""Times that one trial's angles may reach as far as those of the others."""
 ALIKE = 0.1
 """How far (in log) a speed may be from a known mistake and still be taken for it."""
 
@@ -49,9 +53,16 @@ def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
 
 
 def _large(trials: Sequence[LogTrial], j: int, names: ModelNames) -> str:
-    if any(trial.v is not None for trial in trials):
+    reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
+    reach = float(np.median(reaches))
+    odd = int(reaches.argmax())
+    if reaches[odd] > max(LARGE, ODD * reach):
+        return (
+            f"angles of {names.joints[j]} reach {reaches[odd]:.3g} rad in {trials[odd].name}, {reach:.2g} rad in the others: if they "
+            "are degrees there, convert that file"
+        )
+    speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
+    if reach < LARGE or (speeds and np.median(speeds) < FAST):
         return ""
-    reach = float(np.median([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials]))
-    if reach < LARGE:
-        return ""
-    return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]'
+    more = "; LeRobot may write per cent of a range, too" if trials[0].path.endswith(".parquet") else ""
+    return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]{more}'

@@ -6,10 +6,13 @@ model is read, so that bad input is reported at once.
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
@@ -91,7 +94,7 @@ def _names_of(path: str) -> tuple[Source, ModelNames]:
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
-    trials = read_raw(Path(meta.data) if meta.data else source, meta, names.joints if names else ())
+    trials = read_raw(Path(meta.data) if meta.data else source, meta, names)
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 
@@ -107,13 +110,16 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
     )
 
 
-def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. joints: the model's."""
+def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list[RawTrial]:
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. names: the model's."""
+    joints = names.joints if names else ()
+    out = lambda name: any(fnmatch.fnmatchcase(name, pattern) for pattern in meta.exclude)
     if data.is_dir() and lerobot.is_lerobot(data):
-        trials = _renamed(lerobot.read_lerobot(data), meta)
+        whole = lerobot.read_lerobot(data, out)
+        trials = _renamed([t for t in whole if t.columns], meta)
         if trials:
             lerobot.check_named(data, trials[0], joints)
-        return trials
+        return trials + [t for t in whole if not t.columns]
     files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
     folder = data if data.is_dir() else data.parent
     commands = command_files.declared(meta.commands, folder, meta.path)
@@ -127,8 +133,20 @@ def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawT
         raise BadInput(
             f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
         )
+    # what is left out is not looked at; a file of one trial is called as its trial
+    gone = [path for path in (*files, *bags) if out(_stem(path))]
+    files, bags = ([path for path in some if path not in gone] for some in (files, bags))
     # in a folder of both, [columns] speaks of the tables
-    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()))
+    servos = (
+        {
+            f"ctrl{k}": a.joint
+            for k, a in enumerate(names.actuators or (), 1)
+            if a.kind == "position" and a.joint not in names.slides
+        }
+        if names
+        else {}
+    )
+    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()), servos)
     recorded = [ros.read_bag(path, wanted) for path in bags]
     tables = [
         command_files.with_commands(trial, commands, meta.columns, meta.ignore)
@@ -139,10 +157,15 @@ def read_raw(data: Path, meta: LogMeta, joints: Sequence[str] = ()) -> list[RawT
         tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
     trials = tables + (recorded if files else _renamed(recorded, meta))
     names = [trial.name for trial in trials]
-    return [
+    trials = [
         replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t
         for t in trials
     ]
+    return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
+
+
+def _stem(path: Path) -> str:
+    return path.stem if path.is_file() else path.name
 
 
 def _renamed(trials: list[RawTrial], meta: LogMeta) -> list[RawTrial]:

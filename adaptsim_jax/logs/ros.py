@@ -7,8 +7,9 @@ Float64 (in the order of the model's actuators).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
 
 __all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]
 
+FIRST = 20
+"""Messages of a topic that are looked at to know its joints."""
 POINTS = ("ramp", "hold")
 """How the points of a trajectory command: moved to (as controllers do), or each held until the next."""
 BETTER = 0.5
@@ -39,12 +42,14 @@ BETTER = 0.5
 @dataclass(frozen=True)
 class Wanted:
     """What is taken of a bag: `options` of `[ros]`; columns or joints that `ignore` names, `joints` of the model (empty: not known)
-    and the file's names that `[columns]` speaks of, which are kept whatever they are called."""
+    and the file's names that `[columns]` speaks of, which are kept whatever they are called; servos: columns of commands that are
+    targets -> their joints."""
 
     options: Mapping[str, str]
     ignore: Collection[str] = ()
     joints: Collection[str] = ()
     named: Collection[str] = ()
+    servos: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
     """
     wanted = options if isinstance(options, Wanted) else Wanted(options)
     with opened(path) as bag:
-        state, command, notes = choose(path, bag.topics, wanted.options)
+        state, command, notes = choose(path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints))
         series, clock, told = _state(bag, state)
         notes += told
         if not series:
@@ -73,7 +78,7 @@ def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
         notes += left
         commands, told = _commands(path, bag, command, clock, series, wanted) if command else ([], ())
         commands, _ = _of_the_model(commands, wanted)
-        commands = [_turned(s, series) for s in commands]
+        commands = [_turned(s, series, wanted.servos) for s in commands]
         notes += told
     columns, told = merge(str(path), series, commands)
     notes += told
@@ -83,15 +88,25 @@ def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
     return RawTrial(path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes)
 
 
-def bag_topics(path: Path, options: Mapping[str, str]) -> tuple[tuple[Topic, ...], dict[str, str]]:
-    """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and `command_topic`."""
+def bag_topics(
+    path: Path, options: Mapping[str, str], joints: Collection[str] = ()
+) -> tuple[tuple[Topic, ...], dict[str, str]]:
+    """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and `command_topic`; joints: the
+    model's."""
     with opened(path) as bag:
         topics = bag.topics
-        state, command, _ = choose(path, topics, options)
+        state, command, _ = choose(path, topics, options, lambda t: _known(bag, t, joints))
     return topics, {"state_topic": state.name} | ({"command_topic": command.name} if command else {})
 
 
 # ---------------------------------------------------------------- messages
+
+
+def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> int:
+    """How many joints of the model the first messages of a topic name."""
+    read = state_of(topic.kind)
+    first = itertools.islice(bag.messages(topic.name), FIRST) if read and joints else ()
+    return len(set(joints) & {name for _, m in first for name in read(m)[0]})
 
 
 def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]]:
@@ -108,8 +123,10 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
     arrived, stamps, messages = _messages(bag, topic)
     read = state_of(topic.kind)
     assert read is not None
-    said = [read(m) for m in messages]
+    said = [(names if any(names) else (), values) for names, values in map(read, messages)]
     notes: list[str] = []
+    if twice := next((n for names, _ in said for n in names if names.count(n) > 1), None):
+        raise BadInput(f"{topic.name}: its messages name {twice!r} more than once; record names that differ")
     nameless = sum(not names and len(values.get("q", ())) > 0 for names, values in said)
     if nameless:
         notes.append(
@@ -226,15 +243,15 @@ def _left(path: str, states: list[Series], commands: list[Series]) -> float:
     return float(np.median(left)) if left else float("inf")
 
 
-def _turned(command: Series, states: list[Series]) -> Series:
-    """Targets with the whole turns of their angles, before they are brought onto the clock of these: a mean over a row of a target
-    that counts anew within it would be no target."""
+def _turned(command: Series, states: list[Series], servos: Mapping[str, str]) -> Series:
+    """Targets, and what `servos` says are, with the whole turns of their angles, before they are brought onto the clock of these: a
+    mean over a row of a target that counts anew within it would be no target."""
     out = dict(command.columns)
     for name, values in command.columns.items():
-        joint = name.removeprefix("target_")
+        joint = servos.get(name) or name.removeprefix("target_")
         own = next((s for s in states if f"q_{joint}" in s.columns), None)
         said = values[np.isfinite(values)]
-        if not name.startswith("target_") or own is None or len(said) < 4 or np.ptp(said) < np.pi:
+        if not (name in servos or name.startswith("target_")) or own is None or len(said) < 4 or np.ptp(said) < np.pi:
             continue
         here = np.isfinite(own.columns[f"q_{joint}"])
         time, first = np.unique(own.time[here], return_index=True)

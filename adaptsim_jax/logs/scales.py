@@ -16,13 +16,15 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.joint_columns import Columns
 from adaptsim_jax.logs.log import ModelNames
 
-SIGNED, UNSIGNED, STEPS = "signed", "unsigned", "steps"
+SIGNED, UNSIGNED, STEPS, SHARE = "signed", "unsigned", "steps", "share"
 GRIPPERS = ("gripper", "jaw", "finger", "claw", "hand")
 REACH = 4 * np.pi
 """rad beyond which numbers that nobody declared are no radians."""
 END = 1e-4
 """Of 100, what single precision and text leave of it."""
 LEAST = 20
+CUT = 3
+"""Rows in which an angle is exactly 1, from which on it is taken to be cut there."""
 TURN = 400.0
 """Whole numbers up to here may be degrees."""
 
@@ -67,6 +69,21 @@ def scale_of(
     return Scale(UNSIGNED, why, f"{key} = {{percent = [LOW, HIGH]}}", False)
 
 
+def share_of(key: str, angles: Sequence[np.ndarray]) -> Scale | None:
+    """The scale of measured angles that never leave -1 to 1 and are cut there: a share of the joint's range."""
+    x = np.concatenate([np.asarray(q, float)[np.isfinite(q)] for q in angles]) if len(angles) else np.zeros(0)
+    if (
+        len(x) < LEAST
+        or np.max(np.abs(x)) > 1.0
+        or np.sum(np.abs(x) == 1.0) < CUT
+        or np.ptp(x) == 0
+        or np.all(x == np.round(x))
+    ):
+        return None
+    why = "angles end at exactly 1: a share of the joint's range"
+    return Scale(SHARE, why, f"{key} = {{from = [-1, 1], to = [LOW, HIGH]}}", False)
+
+
 def is_gripper(joint: str) -> bool:
     """Whether a joint's name is that of a gripper."""
     return any(word in joint.lower() for word in GRIPPERS)
@@ -104,6 +121,10 @@ def check_scales(trials: Sequence[Columns], names: ModelNames) -> tuple[str, ...
     }  # fmt: skip
     ranges = {joint: limits for j, joint in enumerate(names.joints) if (limits := names.limits_of(j))}
     found = scales_of(written, [j for j in names.joints if j in written], lerobot, ranges)
+    for j, joint in enumerate(names.joints):
+        own = [c.written["q", j] for c in trials if ("q", j) in c.written and not c.scaled.get(j, False)]
+        if joint not in found and joint not in names.slides and (share := share_of(f"q_{joint}", own)):
+            found[joint] = share
     if not found:
         return ()
     where = {joint: names.joints.index(joint) for joint in found}

@@ -20,6 +20,7 @@ DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d|\d{1,2}[:.]\d{2}[:.]\d{2}")
 THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}([,' \u00a0\u2009\u202f]\d{3})+(\.\d*)?([eE][-+]?\d+)?")
 """A number with its thousands apart: `1,234.5`; without a point one comma alone may as well be a decimal one."""
 EMPTY = "is empty; remove it or record the trial again"
@@ -232,6 +233,10 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
         return "a decimal comma; write decimals with a point"
     if apart:
         return "with its thousands apart; write 1234.5, nothing between the digits"
+    if DATE.match(cell.strip()):
+        return (
+            "a date; write seconds, with pandas: pd.to_datetime(df[...]).astype('datetime64[ns]').astype('int64') / 1e9"
+        )
     return "not a number; mend or remove that row"
 
 

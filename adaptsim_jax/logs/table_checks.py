@@ -102,8 +102,11 @@ def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word:
     bad = np.flatnonzero(np.diff(time) <= 0)
     if not bad.size:
         return
+    named = "" if np.ptp(time) else 'call the one that does time, in a log by [columns] time = "..." in meta.toml'
     if lost := lost_digits(time):
-        raise BadInput(f"{path}: {lost}")
+        raise BadInput(f"{path}: {lost}{', or, as it never changes, ' if named else ''}{named}")
+    if named:
+        raise BadInput(f"{path}: time never changes; {named}")
     i = int(bad[0]) + 1
     where = f"{path}: {row_word} {lines[i]}"
     pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from adaptsim_jax.core.config import suggest
@@ -14,14 +14,15 @@ COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "se
 
 
 def choose(
-    path: Path, topics: tuple[Topic, ...], options: Mapping[str, str]
+    path: Path, topics: tuple[Topic, ...], options: Mapping[str, str], knows: Callable[[Topic], int] = lambda topic: 0
 ) -> tuple[Topic, Topic | None, tuple[str, ...]]:
-    """The topics of the state and of the commands (None: there is none), by `options` where these name them, and notes."""
+    """The topics of the state and of the commands (None: there is none), by `options` where these name them, and notes. knows: how
+    many joints of the model a topic speaks of."""
     by_name = {topic.name: topic for topic in topics}
     for key in ("state_topic", "command_topic"):
         if (name := options.get(key)) is not None and name not in by_name:
             raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
-    state, notes = _state_topic(path, topics, options)
+    state, notes = _state_topic(path, topics, options, knows)
     foreign = [
         t for t in topics if t.encoding and t is not state and (t.unread or not (_commands_of(t) or state_of(t.kind)))
     ]
@@ -46,8 +47,11 @@ def choose(
     return state, None, notes
 
 
-def _state_topic(path: Path, topics: tuple[Topic, ...], options: Mapping[str, str]) -> tuple[Topic, tuple[str, ...]]:
-    """The topic of the state: chosen, or of joint states, or of what else holds them; of several that with most messages."""
+def _state_topic(
+    path: Path, topics: tuple[Topic, ...], options: Mapping[str, str], knows: Callable[[Topic], int]
+) -> tuple[Topic, tuple[str, ...]]:
+    """The topic of the state: chosen, or of joint states, or of what else holds them; of several that of most joints of the model,
+    then that with most messages."""
     if chosen := options.get("state_topic"):
         state = next(topic for topic in topics if topic.name == chosen)
         if not state_of(state.kind) or state.unread:
@@ -67,7 +71,7 @@ def _state_topic(path: Path, topics: tuple[Topic, ...], options: Mapping[str, st
             f"JointTrajectoryControllerState); record one (topics: {kinds})"
         )
     measured = [topic for topic in states if not _is_command(topic)] or states
-    state = max(measured, key=lambda topic: topic.count)
+    state = max(measured, key=lambda topic: (knows(topic) if len(measured) > 1 else 0, topic.count))
     told = f"state taken from topic {state.name} of {', '.join(topic.name for topic in states)}"
     return state, (told,) if len(states) > 1 else ()
 

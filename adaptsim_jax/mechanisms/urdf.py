@@ -158,6 +158,10 @@ def _inertias(where: str, links: dict[str, Any], joints: list, compiler: dict, n
     for name in links:
         if (own := head(name)) is not None:
             bodies.setdefault(own, []).append(name)
+    if negative := [n for names in bodies.values() for n in names if _mass(links[n]) < 0.0]:
+        raise BadInput(
+            f"{where}: link '{negative[0]}' has a negative mass ({_mass(links[negative[0]]):g}); mend its sign"
+        )
     weighed = {own for own, names in bodies.items() if any(_mass(links[n]) > 0 for n in names)}
     carries = set()
     for own in weighed:

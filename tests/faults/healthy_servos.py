@@ -1,6 +1,6 @@
 """Healthy logs of servos, in the forms that people have them: what is said of their commands, scales and clocks is a false alarm.
 
-python -m tests.faults.healthy_servos FOLDER 8100 100       seed, sets of each reader (CSV, LeRobot, ROS 2 bag, MCAP)
+python -m tests.faults.healthy_servos FOLDER 8100 100       seed, sets of each reader (CSV, npz, LeRobot, bags, MCAP)
 """
 
 import sys
@@ -28,6 +28,8 @@ WORDS = (
     "differs",
     "clock",
     "time runs",
+    "end at exactly",
+    "reach",
 )
 
 
@@ -60,6 +62,11 @@ def written(folder: Path, how: str, seed: int) -> Path:
     (folder / "meta.toml").write_text(
         f'{HEAD}model = "robot.xml"\ndata = "data"\n' + ('[units]\nangle = "deg"\n' if how == "lerobot" else "")
     )
+    if how == "npz":
+        (folder / "data").mkdir()
+        for k, (t, q, u) in enumerate(some):
+            np.savez(folder / "data" / f"run_{k}.npz", time=t, q=q, target=u)
+        return folder
     if how == "lerobot":
         from tests.faults.test_scales_and_names import data_set
 
@@ -70,7 +77,7 @@ def written(folder: Path, how: str, seed: int) -> Path:
 
     (folder / "data").mkdir()
     for k, (t, q, u) in enumerate(some[:3]):
-        bag = Bag("ros2" if how == "ros2" else "mcap")
+        bag = Bag(how)
         for i, x in enumerate(t):
             bag.joints("/joint_states", ns(x), NAMES, q[i])
             bag.joints("/commands", ns(x + 1e-4), NAMES, u[i])
@@ -96,7 +103,7 @@ if __name__ == "__main__":
     np.seterr(all="ignore")
     at, first, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     alarms = 0
-    for how in ("csv", "lerobot", "ros2", "mcap"):
+    for how in ("csv", "npz", "lerobot", "bag", "ros2", "mcap"):
         lines = [
             f"{how} {seed}: {line}"
             for seed in range(first, first + count)

@@ -228,6 +228,26 @@ def test_empty_names_are_the_model_s_order(tmp_path, kind):
     assert any("names are empty" in note for note in log.notes)
 
 
+def test_the_topic_that_names_the_joints_of_the_model_is_the_state(tmp_path):
+    bag = Bag("ros2")
+    states(bag)
+    for k in range(600):  # a gripper that speaks ten times as often
+        bag.joints("/gripper/joint_states", ns(k / 1000), ("gripper",), [0.02])
+    np.testing.assert_array_equal(read_log(bag.write(tmp_path), ARM).trials[0].q, M["q"])
+
+
+@pytest.mark.parametrize("names, says", [(("", ""), ""), (("joint", "joint"), "name 'joint' more than once")])
+def test_names_that_are_blank_or_repeat(tmp_path, names, says):
+    bag = Bag("mcap")
+    states(bag, names=names)
+    path = bag.write(tmp_path)
+    if not says:
+        np.testing.assert_array_equal(read_log(path, ARM).trials[0].q, M["q"])
+        return
+    with pytest.raises(BadInput, match=says):
+        read_log(path, ARM)
+
+
 def test_names_of_another_number_than_positions_are_told(tmp_path):
     bag = Bag("ros2")
     states(bag, names=(*ARM, "gripper"))
@@ -374,8 +394,9 @@ def test_a_command_acts_from_its_own_time(tmp_path, after):
     np.testing.assert_allclose(trial.u[:-1], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("array", [False, True])
 @pytest.mark.parametrize("late", [0.001, 0.004])
-def test_a_target_counted_anew_between_states_has_the_turns_of_its_angle(tmp_path, late):
+def test_a_target_counted_anew_between_states_has_the_turns_of_its_angle(tmp_path, late, array):
     wrap = lambda x: (x + np.pi) % (2 * np.pi) - np.pi
     t = np.arange(200) / 100
     u = (5.0 * t)[:, None]
@@ -383,7 +404,10 @@ def test_a_target_counted_anew_between_states_has_the_turns_of_its_angle(tmp_pat
     bag = Bag("ros2")
     for i, x in enumerate(t):
         bag.joints("/joint_states", ns(x), ("arm",), wrap(q[i]))
-        bag.joints("/commands", ns(x + late), ("arm",), wrap(u[i]))
+        if array:
+            bag.array("/commands", ns(x + late), wrap(u[i]))
+        else:
+            bag.joints("/commands", ns(x + late), ("arm",), wrap(u[i]))
     names = ModelNames(("arm",), actuators=(ActuatorName("p", "arm", "position"),))
     (trial,) = read_log(bag.write(tmp_path), names).trials
     np.testing.assert_allclose(trial.u - trial.q, 0.2 - 5.0 * late, atol=1e-6)

@@ -33,9 +33,9 @@ def test_the_arm_itself_is_told_nothing_of(tmp_path):
     assert check_conventions(load(recorded(tmp_path / "a", arm(4)))) == ()
 
 
-@pytest.mark.parametrize("slow", [2.0, 0.5, 1.5])
-def test_time_that_gravity_contradicts_is_told_with_its_factor(tmp_path, slow):
-    trials = [c | {"time": c["time"] * slow} for c in arm(4)]
+@pytest.mark.parametrize("slow, scale", [(2.0, 1.0), (0.5, 1.0), (1.5, 1.0), (2.0, 3.0)])
+def test_time_that_gravity_contradicts_is_told_with_its_factor(tmp_path, slow, scale):
+    trials = [c | {"time": c["time"] * slow} for c in arm(4, scale=scale)]
     only = [{k: x for k, x in c.items() if not k.startswith("v")} for c in trials]
     data = recorded(tmp_path / "a", only, names=("q", "tau"))
     with pytest.raises(BadInput, match=r"time runs too (slow|fast)") as error:
@@ -45,6 +45,15 @@ def test_time_that_gravity_contradicts_is_told_with_its_factor(tmp_path, slow):
     assert "as if counted" in str(error.value)
     mended = load(recorded(tmp_path / "b", only, f"[units]\n{line}\n", names=("q", "tau")))
     assert check_conventions(mended) == ()
+
+
+@pytest.mark.parametrize("friction", [5.0, 0.05, 0.0])
+def test_friction_beyond_what_moves_a_joint_is_told_and_left_out_as_advised(tmp_path, friction):
+    data = recorded(tmp_path / "a", arm(4))
+    (data / "robot.xml").write_text(ARM.replace('name="joint2"', f'name="joint2" frictionloss="{friction}"'))
+    told = check_conventions(load(data))
+    assert len(told) == (friction == 5.0)
+    assert all("declares friction of 5 N m at joint2" in f.message and "or 0" in f.message for f in told)
 
 
 def test_efforts_that_are_currents_are_asked_after_and_read_as_currents(tmp_path):

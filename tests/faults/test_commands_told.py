@@ -79,8 +79,26 @@ def test_a_limit_of_force_and_targets_as_sent_are_no_cuts(tmp_path, seed):
         u = steps(10 * seed + k, rows, 25)
         return swung(u, RATE), u
 
-    for name, make in (("force", limited), ("plain", plain)):
+    def some(k, rows):  # one trial of four reaches the limit
+        return limited(k, rows) if k == 1 else plain(k, rows)
+
+    for name, make in (("force", limited), ("plain", plain), ("some", some)):
         assert check_commands(load(log(tmp_path / name, "", ARM, trials(make)))) == ()
+
+
+@pytest.mark.parametrize("which, mend", [("target", 'target_arm = "deg"'), ("q", 'q_arm = "deg"')])
+def test_targets_in_another_unit_than_their_angles_are_told_and_read_as_advised(tmp_path, which, mend):
+    whole = trials(lambda seed, rows: (lambda u: (swung(u, RATE), u))(sines(seed, rows, RATE, 1)))
+    size = {which: 180 / np.pi}
+    spoiled = [(t, size.get("q", 1.0) * q, size.get("target", 1.0) * u) for t, q, u in whole]
+    with pytest.raises(BadInput, match="targets of arm look to be in") as error:
+        check_commands(load(log(tmp_path / "a", "", ARM, spoiled)))
+    lines = advised(str(error.value), r'q_arm = "\w+" and target_arm = "\w+"')
+    assert mend in lines
+    machine = load(log(tmp_path / "b", "[units]\n" + lines.replace(" and ", "\n"), ARM, spoiled))
+    assert check_commands(machine) == ()
+    for track, (_, q, u) in zip(machine.tracks, whole, strict=True):
+        np.testing.assert_allclose(np.c_[track.q, track.u], np.c_[q, u], atol=1e-9)
 
 
 def test_commands_in_the_order_of_the_joints_are_told_and_read_as_advised(tmp_path):

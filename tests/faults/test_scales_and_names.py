@@ -107,6 +107,25 @@ def test_degrees_are_no_per_cent(tmp_path):
     assert not any("per cent" in note for note in log.notes)
 
 
+def test_a_share_of_the_range_is_told_and_read_as_advised(tmp_path):
+    share = lambda x: np.clip(2 * (x - LOW) / (HIGH - LOW) - 1, -1, 1)
+    columns = {"time": np.arange(90) / 30} | {f"q_{n}": share(Q)[:, j] for j, n in enumerate(ARM)}
+    (note,) = [n for n in read_log(folder(tmp_path / "a", "", run=columns), ARM).notes if "exactly 1" in n]
+    lines = re.findall(r"q_\w+ = {from = \[-1, 1\], to = \[LOW, HIGH\]}", note)
+    filled = [x.replace("LOW", str(a)).replace("HIGH", str(b)) for x, a, b in zip(lines, LOW, HIGH, strict=True)]
+    log = read_log(folder(tmp_path / "b", "[units]\n" + "\n".join(filled), run=columns), ARM)
+    np.testing.assert_allclose(log.trials[0].q, np.clip(Q, LOW, HIGH), atol=1e-9)
+    assert not any("exactly 1" in n for n in log.notes)
+
+
+def test_an_episode_that_is_left_out_is_not_read(tmp_path):
+    data_set(tmp_path / "set", Q[:9], U[:9], ARM)
+    with pytest.raises(BadInput, match=r'exclude = \["episode_0"\]'):
+        read_log(meta(tmp_path / "a", ""), names_of(ARM))
+    with pytest.raises(BadInput, match="leaves no trial"):
+        read_log(meta(tmp_path / "b", '[trials]\nexclude = ["episode_0"]\n'), names_of(ARM))
+
+
 def test_steps_of_an_encoder_are_told_and_read_as_advised(tmp_path):
     ticks = lambda x: np.round(2048 + x * 4096 / (2 * np.pi))
     columns = {"time": np.arange(90) / 30} | {f"q_{n}": ticks(Q[:, j]) for j, n in enumerate(ARM)}

@@ -223,6 +223,12 @@ def test_angles_that_may_be_degrees_are_told(tmp_path):
     assert any('if they are degrees, write angle = "deg"' in note for note in log.notes)
 
 
+def test_a_trial_in_degrees_among_others_is_told(tmp_path):
+    trials = {f"t{k}": numbered(M | {"q": np.degrees(M["q"]) if k == 1 else M["q"]}, "q") for k in range(3)}
+    log = read_log(folder(tmp_path, "", **trials), ARM)
+    assert any("in t1, 1 rad in the others: if they are degrees there" in note for note in log.notes)
+
+
 def test_data_may_lie_elsewhere(tmp_path):
     write_csv(tmp_path / "data" / "run.csv", numbered(M, "q"))
     log = read_log(folder(tmp_path / "mine", 'data = "../data"\n'), ARM)
@@ -277,6 +283,11 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
         (lambda c: c | {"q1": np.where(np.arange(60) == 7, 1e9, c["q1"])}, "line 9: column q1 is 1e+09 in SI units"),
         (lambda c: c | {"q1": np.where(np.arange(60) == 7, np.nan, c["q1"])}, "line 9: column q1 is nan"),
         (lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])}, "line 9: time runs backwards"),
+        (
+            lambda c: c | {"time": 0 * c["time"] + 5.0},
+            "time never changes; call the one that does time, in a log by [columns] time",
+        ),
+        (lambda c: c | {"time": np.array(["2026-05-01 12:00:00.25"] * 60)}, "a date; write seconds, with pandas"),
         (lambda c: c | {"time": 1e3 * c["time"]}, 'time is suspected in milliseconds; write time = "ms"'),
         (lambda c: c | {"v1": 57.3 * M["v"][:, 0], "v2": 57.3 * M["v"][:, 1]}, 'write velocity = "deg/s"'),
         (

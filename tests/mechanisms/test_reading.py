@@ -187,6 +187,7 @@ def test_links_without_inertia_points_and_a_base_of_any_moments(tmp_path):
     [
         (LINK.format("a", 1, -0.01, 0.01), "link 'a' has negative moments of inertia"),
         ('<link name="a"/>', "no mass for link a"),
+        (LINK.format("a", -1, 0.01, 0.01), "link 'a' has a negative mass"),
     ],
 )
 def test_bad_inertias_are_named(tmp_path, link, says):

@@ -26,6 +26,8 @@ CUT_TRIALS, ROW, NEARLY = 4, 5e-3, 2.0
 POOR, CUT, APART = 0.03, 0.3, 0.7
 """A command is doubted from this share on; one cut on its way is told where it leaves this share of that, and this share of what
 a limit of force leaves."""
+FOLLOWS, NEAR_UNIT = 0.7, 0.4
+"""Square of the correlation of angle and target from which on their sizes are compared; how far (in log) these may be from units'."""
 SPREAD, SURE, LEAST_TRIALS = 1.2, 8.0, 3
 """Ratio of gains between trials from which on they differ, in standard errors of their difference."""
 
@@ -114,6 +116,23 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     return Cut(best, size, base, left)
 
 
+def other_unit(q: Sequence[np.ndarray], target: Sequence[np.ndarray], slides: bool) -> tuple[str, str] | None:
+    """Units of a servo's angle and target, each `[T]` by trial, which follow one another but for their size; None where they agree."""
+    here = [np.isfinite(a) & np.isfinite(u) for a, u in zip(q, target, strict=True)]
+    a = np.concatenate([x[k] - x[k].mean() for x, k in zip(q, here, strict=True) if k.any()])
+    u = np.concatenate([x[k] - x[k].mean() for x, k in zip(target, here, strict=True) if k.any()])
+    power = float(a @ a) * float(u @ u)
+    if power == 0.0 or float(a @ u) < np.sqrt(FOLLOWS * power):
+        return None
+    size = float(np.sqrt((a @ a) / (u @ u)))
+    units = ({"mm": 1e-3, "cm": 1e-2}, "m") if slides else ({"deg": np.pi / 180, "rev": 2 * np.pi}, "rad")
+    for unit, scale in units[0].items():
+        for pair, times in (((units[1], unit), scale), ((unit, units[1]), 1.0 / scale)):
+            if abs(np.log(size / times)) < NEAR_UNIT:
+                return pair
+    return None
+
+
 def _thinned(track: Track) -> Track:
     """Rows of about `ROW` s: a limit is followed row by row, and acts over many."""
     k = max(1, round(ROW / float(np.median(np.diff(track.time)))))
@@ -153,7 +172,9 @@ def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     fits = [servo_fit.gain([one(t, joint)]) for t in tracks]
     if any(fit is None for fit in fits):
         return None
-    gain, error = np.array([fit for fit in fits if fit is not None]).T[:2]
+    gain, error, left = np.array([fit for fit in fits if fit is not None]).T
+    if np.max(left) > POOR:  # something else acts too, as a limit of force in the trials that reach it
+        return None
     middle = float(np.median(gain))
     apart = np.ptp(gain) / max(float(np.hypot(error[gain.argmax()], error[gain.argmin()])), 1e-12)
     if np.min(gain) <= 0 or np.max(gain) / np.min(gain) < SPREAD or apart < SURE or np.max(error / gain) > 0.1:

@@ -178,9 +178,7 @@ def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] 
         if parent < 0:
             continue
         said = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
-        mend = (
-            f"write {words.q[j]} - {words.q[parent]} into column {words.q[j]}, and so {words.v[j]} - {words.v[parent]}"
-        )
+        mend = words.absolute(j, parent)
         out.append(Hypothesis("absolute_angle", said, mend, lambda m, j=j, parent=parent: _relative(m, j, parent)))
     for j in zeros:
         for turn, word in ((np.pi, "half a turn"), (np.pi / 2, "a quarter turn"), (-np.pi / 2, "a quarter turn")):
@@ -244,8 +242,6 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
     if len(motion.q) < LEAST or not _moves(motion):
         return None
     left = unexplained(motion, design)
-    if left > POOR:
-        return None
     coarse = SHIFTS[::3]
     scores = [unexplained(motion_of(tracks, s), design) for s in coarse]
     k = int(np.argmin(scores))
@@ -256,7 +252,7 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
     if 0 < i < len(fine) - 1:
         a, b, c = found[i - 1 : i + 2]
         best += 0.5e-3 * (a - c) / max(a - 2 * b + c, 1e-15)
-    if found[i] > SURE * left or abs(best) < SHORTEST or k in (0, len(coarse) - 1):
+    if found[i] > min(SURE * left, POOR) or abs(best) < SHORTEST or k in (0, len(coarse) - 1):
         return None
     return Late(float(best), left, float(found[i]))
 

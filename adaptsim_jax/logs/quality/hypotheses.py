@@ -19,7 +19,7 @@ SHARP = 0.01
 MOST = 1200
 """Blocks that are looked at, evenly drawn."""
 LEAST = 60
-SHIFTS = np.arange(-30.0, 31.0, 1.0) * 1e-3
+SHIFTS = np.arange(-60.0, 61.0, 1.0) * 1e-3
 """s by which the torque is moved."""
 
 

@@ -44,6 +44,9 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     within = _within_one_period(q, period)
     counted = np.where(gap, within & (miss < SHARE * period) & (dt < LONGEST), miss < min(NEAR, SHARE * period))
     taken = np.where(counted, turns, 0.0)
+    between = ~gap & (np.abs(near) > 0.25 * period)  # an encoder that wraps jumps by its period, or hardly moves
+    if np.sum(between) >= np.count_nonzero(taken):
+        taken = np.where(gap, taken, 0.0)
     moved = np.abs(expected) > 0.25 * period
     unsure = gap & within & ~counted & (moved | (np.abs(jump) > 0.5 * period))
     if not taken.any():
@@ -64,6 +67,8 @@ def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
         return target
     angle, u = q[here], target[here]
     begins = np.concatenate([[True], np.abs(np.diff(u)) > 0.5 * TURN])
+    if begins.sum() > 1 and np.ptp(u) > 1.1 * TURN:  # what counts anew stays within a turn
+        return target
     first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
     turns = np.round((angle - u) / TURN)[first]
     moved = u + TURN * turns
