@@ -97,9 +97,10 @@ def scored(problem: Problem, base: Model) -> list[Score]:
     n = float(problem.counts.sum())
     tau = together(problem, fit.residual)
     out = []
-    for e in problem.effects:
-        if e in base.added:
-            continue
+    open_ = [e for e in problem.effects if e not in base.added]
+    plain = list(dict.fromkeys(q for e in open_ if {} in e.shapes for q in e.quantities if q not in fit.free))
+    column = dict(zip(plain, np.moveaxis(jacobian(problem, fit.values, plain), -1, 0), strict=True)) if plain else {}
+    for e in open_:
         best = None
         for shape in e.shapes:
             values = fit.values.copy()
@@ -109,7 +110,10 @@ def scored(problem: Problem, base: Model) -> list[Score]:
             if set(e.quantities) <= set(fit.free):
                 continue
             # of what is all shape the whole step there
-            c = flat(jacobian(problem, values, names)) if names else _whole(problem, fit, values)
+            if names and not shape:
+                c = flat(np.stack([column[q] for q in names], -1))
+            else:
+                c = flat(jacobian(problem, values, names)) if names else _whole(problem, fit, values)
             c = c - inner @ (gram @ (inner.T @ c))
             a = c.T @ c
             u = c.T @ (r - inner @ (gram @ (inner.T @ r)))

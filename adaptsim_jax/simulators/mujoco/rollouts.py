@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from adaptsim_jax.simulators.mujoco.acting import Acting, control_of
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.stretches import Stretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 STEP = 1e-5
 """rad, m (a second): of a start, for its derivative; the solver of constraints converges to far less."""
-ROOM = 2e8  # numbers of states that are kept at once
+ROOM = 4e7  # numbers of states that are kept at once
 
 
 def start_size(made: Stepped) -> int:
@@ -25,31 +26,32 @@ def start_size(made: Stepped) -> int:
 
 
 def predict(
-    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray, models: Sequence[mujoco.MjModel] = ()
+    made: Stepped,
+    stretches: Stretches,
+    starts: np.ndarray,
+    lanes: np.ndarray,
+    models: Sequence[mujoco.MjModel] = (),
+    by: Acting | None = None,
 ) -> np.ndarray:
     """What the channels would read [B, L, C], NaN where the simulation blew up.
 
-    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one made).
+    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one made); by: what else acts on each.
     """
     size = mujoco.mj_stateSize(made.model, FULL)
     block = max(1, int(ROOM / (size * stretches.steps)))
-    parts = [
-        _predict(
-            made, stretches, starts[i : i + block], lanes[i : i + block], models[i : i + block] if len(models) else ()
-        )
-        for i in range(0, len(lanes), block)
-    ]
+    parts = []
+    for i in range(0, len(lanes), block):
+        some = slice(i, i + block)
+        own = models[some] if len(models) else ()
+        parts.append(_predict(made, stretches, starts[some], lanes[some], own, None if by is None else by.of(some)))
     return np.concatenate(parts)
 
 
-def _predict(made: Stepped, stretches: Stretches, starts, lanes, models) -> np.ndarray:
+def _predict(made: Stepped, stretches: Stretches, starts, lanes, models, by) -> np.ndarray:
     model = made.model
     threads = max(1, len(os.sched_getaffinity(0)))
     states = initial_states(made, stretches, starts, lanes)
-    control = stretches.control[lanes]
-    spec = int(mujoco.mjtState.mjSTATE_CTRL)
-    if control.shape[2] != model.nu or not model.nu:  # torques were logged: the model's actuators are off
-        spec = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    control, spec = control_of(made, stretches, lanes, by)
     chosen = list(models) if len(models) else model
     data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
     with quietly():
