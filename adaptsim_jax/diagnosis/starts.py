@@ -10,10 +10,11 @@ from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 
 ROUNDS = 3  # of a start's fit from its anchor
-FRESH = 12  # of the anchors' own
+FRESH = 6  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
+SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
 KEPT = 6  # points that are remembered with all their columns
-NEAR = 0.1  # of a quantity's scale, within which columns are not taken anew
+NEAR = 0.3  # of a quantity's scale, within which columns are not taken anew
 
 
 @dataclass(frozen=True)
@@ -151,11 +152,8 @@ def problem_of(
     """
     s, quantities = simulator.stretches, simulator.quantities
     neutral = np.array([q.neutral for q in quantities])
-    rows = np.tile(neutral, (s.count, 1))
-    anchor = settle(simulator, rows, s.start, FRESH).starts
-    none = np.zeros((0, len(neutral)))
-    slope = slope_of(s, linearise(simulator, rows, anchor, np.arange(s.count), none)[0])
-    around = Linearised(simulator, [Point(neutral, anchor, slope)], np.array([q.scale for q in quantities]))
+    anchor = anchored(simulator, neutral)
+    around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]))
     fold, block, _ = folds_of(s.trial, s.names)
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
@@ -165,6 +163,23 @@ def problem_of(
         free, tuple(s.names[t] for t in s.trial), neutral[None] if begun is None else begun, channels=len(simulator.channels),
         fold=fold, block=block,
     )  # fmt: skip
+
+
+def anchored(simulator: Simulator, values: np.ndarray) -> Point:
+    """Starts fitted from their first guesses with values `[P]`: each slope is used for a few steps before it is taken anew."""
+    s = simulator.stretches
+    starts, by_start = s.start.copy(), np.zeros((s.count, s.measured[0].size, s.start.shape[1]))
+    on, rows, none = np.arange(s.count), np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
+    before = np.square(residuals(simulator, rows, starts, on)).sum(1)
+    for _ in range(FRESH if starts.shape[1] else 0):
+        by_start[on] = linearise(simulator, rows[on], starts[on], on, none)[0]
+        found = settle(simulator, rows[on], starts[on], ROUNDS, on, slope_of(s, by_start[on]))
+        starts[on], after = found.starts, np.square(found.residual).sum(1)
+        gained, before = before - after > SETTLED * before, after
+        on, before = on[gained], before[gained]
+        if not len(on):
+            break
+    return Point(values, starts, slope_of(s, by_start))
 
 
 def _begun_apart(wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised) -> tuple[Candidate, ...]:

@@ -215,7 +215,7 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:
     found = role(name, names.joints)
-    if found is None or found.stem in ("time", "trial", "base"):
+    if found is None or found.stem in ("time", "trial", "base", "channel"):
         return (name,)
     if isinstance(found.joint, str):
         return found.words(name, found.joint)
@@ -259,6 +259,7 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
         payload=_of(meta.payload, raw.name, 0.0),
         extra=extra,
         base=columns.base,
+        channels=columns.channels,
     )
 
 

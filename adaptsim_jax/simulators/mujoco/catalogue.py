@@ -1,5 +1,5 @@
-"""What a model that MuJoCo steps may lack, as numbers of it by name: friction, damping and rotors of joints, weak drives, late or shifted
-commands, payloads, angles read wrong. What only contact and sensors show is in `contact`."""
+"""What a model that MuJoCo steps may lack, as numbers of it by name: friction, damping and rotors of joints, weak drives, late or
+shifted commands, payloads, sensors that are off. What only contact and a base that moves show is in `contact`."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -8,15 +8,17 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
-from adaptsim_jax.simulators.mujoco.acting import READ, SHIFT
+from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field
+from adaptsim_jax.simulators.mujoco.sensed import triple
 
 DECLARED = "viscous"
 """What is fitted whatever is named."""
-HEAVY = 0.05  # share of all mass, from which on a body may carry a payload
+HEAVY, HEAVIER = 0.05, 0.1  # share of all mass from which on a body may carry a payload; of a machine whose base moves
 AWAY = 0.01  # m: of a payload's place, a step that shows
-TURN = 2e-3  # rad: of an angle read wrong, likewise
+TURNED = 2e-3  # rad: of an angle read wrong, likewise
+SENSED = {"gyro": (5e-3, 1.0), "accelerometer": (0.05, 10.0)}  # rad/s, m/s^2: a bias that shows, and its bound
 UNITS = {
     "frictionloss": "N m", "damping": "N m s/rad", "armature": "kg m^2", "mass": "kg", "solref": "s", "kp": "N m/rad", "ipos": "m",
     "offset": "rad", "wind": "N", "delay": "s",
@@ -50,19 +52,19 @@ def quantity(f: Field) -> Quantity:
 def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
     """All that joints, drives and bodies may lack. joints: those that were logged."""
     model = made.model
-    return [*_of_joints(made, joints), *_of_drives(model), *_of_bodies(model)]
+    return [*_of_joints(made, joints), *_of_drives(model), *_of_bodies(model, HEAVY if made.free < 0 else HEAVIER)]
 
 
 def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
     model, weight = made.model, _scales(made.model, joints)
+    wide = lambda f, size: replace(f, scale=max(f.scale, 0.01 * size))
     for k, name in enumerate(joints):
-        wide = lambda f, size: replace(f, scale=max(f.scale, 0.01 * size))
         inertia = 1.0 / max(float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]]), 1e-9)
         of = lambda what, size, name=name: wide(field(model, f"joint:{name}.{what}"), size)
         yield row("coulomb", name, of("frictionloss", weight[name]), ("dry friction", "reversals"))
         yield row(DECLARED, name, of("damping", weight[name]), ("friction in proportion to speed", "fast motion"))
         yield row("armature", name, of("armature", inertia), ("a rotor's inertia", "fast changes of speed"))
-        off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURN)
+        off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
         yield row("angle offset", name, off, ("the angle is read from another zero", "gravity, stops, and where it is driven to"))
 
 
@@ -71,23 +73,41 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
         name = model.actuator(k).name or f"actuator{k}"
         if not np.any(model.actuator_gainprm[k, :3]):
             continue
-        weak = field(model, f"actuator:{name}.{STRENGTH}")
+        weak = (field(model, f"actuator:{name}.{STRENGTH}"),)
+        if model.actuator_biasprm[k, 1] < 0 and model.actuator_biasprm[k, 2] < 0:
+            weak += (field(model, f"actuator:{name}.kv"),)
         yield row("gain", name, weak, ("the drive gives more or less than told", "large commands"))
         if model.actuator_biasprm[k, 1] < 0 and model.actuator_trntype[k] == 0:
-            shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, TURN)
+            shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, TURNED)
             yield row("command offset", name, shift, ("the drive goes to another angle than told", "any command"))
     if model.nu:
         yield row("delay", "all joints", field(model, DELAY), ("commands act late", "fast commands"))
 
 
-def _of_bodies(model: mujoco.MjModel) -> Iterable[Row]:
+def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
     total = float(model.body_mass.sum())
     for b in range(1, model.nbody):
-        if model.body_mass[b] > HEAVY * total and _moves(model, b):
+        if model.body_mass[b] > share * total and _moves(model, b):
             name = model.body(b).name or f"body{b}"
             place = [replace(field(model, f"body:{name}.ipos[{i}]"), scale=AWAY) for i in range(3)]
             mass = field(model, f"body:{name}.mass")
             yield row("payload", name, (mass, *place), ("a body of another mass", "motion against gravity"))
+
+
+def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
+    """What sensors may read wrong. first: place of theirs among the channels."""
+    found = [(kind, axes) for kind in ("gyro", "accelerometer") if (axes := triple(made.read, kind)) is not None]
+    for kind, axes in found:
+        step, most = SENSED[kind]
+        places = tuple(first + k for k in axes)
+        off = [Field(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, -most, most, step) for i in range(3)]
+        yield row(f"{kind} bias", "imu", off, ("it reads more or less than there is", "any motion"))
+    if found:
+        starts = tuple(first + axes[0] for _, axes in found)
+        turned = [Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, TURNED) for i in range(3)]
+        yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
+        every = tuple(first + k for _, axes in found for k in axes)
+        yield row("late", "imu", Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3), ("it is read late", "fast motion"))
 
 
 def _moves(model: mujoco.MjModel, body: int) -> bool:

@@ -1,5 +1,5 @@
-"""What only contact and a base that moves show: friction, softness and bounce of what touches the world, ground that is tilted or lies at
-another height, wind."""
+"""What only contact and a base that moves show: friction, softness and bounce of what touches the world, ground that is tilted or
+lies at another height, wind."""
 
 from collections.abc import Iterable
 
@@ -21,12 +21,12 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
     touch = [int(g) for g in np.flatnonzero((model.geom_bodyid > 0) & solid)]
     if grounds(model) and touch:
         yield from _of_touch(model, (*grounds(model), *touch), _effective(model, touch))
-        if made.base >= 0:
+        if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
             yield row("tilted ground", "", turned, ("what it stands on is not level", "standing, walking"), ("a log's frame turned",))
             yield row("ground height", "", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step"))
-    if made.base >= 0:
-        k = int(np.flatnonzero(model.jnt_qposadr == made.base)[0])
+    if made.free >= 0:
+        k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
         first = int(model.jnt_dofadr[k])
         wind = [Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, PUSH * weight) for i, a in enumerate("xyz")]
@@ -50,7 +50,7 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
     place = "all contacts"
     yield row("floor friction", place, of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
     if dims >= 4 and model.geom_friction[feet, 1].any():
-        yield row("torsional friction", place, of("friction", 1, 1.0), ("turning on the spot is held more or less", "turns on one foot"))
+        yield row("torsional friction", place, of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot"))
     if dims >= 6 and model.geom_friction[feet, 2].any():
         yield row("rolling friction", place, of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls"))
     if (model.geom_solref[feet, 0] > 0).all():

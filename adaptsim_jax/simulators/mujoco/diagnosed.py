@@ -19,16 +19,18 @@ from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco import rollouts
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
-from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows
+from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
+from adaptsim_jax.simulators.mujoco.coarse import told as coarse_step
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
+from adaptsim_jax.simulators.mujoco.sensed import prior_of
 from adaptsim_jax.simulators.mujoco.starts import fitted
 from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
 
-HORIZON = 0.3  # s: contact makes longer stretches chaotic
-BUDGET = 1.5e6  # steps of one linearisation
+HORIZON, TOUCHED = 0.5, 0.24  # s; where a base moves, for contact makes longer stretches chaotic
+BUDGET = 5e5  # steps of one linearisation
 STRETCHES = (24, 100)  # at least, at most
-OPENING = 3  # rounds of starts before noise is known
+OPENING = 1  # rounds of starts before noise is known
 DIFF = 0.1  # of a quantity's scale, by which its derivative is taken
 WILD = 1e9  # of a derivative over the noise: what runs away
 FLOOR = 1e-6  # rad, m: least noise, of a log without any
@@ -82,10 +84,12 @@ class MujocoSimulator:
         return both[..., :width], both[..., width:]
 
 
-def simulator(source: Source, log: Log, horizon: float = HORIZON) -> MujocoSimulator:
+def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
     """Of a model file over a recording. Raises BadInput as reading and cutting do."""
     made = stepped(source, log)
-    found = [*rows(made, log.joint_names), *contact_rows(made)]
+    horizon = horizon or (HORIZON if made.free < 0 else TOUCHED)
+    first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
+    found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
     fields = tuple({f.name: f for r in found for f in r.fields}.values())
     cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
     own = cut(made, log, horizon, int(np.clip(BUDGET / cost, *STRETCHES)))
@@ -94,7 +98,8 @@ def simulator(source: Source, log: Log, horizon: float = HORIZON) -> MujocoSimul
     channels, measured, seen = _channels(made, own, log)
     nv, na = made.model.nv, made.model.na
     scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
-    compared = Compared(own.trial, own.names, own.time, measured, seen.astype(float), starts, scale)
+    prior = prior_of(made.model, made.free) if made.free >= 0 > made.base else None
+    compared = Compared(own.trial, own.names, own.time, measured, seen.astype(float), starts, scale, prior)
     quantities = tuple(quantity(f) for f in fields)
     declared = tuple(f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields)
     wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
@@ -102,13 +107,14 @@ def simulator(source: Source, log: Log, horizon: float = HORIZON) -> MujocoSimul
 
 
 def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
-    """Channels, and what was measured and seen of them; of a base three angles from the measured orientation instead of a quaternion."""
+    """Channels, and what was measured and seen of them; of a base three angles from the measured orientation."""
     slides = {n for n in log.joint_names if made.model.jnt_type[made.model.joint(n).id] == mujoco.mjtJoint.mjJNT_SLIDE}
     units = {n: "m" if n in slides else "rad" for n in log.joint_names}
     named = [(f"q_{n}", units[n]) for n in log.joint_names]
     if rollouts.has_speeds(made, own):
         named += [(f"v_{n}", f"{units[n]}/s") for n in log.joint_names]
     measured, seen = own.measured, own.seen
+    named += [(r.name, r.unit) for r in made.read]
     noise = noise_of(measured, seen)
     if made.base >= 0:
         named += [*((f"base_{c}", "m") for c in "xyz"), *((f"base_turn_{c}", "rad") for c in "xyz")]
@@ -125,7 +131,7 @@ def diagnose(
     log: Log,
     *,
     out: str | Path | None = None,
-    horizon: float = HORIZON,
+    horizon: float | None = None,
     exclude: Sequence[str] = (),
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
@@ -133,11 +139,25 @@ def diagnose(
     """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo simulates; the report."""
     made = simulator(source, log, horizon)
     notes = ["simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.made.notes]
+    coarse: dict[str, list[str]] = {}
+
+    def with_notes(report: dict[str, Any]) -> dict[str, Any]:
+        if not coarse:
+            coarse["told"] = coarse_step(made, _values(made, report))
+        report["notes"] = [*(n for n in report.get("notes", ()) if n not in notes), *coarse["told"], *notes]
+        return report
 
     def told(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
-        report["notes"] = [*report.get("notes", ()), *notes]
-        (page or plain)(folder, report, evidence)
+        (page or plain)(folder, with_notes(report), evidence)
 
     name = Path(source.path).name
     report = diagnose_simulator(made, out=out, exclude=exclude, progress=progress, page=told, name=name)
-    return report if out is not None else report | {"notes": [*report.get("notes", ()), *notes]}
+    return report if out is not None else with_notes(report)
+
+
+def _values(made: MujocoSimulator, report: dict[str, Any]) -> np.ndarray:
+    """[P] as a report has them."""
+    found = {**report["declared"]["after"]}
+    for e in report["effects"]:
+        found |= e["parameters"]
+    return np.array([found[q.name]["value"] if q.name in found else q.neutral for q in made.quantities])

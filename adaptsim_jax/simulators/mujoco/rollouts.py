@@ -55,9 +55,9 @@ def _predict(made: Stepped, stretches: Stretches, starts, lanes, models, by) -> 
     chosen = list(models) if len(models) else model
     data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
     with quietly():
-        path, _ = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
+        path, sensed = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
     path = np.concatenate([states[:, None], path], 1)
-    return read(made, stretches, path, lanes)
+    return read(made, stretches, path, sensed, lanes)
 
 
 @contextlib.contextmanager
@@ -98,8 +98,8 @@ def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lane
     return out
 
 
-def read(made: Stepped, stretches: Stretches, path: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-    """Channels [B, L, C] of paths [B, S+1, nstate], between steps along straight lines."""
+def read(made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    """Channels [B, L, C] of paths [B, S+1, nstate] and sensors [B, S, nsensordata], between steps along straight lines."""
     model, at = made.model, stretches.at[lanes]
     low = np.minimum(np.floor(at + 1e-6).astype(int), path.shape[1] - 1)
     high = np.minimum(low + 1, path.shape[1] - 1)
@@ -116,6 +116,11 @@ def read(made: Stepped, stretches: Stretches, path: np.ndarray, lanes: np.ndarra
         columns.append(made.base + np.arange(7))
     columns = np.concatenate(columns)
     first, last = pick(low, columns), pick(high, columns)
+    if made.read:
+        felt, lane = sensed[..., [r.place for r in made.read]], np.arange(len(lanes))[:, None]
+        split = columns.size - (7 if made.base >= 0 else 0)
+        row = lambda k: felt[lane, np.minimum(k, felt.shape[1] - 1)]
+        first, last = (np.concatenate([z[..., :split], row(k), z[..., split:]], -1) for z, k in ((first, low), (last, high)))
     out = first + share * (last - first)
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, np.nan)
 
@@ -135,7 +140,7 @@ def residual(made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: 
 
 def has_speeds(made: Stepped, stretches: Stretches) -> bool:
     """Whether speeds of the joints are among the channels."""
-    return stretches.measured.shape[2] - (7 if made.base >= 0 else 0) == 2 * len(made.angle)
+    return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(made.angle)
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
