@@ -207,7 +207,9 @@ def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> 
         tries.append((*added(problem, base, s, criteria.glance), s))
     tries.sort(key=lambda t: t[1])
     best = None
-    for values, _, s in tries[: criteria.tried // 2]:
+    for values, loss, s in tries[: criteria.tried // 2]:
+        if best is not None and loss > (1.0 + criteria.apart) * tries[0][1]:
+            break
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
         test = paired(base.fit.held, model.fit.held, problem)
         if test.gain < criteria.size or test.p > _level(criteria, test.parts):

@@ -14,7 +14,7 @@ FRESH = 6  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
 SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
 KEPT = 6  # points that are remembered with all their columns
-NEAR = 0.3  # of a quantity's scale, within which columns are not taken anew
+NEAR = 1.0  # of a quantity's scale, within which columns are not taken anew
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def _moving(
         )
     have = [columns.by_joint.get("q", {}) for columns in trials]
     if not n:
-        if any(columns.base is None for columns in trials):
+        if any(columns.base is None and not columns.channels for columns in trials):
             raise BadInput(
                 f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) and base_qw .. base_qz"
             )

@@ -66,6 +66,8 @@ def stepped(source: Source, log: Log) -> Stepped:
         tie.data, tie.solref, tie.solimp = data, STIFF, HARD  # of a URDF, which is exact
     for key in list(spec.keys):
         spec.delete(key)
+    for body in spec.bodies:
+        body.simple = False  # its centre of mass may be fitted
     model = _compiled(source.path, spec)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a run that blows up shall be seen
     at = {model.joint(k).name: int(model.jnt_qposadr[k]) for k in range(model.njnt)}

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.diagnosis.run import Page, plain
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
@@ -30,11 +31,15 @@ from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
 HORIZON, TOUCHED = 0.5, 0.24  # s; where a base moves, for contact makes longer stretches chaotic
 BUDGET = 5e5  # steps of one linearisation
 STRETCHES = (24, 100)  # at least, at most
-OPENING = 1  # rounds of starts before noise is known
+OPENING = (1, 4)  # rounds of starts before all channels count as they should; where a base is only felt
+ROUGH = 30.0  # times its noise: what an accelerometer counts with there
+JUMPS = 0.1  # of an accelerometer's spread: its least noise where a base is only felt
 DIFF = 0.1  # of a quantity's scale, by which its derivative is taken
 WILD = 1e9  # of a derivative over the noise: what runs away
 FLOOR = 1e-6  # rad, m: least noise, of a log without any
 TURNED, SPED = 1e-2, 0.1  # rad (m) and rad/s (m/s) of a start
+CRITERIA = Criteria(rounds=4, glance=1)
+"""Fits are short: columns are kept between them, and a round of MuJoCo is dear."""
 ONE_AT_A_TIME = Lock()  # MuJoCo's pool of threads is one for all
 
 
@@ -93,17 +98,23 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     fields = tuple({f.name: f for r in found for f in r.fields}.values())
     cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
     own = cut(made, log, horizon, int(np.clip(BUDGET / cost, *STRETCHES)))
-    weight = np.ones(own.measured.shape[2] - (1 if made.base >= 0 else 0))
-    starts, _ = fitted(made, own, weight, OPENING)
+    felt = made.free >= 0 > made.base
     channels, measured, seen = _channels(made, own, log)
+    starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
     nv, na = made.model.nv, made.model.na
     scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
-    prior = prior_of(made.model, made.free) if made.free >= 0 > made.base else None
+    prior = prior_of(made.model, made.free) if felt else None
     compared = Compared(own.trial, own.names, own.time, measured, seen.astype(float), starts, scale, prior)
     quantities = tuple(quantity(f) for f in fields)
     declared = tuple(f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields)
     wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
     return MujocoSimulator(made, own, fields, quantities, declared, channels, compared, wanted)
+
+
+def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
+    """[C] weights of channels for first guesses of starts."""
+    rough = {r.name for r in made.read if r.kind == "accelerometer"}
+    return np.array([1.0 / (c.noise * (ROUGH if c.name in rough else 1.0)) for c in channels])
 
 
 def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
@@ -122,6 +133,10 @@ def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, .
         noise = np.append(noise[:-4], [turn] * 3)
         measured = np.concatenate([measured[..., :-4], np.zeros((*measured.shape[:2], 3))], -1)
         seen = np.concatenate([seen[..., :-4], seen[..., -3:]], -1)
+    if made.free >= 0:  # contact makes accelerations jump, from which no start is found
+        own_spread = np.nanstd(np.where(seen, measured, np.nan), axis=(0, 1))
+        rough = [len(named) - len(made.read) + k for k, r in enumerate(made.read) if r.kind == "accelerometer" and made.base < 0]
+        noise[rough] = np.maximum(noise[rough], JUMPS * own_spread[rough])
     noise = np.maximum(noise, FLOOR)
     return tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)), measured, seen
 
@@ -151,7 +166,9 @@ def diagnose(
         (page or plain)(folder, with_notes(report), evidence)
 
     name = Path(source.path).name
-    report = diagnose_simulator(made, out=out, exclude=exclude, progress=progress, page=told, name=name)
+    report = diagnose_simulator(
+        made, out=out, criteria=CRITERIA, exclude=exclude, progress=progress, page=told, name=name
+    )
     return report if out is not None else with_notes(report)
 
 

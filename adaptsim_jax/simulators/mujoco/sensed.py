@@ -13,6 +13,7 @@ from adaptsim_jax.core.errors import BadInput
 INERTIAL = {mujoco.mjtSensor.mjSENS_GYRO: "gyro", mujoco.mjtSensor.mjSENS_ACCELEROMETER: "accelerometer"}
 UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 BLEND = 1.0  # 1/s: by which an orientation follows gravity instead of the gyro
+CALM = 0.3  # of gravity: by which an acceleration may differ from it
 SETTLED = 0.3  # s at the beginning over which gravity is averaged
 PRIOR = {"place": 1e-2, "height": 0.05, "turn": 0.1, "heading": 1e-2, "speed": 0.5, "spin": 0.5, "joint": 10.0}
 """m, m, rad, rad, m/s, rad/s, rad (a second): how far a start may be from what an IMU and standing feet say of it."""
@@ -72,26 +73,42 @@ def turn_of(model: mujoco.MjModel, own: tuple[Reading, ...], kind: str) -> np.nd
 def oriented(model: mujoco.MjModel, own: tuple[Reading, ...], time: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit quaternions [T, 4] (heading 0 at first) and rates [T, 3] rad/s, both of the body that carries an IMU.
 
-    Its gyro is integrated and drawn towards gravity (Mahony's complementary filter). read [T, m]: all channels.
+    Its gyro is integrated and drawn towards gravity (Mahony's complementary filter), forth, back and forth again, so that no
+    guess of where it began is left. read [T, m]: all channels.
     """
     rate = read[:, triple(own, "gyro")] @ turn_of(model, own, "gyro").T
     up = read[:, triple(own, "accelerometer")] @ turn_of(model, own, "accelerometer").T
     rate, up = np.nan_to_num(rate), np.where(np.isfinite(up), up, [0.0, 0.0, 9.81])
     begin = up[time <= time[0] + SETTLED].mean(0)
-    out, way = np.zeros((len(time), 4)), np.zeros(4)
+    way, now = np.zeros(4), np.zeros(4)
     mujoco.mju_quatZ2Vec(way, begin / max(np.linalg.norm(begin), 1e-9))
-    now = np.zeros(4)
     mujoco.mju_negQuat(now, way)
-    for k in range(len(time)):
-        out[k] = now
-        if k + 1 < len(time):
-            back, own_up = np.zeros(4), np.zeros(3)
-            mujoco.mju_negQuat(back, now)
-            mujoco.mju_rotVecQuat(own_up, np.array([0.0, 0.0, 1.0]), back)
-            pull = np.cross(up[k] / max(np.linalg.norm(up[k]), 1e-9), own_up)
-            now = now.copy()
-            mujoco.mju_quatIntegrate(now, rate[k] + BLEND * pull, float(time[k + 1] - time[k]))
-    return out, rate
+    forth, back = slice(None), slice(None, None, -1)
+    for order in (forth, back, forth):
+        out = _followed(now, time[order], rate[order], up[order])[order]
+        now = out[-1] if order is forth else out[0]
+    heading = np.array([out[0][0], 0.0, 0.0, -out[0][3]])
+    return np.array([_times(heading / np.linalg.norm(heading), q) for q in out]), rate
+
+
+def _times(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    out = np.zeros(4)
+    mujoco.mju_mulQuat(out, one, other)
+    return out
+
+
+def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Orientations [T, 4] from `now` on; time may run backwards. Where more than gravity acts, it does not count."""
+    out = np.tile(now, (len(time), 1))
+    for k in range(len(time) - 1):
+        back, own_up, size = np.zeros(4), np.zeros(3), np.linalg.norm(up[k])
+        mujoco.mju_negQuat(back, out[k])
+        mujoco.mju_rotVecQuat(own_up, np.array([0.0, 0.0, 1.0]), back)
+        step = float(time[k + 1] - time[k])
+        calm = BLEND * np.exp(-np.square((size / 9.81 - 1.0) / CALM)) * np.sign(step)
+        out[k + 1] = out[k]
+        mujoco.mju_quatIntegrate(out[k + 1], rate[k] + calm * np.cross(up[k] / max(size, 1e-9), own_up), step)
+    return out
 
 
 def standing(model: mujoco.MjModel, data: mujoco.MjData, free: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
