@@ -21,7 +21,7 @@ NOISE = {"q": 2e-4, "place": 3e-4, "turn": 5e-4, "gyro": 5e-3, "accelerometer": 
 WORLDS = ("floor_friction", "payload", "calf_friction", "late", "weak_motor", "tilted", "null")
 NAMES = {
     "floor_friction": "floor friction", "payload": "payload", "calf_friction": "coulomb", "late": "delay",
-    "weak_motor": "gain", "tilted": "tilted ground",
+    "weak_motor": "gain", "tilted": "tilted",
 }  # fmt: skip
 
 

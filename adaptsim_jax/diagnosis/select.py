@@ -90,7 +90,7 @@ def together(problem: Problem, residual: np.ndarray) -> float:
 def scored(problem: Problem, base: Model) -> list[Score]:
     """Every candidate that is not in the model, the best of its shapes, likeliest first."""
     fit = base.fit
-    flat = lambda c: c.reshape(-1, c.shape[-1])
+    flat = lambda c: c.reshape(c.shape[0] * c.shape[1], c.shape[2])
     inner, r = flat(fit.columns), fit.residual.reshape(-1)
     floor = 1e-9 * np.eye(inner.shape[1])
     gram = np.linalg.inv(inner.T @ inner + floor)

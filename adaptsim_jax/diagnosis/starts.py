@@ -10,9 +10,11 @@ from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 
 ROUNDS = 3  # of a start's fit from its anchor
-FRESH = 6  # slopes that an anchor is fitted by, one after the other
+FRESH = 8  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
 SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
+DRAWS, LEFT = 12, 2.0  # of starts where fits are caught: those that leave so many times the noise
+FAR = 1.5  # times the usual error, beyond which a stretch counts less
 KEPT = 6  # points that are remembered with all their columns
 NEAR = 1.0  # of a quantity's scale, within which columns are not taken anew
 
@@ -100,19 +102,28 @@ class Linearised:
     simulator: Simulator
     points: list[Point]
     scale: np.ndarray
+    weight: np.ndarray
 
     def near(self, values: np.ndarray) -> Point:
         away = [np.square((p.values - values) / self.scale).sum() for p in self.points]
         return self.points[int(np.argmin(away))]
 
     def residual(self, values: np.ndarray) -> np.ndarray:
-        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point."""
-        point = self.near(values.mean(0))
-        return settle(self.simulator, values, point.starts, ROUNDS, None, point.slope).residual
+        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from there or from their first guess."""
+        point, s = self.near(values.mean(0)), self.simulator.stretches
+        starts = point.starts.copy()
+        if starts.shape[1]:
+            loss = lambda x: np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
+            other = loss(s.start) < loss(starts)
+            starts[other] = s.start[other]
+        return settle(self.simulator, values, starts, ROUNDS, None, point.slope).residual * self.weight[:, None]
 
     def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Derivatives `[W, R C, K]` along the rows of a basis, less what starts would take up."""
-        point, count = self.near(values), self.simulator.stretches.count
+        s = self.simulator.stretches
+        if not len(basis):
+            return np.zeros((s.count, s.measured[0].size, 0))
+        point, count = self.near(values), s.count
         anew = bool(np.any(np.abs(point.values - values) > NEAR * self.scale))
         rows = np.tile(values if anew else point.values, (count, 1))
         starts = settle(self.simulator, rows, point.starts, ROUNDS, None, point.slope).starts if anew else point.starts
@@ -122,13 +133,13 @@ class Linearised:
             asked = np.array(fresh).reshape(-1, basis.shape[1])
             by_start, by_value = self._derivatives(rows, starts, asked, None if anew else point.slope)
             if anew:
-                point = Point(values.copy(), starts, slope_of(self.simulator.stretches, by_start))
+                point = Point(values.copy(), starts, slope_of(s, by_start))
                 self.points.append(point)
                 del self.points[1 : max(1, len(self.points) - KEPT)]
             known = point.columns
-            kept = without(by_start, by_value, pull(self.simulator.stretches))
+            kept = without(by_start, by_value, pull(s))
             known.update({row.tobytes(): kept[..., k] for k, row in enumerate(fresh)})
-        return np.stack([known[row.tobytes()] for row in basis], -1) if len(basis) else np.zeros((*by_start.shape[:2], 0))
+        return np.stack([known[row.tobytes()] for row in basis], -1) * self.weight[:, None, None]
 
     def _derivatives(self, rows, starts, basis, slope: Slope | None) -> tuple[np.ndarray, np.ndarray]:
         which = np.arange(len(rows))
@@ -147,13 +158,18 @@ def problem_of(
         candidates: those that are considered, the simulator's own where None.
         begun: points `[N, P]` from which the declared fit may begin; the neutral one where None.
 
+    A stretch that is far worse followed than others (its start is caught at another contact) counts less, so that it does not decide.
+
     Returns:
         A problem whose trials are the stretches; folds are their trials, or blocks of these where there are fewer than five.
     """
     s, quantities = simulator.stretches, simulator.quantities
     neutral = np.array([q.neutral for q in quantities])
     anchor = anchored(simulator, neutral)
-    around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]))
+    left = np.square(residuals(simulator, np.tile(neutral, (s.count, 1)), anchor.starts, np.arange(s.count)))
+    size = np.sqrt(left.sum(1) / np.maximum((s.seen > 0).sum((1, 2)), 1))
+    weight = 1.0 / np.maximum(size / max(FAR * float(np.median(size)), 1.0), 1.0)
+    around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
     fold, block, _ = folds_of(s.trial, s.names)
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
@@ -171,15 +187,40 @@ def anchored(simulator: Simulator, values: np.ndarray) -> Point:
     starts, by_start = s.start.copy(), np.zeros((s.count, s.measured[0].size, s.start.shape[1]))
     on, rows, none = np.arange(s.count), np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
     before = np.square(residuals(simulator, rows, starts, on)).sum(1)
+    draw, shaken = np.random.default_rng(0).standard_normal, False
     for _ in range(FRESH if starts.shape[1] else 0):
         by_start[on] = linearise(simulator, rows[on], starts[on], on, none)[0]
         found = settle(simulator, rows[on], starts[on], ROUNDS, on, slope_of(s, by_start[on]))
         starts[on], after = found.starts, np.square(found.residual).sum(1)
         gained, before = before - after > SETTLED * before, after
         on, before = on[gained], before[gained]
+        if not len(on) and not shaken:
+            shaken, on = True, np.arange(s.count)
+            before = np.square(residuals(simulator, rows, starts, on)).sum(1)
+            again = _shaken(simulator, rows, starts, by_start, before, on, draw)
+            on, before = on[again], before[again]
         if not len(on):
             break
     return Point(values, starts, slope_of(s, by_start))
+
+
+def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
+    """Starts moved, in place, to the best of a few draws about those that leave more than noise: where contact makes minima, the next
+    may be better. Draws are as wide as what is left lets a start be. Returns whether a stretch is to be settled again."""
+    s = simulator.stretches
+    count = np.maximum((s.seen[on] > 0).sum((1, 2)), 1)
+    bad = np.flatnonzero(before > LEFT**2 * count)
+    lanes, best = on[bad], before[bad].copy()
+    wide = np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse) * np.sqrt(best / count[bad])[:, None, None]
+    middle = starts[lanes].copy()
+    for k in range(DRAWS):
+        tried = middle + (1.0, 0.3)[k % 2] * np.einsum("bst,bt->bs", wide, draw(middle.shape)) * s.scale
+        loss = np.square(residuals(simulator, rows[lanes], tried, lanes)).sum(1)
+        better = loss < best
+        starts[lanes[better]], best[better] = tried[better], loss[better]
+    again = np.zeros(len(on), bool)
+    again[bad], before[bad] = best < before[bad], best
+    return again
 
 
 def _begun_apart(wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised) -> tuple[Candidate, ...]:

@@ -2,6 +2,7 @@
 lies at another height, wind."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.catalogue import Row, row
 from adaptsim_jax.simulators.mujoco.fields import GROUND, Field, field, grounds
 
+WIDE = (0.7, 1.4)  # of what the file has
 PUSH = 1e-3  # of the weight: a wind that shows
 
 
@@ -23,8 +25,8 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         yield from _of_touch(model, (*grounds(model), *touch), _effective(model, touch))
         if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
-            yield row("tilted ground", "", turned, ("what it stands on is not level", "standing, walking"), ("a log's frame turned",))
-            yield row("ground height", "", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step"))
+            yield row("tilted", "ground", turned, ("what it stands on is not level", "standing, walking"), ("a log's frame turned",))
+            yield row("height", "ground", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step"))
     if made.free >= 0:
         k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
@@ -46,14 +48,19 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
         value = float(getattr(model, f"geom_{what}")[feet, column].mean())
         return Field(f"contact.{what}[{column}]", f"geom.{what}", every, column, value, 1e-3 * min(value, 1.0), high, 0.01 * value)
 
+    def of_wide(effect: str, f: Field, told: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
+        """Tried at sizes, too: where contacts chatter a derivative says little."""
+        made = row(effect, "all contacts", f, told, same)
+        sizes = tuple({f.name: float(np.clip(share * f.neutral, f.low, f.high))} for share in WIDE)
+        return replace(made, candidate=replace(made.candidate, shapes=({}, *sizes)))
+
     dims = int(model.geom_condim[list(every)].max())
-    place = "all contacts"
-    yield row("floor friction", place, of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
+    yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
     if dims >= 4 and model.geom_friction[feet, 1].any():
-        yield row("torsional friction", place, of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot"))
+        yield of_wide("torsional friction", of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot"))
     if dims >= 6 and model.geom_friction[feet, 2].any():
-        yield row("rolling friction", place, of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls"))
+        yield of_wide("rolling friction", of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls"))
     if (model.geom_solref[feet, 0] > 0).all():
-        yield row("contact stiffness", place, of("solref", 0, 1.0), ("softer or harder contacts", "impacts"), ("soft ground",))
-        yield row("contact damping", place, of("solref", 1, 5.0), ("contacts that bounce", "impacts, falls"), ("restitution",))
-        yield row("contact impedance", place, of("solimp", 0, 0.9999), ("contacts that give from the first touch", "standing"))
+        yield of_wide("contact stiffness", of("solref", 0, 1.0), ("softer or harder contacts", "impacts"), ("soft ground",))
+        yield of_wide("contact damping", of("solref", 1, 5.0), ("contacts that bounce", "impacts, falls"), ("restitution",))
+        yield of_wide("contact impedance", of("solimp", 0, 0.9999), ("contacts that give from the first touch", "standing"))

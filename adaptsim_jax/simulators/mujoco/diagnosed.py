@@ -100,7 +100,9 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     own = cut(made, log, horizon, int(np.clip(BUDGET / cost, *STRETCHES)))
     felt = made.free >= 0 > made.base
     channels, measured, seen = _channels(made, own, log)
-    starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
+    starts = np.zeros((own.count, rollouts.start_size(made)))
+    if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
+        starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
     nv, na = made.model.nv, made.model.na
     scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
     prior = prior_of(made.model, made.free) if felt else None
