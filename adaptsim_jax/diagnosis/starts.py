@@ -209,7 +209,9 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
     may be better. Draws are as wide as what is left lets a start be. Returns whether a stretch is to be settled again."""
     s = simulator.stretches
     count = np.maximum((s.seen[on] > 0).sum((1, 2)), 1)
-    bad = np.flatnonzero(before > LEFT**2 * count)
+    bad, again = np.flatnonzero(before > LEFT**2 * count), np.zeros(len(on), bool)
+    if not len(bad):
+        return again
     lanes, best = on[bad], before[bad].copy()
     wide = np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse) * np.sqrt(best / count[bad])[:, None, None]
     middle = starts[lanes].copy()
@@ -218,7 +220,6 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
         loss = np.square(residuals(simulator, rows[lanes], tried, lanes)).sum(1)
         better = loss < best
         starts[lanes[better]], best[better] = tried[better], loss[better]
-    again = np.zeros(len(on), bool)
     again[bad], before[bad] = best < before[bad], best
     return again
 
