@@ -16,7 +16,7 @@ SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's la
 DRAWS, LEFT = 12, 2.0  # of starts where fits are caught: those that leave so many times the noise
 FAR = 1.5  # times the usual error, beyond which a stretch counts less
 KEPT = 6  # points that are remembered with all their columns
-NEAR = 1.0  # of a quantity's scale, within which columns are not taken anew
+NEAR = 0.3  # of a quantity's scale, within which columns are not taken anew
 
 
 @dataclass(frozen=True)

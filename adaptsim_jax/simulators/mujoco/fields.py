@@ -22,7 +22,7 @@ TILTS = ("world.tilt_x", "world.tilt_y")
 GROUND = ("ground.tilt_x", "ground.tilt_y", "ground.height")
 """rad, m: all that the world touches with, turned about the world's x and y, and lifted."""
 STRENGTH = "strength"
-"""Of an actuator: what it gives of what it should, all its gains alike."""
+"""Of an actuator: what it gives of what it should, all its gains alike, but for the damping of a position servo."""
 LATEST = 0.05  # s
 STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
 FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
@@ -136,7 +136,7 @@ def _get(model: mujoco.MjModel, made: Field, element: int) -> float:
 def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None:
     if made.field == f"actuator.{STRENGTH}":
         model.actuator_gainprm[element, :3] *= value
-        model.actuator_biasprm[element, :3] *= value
+        model.actuator_biasprm[element, : 2 if model.actuator_biasprm[element, 1] else 3] *= value
     elif made.field == "actuator.kp":
         old = -model.actuator_biasprm[element, 1]
         model.actuator_gainprm[element, 0] *= value / old if old else 1.0
