@@ -32,7 +32,10 @@ def floored(path: Path, folder: Path) -> mujoco.MjSpec:
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1])
     base = next(j.parent for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE)
     base.add_site(name="imu_place", pos=[0.02, 0.0, 0.03])
-    for kind, name in ((mujoco.mjtSensor.mjSENS_GYRO, "imu_gyro"), (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "imu_accel")):
+    for kind, name in (
+        (mujoco.mjtSensor.mjSENS_GYRO, "imu_gyro"),
+        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "imu_accel"),
+    ):
         spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu_place")
     spec.compile()
     folder.mkdir(parents=True, exist_ok=True)
@@ -72,7 +75,12 @@ def hidden(model: mujoco.MjModel, world: str, rng: np.random.Generator) -> dict:
         way, size = rng.uniform(0, 2 * np.pi), float(rng.uniform(0.03, 0.06))
         out["size"] = size
         half = 0.5 * size
-        model.geom_quat[model.geom("floor").id] = [np.cos(half), np.cos(way) * np.sin(half), np.sin(way) * np.sin(half), 0]
+        model.geom_quat[model.geom("floor").id] = [
+            np.cos(half),
+            np.cos(way) * np.sin(half),
+            np.sin(way) * np.sin(half),
+            0,
+        ]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return out
 
@@ -102,10 +110,16 @@ def record(model: mujoco.MjModel, folder: Path, delay: float, imu: bool, rng: np
     joints = [k for k in range(model.njnt) if model.jnt_type[k] >= 2]
     base = [f"base_{c}" for c in ("x", "y", "z", "qw", "qx", "qy", "qz")]
     sensed = [f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"]
-    names = ["time", *(f"q_{model.joint(k).name}" for k in joints), *(f"ctrl_{model.actuator(k).name}" for k in range(model.nu))]
+    names = [
+        "time",
+        *(f"q_{model.joint(k).name}" for k in joints),
+        *(f"ctrl_{model.actuator(k).name}" for k in range(model.nu)),
+    ]
     names += sensed if imu else base
-    table = ['[channels]', *(f'{c} = "imu_{c[:-2]}[{"xyz".index(c[-1])}]"' for c in sensed)] if imu else []
-    (folder / "meta.toml").write_text("\n".join(['task = "mechanism"', 'model = "model.xml"', 'simulator = "mujoco"', *table, ""]))
+    table = ["[channels]", *(f'{c} = "imu_{c[:-2]}[{"xyz".index(c[-1])}]"' for c in sensed)] if imu else []
+    (folder / "meta.toml").write_text(
+        "\n".join(['task = "mechanism"', 'model = "model.xml"', 'simulator = "mujoco"', *table, ""])
+    )
     rest, low = model.key_ctrl[0].copy(), []
     for trial in range(8):
         mujoco.mj_resetDataKeyframe(model, data, 0)

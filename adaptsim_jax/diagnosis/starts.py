@@ -77,7 +77,9 @@ def settle(
         if not len(on):
             break
         if slope is None:
-            here = slope_of(s, linearise(simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1])))[0])
+            here = slope_of(
+                s, linearise(simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1])))[0]
+            )
         else:
             here = Slope(slope.by_start[on], slope.inverse[on])
         down = np.einsum("brs,br->bs", here.by_start, r[on]) + weight * off(starts[on], on)
@@ -224,7 +226,9 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
     return again
 
 
-def _begun_apart(wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised) -> tuple[Candidate, ...]:
+def _begun_apart(
+    wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised
+) -> tuple[Candidate, ...]:
     """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a friction that only holds) begins at a few
     sizes instead: shapes of its own are kept."""
     index = {q.name: i for i, q in enumerate(quantities)}
@@ -237,7 +241,9 @@ def _begun_apart(wanted: Sequence[Candidate], quantities: Sequence[Quantity], ar
             out.append(c)
             continue
         own = [quantities[index[name]] for name in c.quantities]
-        sizes = [{q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own} for k in (1.0, 10.0, 100.0)]
+        sizes = [
+            {q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own} for k in (1.0, 10.0, 100.0)
+        ]
         out.append(replace(c, shapes=tuple(sizes)))
     return tuple(out)
 

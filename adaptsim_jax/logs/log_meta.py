@@ -205,7 +205,9 @@ def _channels(path: Path, table: dict) -> dict[str, str]:
     for column, value in table.items():
         sensor = _text(path, f"channels.{column}", value)
         if sensor in out:
-            raise BadInput(f"{path}: [channels] gives {out[sensor]} and {column} to {sensor}; write {sensor}[0], {sensor}[1], ...")
+            raise BadInput(
+                f"{path}: [channels] gives {out[sensor]} and {column} to {sensor}; write {sensor}[0], {sensor}[1], ..."
+            )
         out[sensor] = column
     return out
 

@@ -31,7 +31,9 @@ def noisy(folder, size: float, columns: slice):
 def swung(folder, **truth):
     own = {"damping": 0.1, "mass": 0.5, "kp": 30}
     texts = ARM.format(**own), ARM.format(**own | truth)
-    return noisy(record(folder, texts[0], truth=texts[1], told=swing, every=2, trials=6, seconds=1.5), 1e-4, slice(1, 3))
+    return noisy(
+        record(folder, texts[0], truth=texts[1], told=swing, every=2, trials=6, seconds=1.5), 1e-4, slice(1, 3)
+    )
 
 
 def test_a_payload_is_named_and_its_size_found(tmp_path):
@@ -41,7 +43,9 @@ def test_a_payload_is_named_and_its_size_found(tmp_path):
     (effect,) = report["effects"]
     assert effect["name"] == "payload at lower" and report["error"]["after"] < 1.2
     assert effect["parameters"]["body:lower.mass"]["value"] == pytest.approx(0.6, rel=0.02)
-    assert (tmp_path / "out" / "report.html").exists() and "payload at lower" in (tmp_path / "out" / "model.toml").read_text()
+    assert (tmp_path / "out" / "report.html").exists() and "payload at lower" in (
+        tmp_path / "out" / "model.toml"
+    ).read_text()
 
 
 def test_an_arm_that_is_as_its_file_has_it_lacks_nothing(tmp_path):
@@ -91,7 +95,9 @@ IMU = '<sensor><gyro name="gyro" site="imu"/><accelerometer name="accel" site="i
 
 def test_a_base_that_only_its_imu_tells_of_is_estimated_with_the_start(tmp_path):
     """A quadruped that sways on its feet: tilt, height and speed of its trunk are nowhere in the log."""
-    text = quadruped().replace('mass="4"/>', 'mass="4"/><site name="imu" pos="0.03 0 0.02"/>', 1).replace("</mujoco>", IMU)
+    text = (
+        quadruped().replace('mass="4"/>', 'mass="4"/><site name="imu" pos="0.03 0 0.02"/>', 1).replace("</mujoco>", IMU)
+    )
     table = "".join(f'{a} = "{a[:-2]}[{"xyz".index(a[-1])}]"\n' for a in AXES)
     (tmp_path / "model.xml").write_text(text)
     (tmp_path / "meta.toml").write_text(f'task = "mechanism"\nmodel = "model.xml"\n[channels]\n{table}')
@@ -110,7 +116,11 @@ def test_a_base_that_only_its_imu_tells_of_is_estimated_with_the_start(tmp_path)
     head = ["time", *joints, *(f"ctrl_{model.actuator(k).name}" for k in range(model.nu)), *AXES]
     np.savetxt(tmp_path / "run.csv", rows[40:], delimiter=",", header=",".join(head), comments="", fmt="%.9g")
     made = simulator(*read_source_and_log(tmp_path))
-    assert made.made.free == 0 and made.made.base < 0 and [c.unit for c in made.channels[-6:]] == ["rad/s"] * 3 + ["m/s^2"] * 3
+    assert (
+        made.made.free == 0
+        and made.made.base < 0
+        and [c.unit for c in made.channels[-6:]] == ["rad/s"] * 3 + ["m/s^2"] * 3
+    )
     up, nv = lambda q: np.array([2 * (q[1] * q[3] - q[0] * q[2]), 2 * (q[2] * q[3] + q[0] * q[1])]), model.nv
     for w, start in enumerate(made.stretches.start):
         pose, was = made.own.qpos[w].copy(), truth[40 + round(100 * made.own.time[w, 0])]

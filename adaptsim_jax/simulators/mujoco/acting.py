@@ -79,7 +79,10 @@ def as_read(fields: Sequence[Field], values: np.ndarray, read: np.ndarray, time:
             for first in f.elements:
                 one, two = first + (f.index + 1) % 3, first + (f.index + 2) % 3
                 c, s = np.cos(value)[:, None], np.sin(value)[:, None]
-                out[..., one], out[..., two] = c * out[..., one] + s * out[..., two], c * out[..., two] - s * out[..., one]
+                out[..., one], out[..., two] = (
+                    c * out[..., one] + s * out[..., two],
+                    c * out[..., two] - s * out[..., one],
+                )
         else:
             for k in f.elements:
                 slope = np.gradient(out[..., k], axis=1) / np.maximum(np.gradient(time, axis=1), 1e-9)

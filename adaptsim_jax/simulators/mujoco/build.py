@@ -86,7 +86,9 @@ def stepped(source: Source, log: Log) -> Stepped:
             f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco does not read; take tree"
         )
     if felt and free >= 0:
-        notes.append("no pose of the base is logged: it is estimated with each start from gyro, accelerometer and feet that stand")
+        notes.append(
+            "no pose of the base is logged: it is estimated with each start from gyro, accelerometer and feet that stand"
+        )
     angle = [at[name] for name in log.joint_names]
     read = readings(model, log.meta.channels, log.meta.path)
     moves = free if logged or felt else -1

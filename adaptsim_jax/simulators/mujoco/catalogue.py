@@ -34,7 +34,9 @@ class Row:
     candidate: Candidate
 
 
-def row(effect: str, where: str, fields: Field | Iterable[Field], told: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
+def row(
+    effect: str, where: str, fields: Field | Iterable[Field], told: tuple[str, str], same: tuple[str, ...] = ()
+) -> Row:
     """An effect at a place; told: its physics and what shows it; same: effects that no such recording tells apart from it."""
     fields = (fields,) if isinstance(fields, Field) else tuple(fields)
     name = f"{effect} at {where}" if where else effect
@@ -65,7 +67,12 @@ def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
         yield row(DECLARED, name, of("damping", weight[name]), ("friction in proportion to speed", "fast motion"))
         yield row("armature", name, of("armature", inertia), ("a rotor's inertia", "fast changes of speed"))
         off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
-        yield row("angle offset", name, off, ("the angle is read from another zero", "gravity, stops, and where it is driven to"))
+        yield row(
+            "angle offset",
+            name,
+            off,
+            ("the angle is read from another zero", "gravity, stops, and where it is driven to"),
+        )
 
 
 def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
@@ -107,7 +114,9 @@ def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
         turned = [Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, TURNED) for i in range(3)]
         yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
         every = tuple(first + k for _, axes in found for k in axes)
-        yield row("late", "imu", Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3), ("it is read late", "fast motion"))
+        yield row(
+            "late", "imu", Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3), ("it is read late", "fast motion")
+        )
 
 
 def _moves(model: mujoco.MjModel, body: int) -> bool:

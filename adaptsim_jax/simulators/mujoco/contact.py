@@ -25,8 +25,16 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         yield from _of_touch(model, (*grounds(model), *touch), _effective(model, touch))
         if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
-            yield row("tilted", "ground", turned, ("what it stands on is not level", "standing, walking"), ("a log's frame turned",))
-            yield row("height", "ground", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step"))
+            yield row(
+                "tilted",
+                "ground",
+                turned,
+                ("what it stands on is not level", "standing, walking"),
+                ("a log's frame turned",),
+            )
+            yield row(
+                "height", "ground", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step")
+            )
     if made.free >= 0:
         k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
@@ -46,7 +54,16 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
 
     def of(what: str, column: int, high: float) -> Field:
         value = float(getattr(model, f"geom_{what}")[feet, column].mean())
-        return Field(f"contact.{what}[{column}]", f"geom.{what}", every, column, value, 1e-3 * min(value, 1.0), high, 0.01 * value)
+        return Field(
+            f"contact.{what}[{column}]",
+            f"geom.{what}",
+            every,
+            column,
+            value,
+            1e-3 * min(value, 1.0),
+            high,
+            0.01 * value,
+        )
 
     def of_wide(effect: str, f: Field, told: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
         """Tried at sizes, too: where contacts chatter a derivative says little."""
@@ -57,10 +74,20 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
     dims = int(model.geom_condim[list(every)].max())
     yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
     if dims >= 4 and model.geom_friction[feet, 1].any():
-        yield of_wide("torsional friction", of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot"))
+        yield of_wide(
+            "torsional friction", of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot")
+        )
     if dims >= 6 and model.geom_friction[feet, 2].any():
-        yield of_wide("rolling friction", of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls"))
+        yield of_wide(
+            "rolling friction", of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls")
+        )
     if (model.geom_solref[feet, 0] > 0).all():
-        yield of_wide("contact stiffness", of("solref", 0, 1.0), ("softer or harder contacts", "impacts"), ("soft ground",))
-        yield of_wide("contact damping", of("solref", 1, 5.0), ("contacts that bounce", "impacts, falls"), ("restitution",))
-        yield of_wide("contact impedance", of("solimp", 0, 0.9999), ("contacts that give from the first touch", "standing"))
+        yield of_wide(
+            "contact stiffness", of("solref", 0, 1.0), ("softer or harder contacts", "impacts"), ("soft ground",)
+        )
+        yield of_wide(
+            "contact damping", of("solref", 1, 5.0), ("contacts that bounce", "impacts, falls"), ("restitution",)
+        )
+        yield of_wide(
+            "contact impedance", of("solimp", 0, 0.9999), ("contacts that give from the first touch", "standing")
+        )

@@ -137,7 +137,11 @@ def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, .
         seen = np.concatenate([seen[..., :-4], seen[..., -3:]], -1)
     if made.free >= 0:  # contact makes accelerations jump, from which no start is found
         own_spread = np.nanstd(np.where(seen, measured, np.nan), axis=(0, 1))
-        rough = [len(named) - len(made.read) + k for k, r in enumerate(made.read) if r.kind == "accelerometer" and made.base < 0]
+        rough = [
+            len(named) - len(made.read) + k
+            for k, r in enumerate(made.read)
+            if r.kind == "accelerometer" and made.base < 0
+        ]
         noise[rough] = np.maximum(noise[rough], JUMPS * own_spread[rough])
     noise = np.maximum(noise, FLOOR)
     return tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)), measured, seen
@@ -169,7 +173,13 @@ def diagnose(
 
     name = Path(source.path).name
     report = diagnose_simulator(
-        made, out=out, criteria=None if made.made.free < 0 else SHORT, exclude=exclude, progress=progress, page=told, name=name
+        made,
+        out=out,
+        criteria=None if made.made.free < 0 else SHORT,
+        exclude=exclude,
+        progress=progress,
+        page=told,
+        name=name,
     )
     return report if out is not None else with_notes(report)
 

@@ -120,7 +120,9 @@ def read(made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarr
         felt, lane = sensed[..., [r.place for r in made.read]], np.arange(len(lanes))[:, None]
         split = columns.size - (7 if made.base >= 0 else 0)
         row = lambda k: felt[lane, np.minimum(k, felt.shape[1] - 1)]
-        first, last = (np.concatenate([z[..., :split], row(k), z[..., split:]], -1) for z, k in ((first, low), (last, high)))
+        first, last = (
+            np.concatenate([z[..., :split], row(k), z[..., split:]], -1) for z, k in ((first, low), (last, high))
+        )
     out = first + share * (last - first)
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, np.nan)
 

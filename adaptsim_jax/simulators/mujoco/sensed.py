@@ -41,10 +41,14 @@ def readings(model: mujoco.MjModel, channels: Mapping[str, str], where: str) -> 
         sensor, index = found[1], int(found[2] or 0)
         if sensor not in names:
             near = suggest(sensor, names) if names else "it has none: add a <sensor> to the model file"
-            raise BadInput(f"{where}: [channels] {channels[name]} = {name!r}: the model has no sensor {sensor!r}; {near}")
+            raise BadInput(
+                f"{where}: [channels] {channels[name]} = {name!r}: the model has no sensor {sensor!r}; {near}"
+            )
         k = names.index(sensor)
         if index >= model.sensor_dim[k]:
-            raise BadInput(f"{where}: [channels] {channels[name]} = {name!r}: {sensor} has {model.sensor_dim[k]} numbers, from 0")
+            raise BadInput(
+                f"{where}: [channels] {channels[name]} = {name!r}: {sensor} has {model.sensor_dim[k]} numbers, from 0"
+            )
         out.append(Reading(name, int(model.sensor_adr[k]) + index, INERTIAL.get(int(model.sensor_type[k]), "other")))
     return tuple(out)
 
@@ -70,7 +74,9 @@ def turn_of(model: mujoco.MjModel, own: tuple[Reading, ...], kind: str) -> np.nd
     return out.reshape(3, 3)
 
 
-def oriented(model: mujoco.MjModel, own: tuple[Reading, ...], time: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def oriented(
+    model: mujoco.MjModel, own: tuple[Reading, ...], time: np.ndarray, read: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Unit quaternions [T, 4] (heading 0 at first) and rates [T, 3] rad/s, both of the body that carries an IMU.
 
     Its gyro is integrated and drawn towards gravity (Mahony's complementary filter), forth, back and forth again, so that no

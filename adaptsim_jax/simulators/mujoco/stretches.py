@@ -62,7 +62,10 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
     motion = {k: _motion(log.trials[k]) for k in {k for k, *_ in chosen}}
     felt = _felt(made, log)
     inputs = [inputs_of(model, log, trial) for trial in log.trials]
-    lanes = [_lane(made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], b, e, rows, max(steps, 1)) for k, b, e in chosen]
+    lanes = [
+        _lane(made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], b, e, rows, max(steps, 1))
+        for k, b, e in chosen
+    ]
     stack = lambda key: np.stack([lane[key] for lane in lanes])
     keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
     return Stretches(
