@@ -63,6 +63,8 @@ def _needs(source: Source, log: Log) -> str:
 
     if base_moves(log):
         return "its base moves"
+    if log.meta.channels:
+        return "sensors of the model are compared"
     if not log.joint_names:
         return "it has no joint but its base's"
     hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}

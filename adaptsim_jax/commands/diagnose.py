@@ -180,7 +180,9 @@ def run_mechanism(args: argparse.Namespace) -> int:
     source, log = read_source_and_log(args.data, args.model)  # refused before anything is written
     from adaptsim_jax.attribution.choice import base_moves
 
-    if (args.simulator or log.meta.simulator or ("mujoco" if base_moves(log) else "tree")) == "mujoco":
+    if (
+        args.simulator or log.meta.simulator or ("mujoco" if base_moves(log) or log.meta.channels else "tree")
+    ) == "mujoco":
         return run_by_mujoco(args, source, log)
     joined(source, log)
     from adaptsim_jax.attribution import diagnose as machines

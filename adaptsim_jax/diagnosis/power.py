@@ -37,7 +37,7 @@ def power_rows(problem: Problem, found: Selection, criteria: Criteria) -> list[d
 
 def _best(problem: Problem, fit, e: Candidate) -> tuple[str, float]:
     """The quantity of a candidate that tells most, and the squared length of its freed column in a step of its scale."""
-    inner = fit.columns.reshape(-1, fit.columns.shape[-1])
+    inner = fit.columns.reshape(-1 if fit.columns.size else fit.residual.size, fit.columns.shape[-1])
     gram = np.linalg.inv(inner.T @ inner + 1e-9 * np.eye(inner.shape[1]))
     best = e.quantities[0], 0.0
     for shape in e.shapes:

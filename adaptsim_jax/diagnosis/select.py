@@ -90,16 +90,17 @@ def together(problem: Problem, residual: np.ndarray) -> float:
 def scored(problem: Problem, base: Model) -> list[Score]:
     """Every candidate that is not in the model, the best of its shapes, likeliest first."""
     fit = base.fit
-    flat = lambda c: c.reshape(-1, c.shape[-1])
+    flat = lambda c: c.reshape(c.shape[0] * c.shape[1], c.shape[2])
     inner, r = flat(fit.columns), fit.residual.reshape(-1)
     floor = 1e-9 * np.eye(inner.shape[1])
     gram = np.linalg.inv(inner.T @ inner + floor)
     n = float(problem.counts.sum())
     tau = together(problem, fit.residual)
     out = []
-    for e in problem.effects:
-        if e in base.added:
-            continue
+    open_ = [e for e in problem.effects if e not in base.added]
+    plain = list(dict.fromkeys(q for e in open_ if {} in e.shapes for q in e.quantities if q not in fit.free))
+    column = dict(zip(plain, np.moveaxis(jacobian(problem, fit.values, plain), -1, 0), strict=True)) if plain else {}
+    for e in open_:
         best = None
         for shape in e.shapes:
             values = fit.values.copy()
@@ -109,7 +110,10 @@ def scored(problem: Problem, base: Model) -> list[Score]:
             if set(e.quantities) <= set(fit.free):
                 continue
             # of what is all shape the whole step there
-            c = flat(jacobian(problem, values, names)) if names else _whole(problem, fit, values)
+            if names and not shape:
+                c = flat(np.stack([column[q] for q in names], -1))
+            else:
+                c = flat(jacobian(problem, values, names)) if names else _whole(problem, fit, values)
             c = c - inner @ (gram @ (inner.T @ c))
             a = c.T @ c
             u = c.T @ (r - inner @ (gram @ (inner.T @ r)))
@@ -203,7 +207,9 @@ def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> 
         tries.append((*added(problem, base, s, criteria.glance), s))
     tries.sort(key=lambda t: t[1])
     best = None
-    for values, _, s in tries[: criteria.tried // 2]:
+    for values, loss, s in tries[: criteria.tried // 2]:
+        if best is not None and loss > (1.0 + criteria.apart) * tries[0][1]:
+            break
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
         test = paired(base.fit.held, model.fit.held, problem)
         if test.gain < criteria.size or test.p > _level(criteria, test.parts):

@@ -18,7 +18,7 @@ from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
 from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
-from adaptsim_jax.diagnosis.starts import ROUNDS, problem_of, settle
+from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.diagnosis.written import cleared, write_all
 from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
 
@@ -82,6 +82,7 @@ def reported(
     over = rows.over_floor(found.final)
     worst = max(over, rows.left_by_fit(problem, found.final))
     both = {"before": found.null, "after": found.final}
+    tracks = {k: predictions(simulator, problem, m) for k, m in both.items()}
     report = new_report(
         "simulator",
         name,
@@ -93,7 +94,7 @@ def reported(
             "held_out_trials": len(np.unique(problem.fold)),
         },
         effects=[rows.effect_row(problem, found, n) for n in found.named],
-        error=_error(simulator, problem, both),
+        error=_error(simulator, both, tracks),
         candidates=rows.candidate_rows(found, criteria.alpha),
         declared={k: rows.declared_rows(problem, m, {}) for k, m in both.items()},
         not_established=rows.same_rows(found, "stretch"),
@@ -101,7 +102,7 @@ def reported(
         notes=few(problem),
         next_experiment=telling(simulator, problem, found, proposals),
     )
-    return report, {"audit": [], "held_out": _held_out(simulator, problem, both, bool(found.named))}
+    return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
 
 
 def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
@@ -154,15 +155,15 @@ def model_table(problem: Problem, found: Selection, name: str) -> dict[str, Any]
     }
 
 
-def predictions(simulator: Simulator, model: Model) -> np.ndarray:
+def predictions(simulator: Simulator, problem: Problem, model: Model) -> np.ndarray:
     """Outputs `[W, R, C]` of stretches that are predicted with what the others say, each from its best start."""
-    vectors = model.fit.vectors
-    starts = settle(simulator, vectors, simulator.stretches.start, 2 * ROUNDS).starts
-    return simulator.predict(vectors, starts, np.arange(simulator.stretches.count))
+    noise = np.array([c.noise for c in simulator.channels])
+    measured = np.nan_to_num(simulator.stretches.measured)
+    return measured - problem.residuals(model.fit.vectors).reshape(measured.shape) * noise
 
 
-def _error(simulator: Simulator, problem: Problem, both: Mapping[str, Model]) -> dict[str, Any]:
-    s, tracks = simulator.stretches, {k: predictions(simulator, m) for k, m in both.items()}
+def _error(simulator: Simulator, both: Mapping[str, Model], tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    s = simulator.stretches
     trial_of = [np.flatnonzero(s.trial == t) for t in range(len(s.names))]
     some = [k for k, mine in enumerate(trial_of) if len(mine)]
 
@@ -180,10 +181,9 @@ def _error(simulator: Simulator, problem: Problem, both: Mapping[str, Model]) ->
     return table | zero | {"unit": "1", "skill": {k: skill(table[k], line, still) for k in both}}
 
 
-def _held_out(simulator: Simulator, problem: Problem, both: Mapping[str, Model], mended: bool) -> list[dict[str, Any]]:
+def _held_out(simulator: Simulator, tracks: Mapping[str, np.ndarray], mended: bool) -> list[dict[str, Any]]:
     """Each trial's stretches one after the other, measured and predicted while left out, for the page."""
     s, out = simulator.stretches, []
-    tracks = {k: predictions(simulator, m) for k, m in both.items()}
     for t, name in enumerate(s.names):
         mine = np.flatnonzero(s.trial == t)
         if not len(mine):

@@ -33,7 +33,7 @@ class Stretches:
 
     trial `[W]`: which of `names` each is of; time `[W, R]`; measured `[W, R, C]`; seen `[W, R, C]`: 1 where something was measured
     (a stretch that is shorter ends unseen); start `[W, S]`: a first guess, S 0 where starts are known; scale `[S]`: a size that
-    matters of each.
+    matters of each; prior `[S]`: how far each may be from its first guess (standard deviation), where readings do not tell.
     """
 
     trial: np.ndarray
@@ -43,6 +43,7 @@ class Stretches:
     seen: np.ndarray
     start: np.ndarray
     scale: np.ndarray
+    prior: np.ndarray | None = None
 
     @property
     def count(self) -> int:
@@ -140,15 +141,20 @@ def differences(
 
 
 def linearise(
-    simulator: Simulator, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray
+    simulator: Simulator,
+    values: np.ndarray,
+    starts: np.ndarray,
+    which: np.ndarray,
+    basis: np.ndarray,
+    starts_too: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of predictions over the noise: by starts `[B, R C, S]` (in steps of `Stretches.scale`), and by values along the rows
-    of `basis [K, P]`, `[B, R C, K]`. A simulator with a `linearise` of its own, of the same arguments, gives its own."""
+    """Derivatives of predictions over the noise: by starts `[B, R C, S]` (in steps of `Stretches.scale`; S is 0 without `starts_too`),
+    and by values along the rows of `basis [K, P]`, `[B, R C, K]`. A simulator with a `linearise` of its own, of the same arguments,
+    gives its own."""
     own = getattr(simulator, "linearise", None)
     if own is not None:
-        return own(values, starts, which, basis)
+        return own(values, starts, which, basis, starts_too)
     none_v, none_s = np.zeros(values.shape[1]), np.zeros(starts.shape[1])
-    by_start = differences(
-        simulator, values, starts, which, [(none_v, row) for row in np.diag(simulator.stretches.scale)]
-    )
+    steps = np.diag(simulator.stretches.scale) if starts_too else ()
+    by_start = differences(simulator, values, starts, which, [(none_v, row) for row in steps])
     return by_start, differences(simulator, values, starts, which, [(row, none_s) for row in basis])

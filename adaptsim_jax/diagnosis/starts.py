@@ -1,17 +1,22 @@
 """A simulator as the search's problem: each stretch's start is fitted wherever it is asked about, and taken out of every column."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adaptsim_jax.diagnosis.folds import folds_of
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
-from adaptsim_jax.diagnosis.simulator import Simulator, linearise, residuals
+from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 
 ROUNDS = 3  # of a start's fit from its anchor
-FRESH = 12  # of the anchors' own
+FRESH = 8  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
+SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
+DRAWS, LEFT = 12, 2.0  # of starts where fits are caught: those that leave so many times the noise
+FAR = 1.5  # times the usual error, beyond which a stretch counts less
+KEPT = 6  # points that are remembered with all their columns
+NEAR = 0.3  # of a quantity's scale, within which columns are not taken anew
 
 
 @dataclass(frozen=True)
@@ -22,34 +27,127 @@ class Settled:
     residual: np.ndarray
 
 
+@dataclass(frozen=True)
+class Slope:
+    """Derivatives by starts `[B, R C, S]` and the inverse of their squares `[B, S, S]`."""
+
+    by_start: np.ndarray
+    inverse: np.ndarray
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope; columns: by row of a basis."""
+
+    values: np.ndarray
+    starts: np.ndarray
+    slope: Slope
+    columns: dict[bytes, np.ndarray] = field(default_factory=dict)
+
+
+def pull(stretches: Stretches) -> np.ndarray:
+    """Weight `[S]` of a step of `scale` against the prior of starts, 0 where they have none."""
+    return np.zeros(len(stretches.scale)) if stretches.prior is None else stretches.scale / stretches.prior
+
+
+def slope_of(stretches: Stretches, by_start: np.ndarray) -> Slope:
+    gram = np.einsum("brs,brt->bst", by_start, by_start) + np.diag(pull(stretches) ** 2)
+    floor = 1e-9 * (1.0 + np.trace(gram, axis1=1, axis2=2))[:, None, None] * np.eye(gram.shape[1])
+    return Slope(by_start, np.linalg.inv(gram + floor))
+
+
 def settle(
-    simulator: Simulator, values: np.ndarray, starts: np.ndarray, rounds: int, which: np.ndarray | None = None
+    simulator: Simulator,
+    values: np.ndarray,
+    starts: np.ndarray,
+    rounds: int,
+    which: np.ndarray | None = None,
+    slope: Slope | None = None,
 ) -> Settled:
-    """Starts fitted by Gauss and Newton's damped steps with values `[B, P]` held, of stretches `which [B]` (all where None)."""
-    which = np.arange(simulator.stretches.count) if which is None else which
+    """Starts fitted by Gauss and Newton's damped steps with values `[B, P]` held, of stretches `which [B]` (all where None); by the
+    derivatives `slope` of a point close by, where one is given, which costs a prediction a step."""
+    s = simulator.stretches
+    which = np.arange(s.count) if which is None else which
     starts, r = starts.copy(), residuals(simulator, values, starts, which)
     on = np.arange(len(which)) if starts.shape[1] else np.zeros(0, int)
+    weight = pull(s)
+    off = lambda x, lanes: weight * (s.start[which[lanes]] - x) / s.scale
+    cost = lambda left, x, lanes: np.square(left).sum(1) + np.square(off(x, lanes)).sum(1)
     for _ in range(rounds):
         if not len(on):
             break
-        c = linearise(simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1])))[0]
-        gram = np.einsum("brs,brt->bst", c, c)
-        step = np.linalg.solve(
-            gram + 1e-9 * (1.0 + np.trace(gram, axis1=1, axis2=2))[:, None, None] * np.eye(c.shape[2]),
-            np.einsum("brs,br->bs", c, r[on])[..., None],
-        )[..., 0]
-        before, left = np.square(r[on]).sum(1), on
-        for length in (1.0, 0.3, 0.1):
-            inside = np.isin(on, left)
-            tried = starts[left] + length * step[inside] * simulator.stretches.scale
+        if slope is None:
+            here = slope_of(
+                s, linearise(simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1])))[0]
+            )
+        else:
+            here = Slope(slope.by_start[on], slope.inverse[on])
+        down = np.einsum("brs,br->bs", here.by_start, r[on]) + weight * off(starts[on], on)
+        step = np.einsum("bst,bt->bs", here.inverse, down)
+        before, left = cost(r[on], starts[on], on), on
+        for length in (1.0, 0.3, 0.1) if slope is None else (1.0, 0.3):
+            tried = starts[left] + length * step[np.isin(on, left)] * s.scale
             fresh = residuals(simulator, values[left], tried, which[left])
-            better = np.square(fresh).sum(1) < np.square(r[left]).sum(1)
+            better = cost(fresh, tried, left) < cost(r[left], starts[left], left)
             starts[left[better]], r[left[better]] = tried[better], fresh[better]
             left = left[~better]
             if not len(left):
                 break
-        on = on[before - np.square(r[on]).sum(1) > ENOUGH * before]
+        on = on[before - cost(r[on], starts[on], on) > ENOUGH * before]
     return Settled(starts, r)
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A simulator around the points where it was asked: what was fitted and differentiated there is used again close by."""
+
+    simulator: Simulator
+    points: list[Point]
+    scale: np.ndarray
+    weight: np.ndarray
+
+    def near(self, values: np.ndarray) -> Point:
+        away = [np.square((p.values - values) / self.scale).sum() for p in self.points]
+        return self.points[int(np.argmin(away))]
+
+    def residual(self, values: np.ndarray) -> np.ndarray:
+        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from there or from their first guess."""
+        point, s = self.near(values.mean(0)), self.simulator.stretches
+        starts = point.starts.copy()
+        if starts.shape[1]:
+            loss = lambda x: np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
+            other = loss(s.start) < loss(starts)
+            starts[other] = s.start[other]
+        return settle(self.simulator, values, starts, ROUNDS, None, point.slope).residual * self.weight[:, None]
+
+    def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Derivatives `[W, R C, K]` along the rows of a basis, less what starts would take up."""
+        s = self.simulator.stretches
+        if not len(basis):
+            return np.zeros((s.count, s.measured[0].size, 0))
+        point, count = self.near(values), s.count
+        anew = bool(np.any(np.abs(point.values - values) > NEAR * self.scale))
+        rows = np.tile(values if anew else point.values, (count, 1))
+        starts = settle(self.simulator, rows, point.starts, ROUNDS, None, point.slope).starts if anew else point.starts
+        known = {} if anew else point.columns
+        fresh = [row for row in basis if row.tobytes() not in known]
+        if anew or fresh:
+            asked = np.array(fresh).reshape(-1, basis.shape[1])
+            by_start, by_value = self._derivatives(rows, starts, asked, None if anew else point.slope)
+            if anew:
+                point = Point(values.copy(), starts, slope_of(s, by_start))
+                self.points.append(point)
+                del self.points[1 : max(1, len(self.points) - KEPT)]
+            known = point.columns
+            kept = without(by_start, by_value, pull(s))
+            known.update({row.tobytes(): kept[..., k] for k, row in enumerate(fresh)})
+        return np.stack([known[row.tobytes()] for row in basis], -1) * self.weight[:, None, None]
+
+    def _derivatives(self, rows, starts, basis, slope: Slope | None) -> tuple[np.ndarray, np.ndarray]:
+        which = np.arange(len(rows))
+        if slope is None:
+            return linearise(self.simulator, rows, starts, which, basis)
+        return slope.by_start, linearise(self.simulator, rows, starts, which, basis, starts_too=False)[1]
 
 
 def problem_of(
@@ -62,53 +160,102 @@ def problem_of(
         candidates: those that are considered, the simulator's own where None.
         begun: points `[N, P]` from which the declared fit may begin; the neutral one where None.
 
+    A stretch that is far worse followed than others (its start is caught at another contact) counts less, so that it does not decide.
+
     Returns:
         A problem whose trials are the stretches; folds are their trials, or blocks of these where there are fewer than five.
     """
     s, quantities = simulator.stretches, simulator.quantities
     neutral = np.array([q.neutral for q in quantities])
-    anchor = settle(simulator, np.tile(neutral, (s.count, 1)), s.start, FRESH).starts
+    anchor = anchored(simulator, neutral)
+    left = np.square(residuals(simulator, np.tile(neutral, (s.count, 1)), anchor.starts, np.arange(s.count)))
+    size = np.sqrt(left.sum(1) / np.maximum((s.seen > 0).sum((1, 2)), 1))
+    weight = 1.0 / np.maximum(size / max(FAR * float(np.median(size)), 1.0), 1.0)
+    around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
     fold, block, _ = folds_of(s.trial, s.names)
-
-    def left(values: np.ndarray) -> np.ndarray:
-        return settle(simulator, values, anchor, ROUNDS).residual
-
-    def columns(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        rows = np.tile(values, (s.count, 1))
-        at = settle(simulator, rows, anchor, ROUNDS).starts
-        by_start, by_value = linearise(simulator, rows, at, np.arange(s.count), basis)
-        return without(by_start, by_value)
-
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
-    wanted = tuple(_begun_apart(c, quantities, columns) for c in wanted)
+    wanted = _begun_apart(wanted, quantities, around)
     return Problem(
-        quantities, tuple(simulator.declared), wanted, left, columns,
+        quantities, tuple(simulator.declared), wanted, around.residual, around.columns,
         free, tuple(s.names[t] for t in s.trial), neutral[None] if begun is None else begun, channels=len(simulator.channels),
         fold=fold, block=block,
     )  # fmt: skip
 
 
-def _begun_apart(candidate: Candidate, quantities: Sequence[Quantity], columns) -> Candidate:
+def anchored(simulator: Simulator, values: np.ndarray) -> Point:
+    """Starts fitted from their first guesses with values `[P]`: each slope is used for a few steps before it is taken anew."""
+    s = simulator.stretches
+    starts, by_start = s.start.copy(), np.zeros((s.count, s.measured[0].size, s.start.shape[1]))
+    on, rows, none = np.arange(s.count), np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
+    before = np.square(residuals(simulator, rows, starts, on)).sum(1)
+    draw, shaken = np.random.default_rng(0).standard_normal, False
+    for _ in range(FRESH if starts.shape[1] else 0):
+        by_start[on] = linearise(simulator, rows[on], starts[on], on, none)[0]
+        found = settle(simulator, rows[on], starts[on], ROUNDS, on, slope_of(s, by_start[on]))
+        starts[on], after = found.starts, np.square(found.residual).sum(1)
+        gained, before = before - after > SETTLED * before, after
+        on, before = on[gained], before[gained]
+        if not len(on) and not shaken:
+            shaken, on = True, np.arange(s.count)
+            before = np.square(residuals(simulator, rows, starts, on)).sum(1)
+            again = _shaken(simulator, rows, starts, by_start, before, on, draw)
+            on, before = on[again], before[again]
+        if not len(on):
+            break
+    return Point(values, starts, slope_of(s, by_start))
+
+
+def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
+    """Starts moved, in place, to the best of a few draws about those that leave more than noise: where contact makes minima, the next
+    may be better. Draws are as wide as what is left lets a start be. Returns whether a stretch is to be settled again."""
+    s = simulator.stretches
+    count = np.maximum((s.seen[on] > 0).sum((1, 2)), 1)
+    bad, again = np.flatnonzero(before > LEFT**2 * count), np.zeros(len(on), bool)
+    if not len(bad):
+        return again
+    lanes, best = on[bad], before[bad].copy()
+    wide = np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse) * np.sqrt(best / count[bad])[:, None, None]
+    middle = starts[lanes].copy()
+    for k in range(DRAWS):
+        tried = middle + (1.0, 0.3)[k % 2] * np.einsum("bst,bt->bs", wide, draw(middle.shape)) * s.scale
+        loss = np.square(residuals(simulator, rows[lanes], tried, lanes)).sum(1)
+        better = loss < best
+        starts[lanes[better]], best[better] = tried[better], loss[better]
+    again[bad], before[bad] = best < before[bad], best
+    return again
+
+
+def _begun_apart(
+    wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised
+) -> tuple[Candidate, ...]:
     """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a friction that only holds) begins at a few
     sizes instead: shapes of its own are kept."""
     index = {q.name: i for i, q in enumerate(quantities)}
-    own = [quantities[index[name]] for name in candidate.quantities]
-    if any(candidate.shapes):
-        return candidate
-    neutral = np.array([q.neutral for q in quantities])
-    basis = np.zeros((len(own), len(quantities)))
-    for row, q in zip(basis, own, strict=True):
-        row[index[q.name]] = q.scale
-    if np.any(np.abs(columns(neutral, basis)) > 1e-9):
-        return candidate
-    sizes = [{q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own} for k in (1.0, 10.0, 100.0)]
-    return replace(candidate, shapes=tuple(sizes))
+    plain = sorted({index[q] for c in wanted if not any(c.shapes) for q in c.quantities})
+    columns = around.columns(np.array([q.neutral for q in quantities]), np.diag([q.scale for q in quantities])[plain])
+    seen = {quantities[i].name for i, shown in zip(plain, np.any(np.abs(columns) > 1e-9, (0, 1)), strict=True) if shown}
+    out = []
+    for c in wanted:
+        if any(c.shapes) or seen & set(c.quantities):
+            out.append(c)
+            continue
+        own = [quantities[index[name]] for name in c.quantities]
+        sizes = [
+            {q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own} for k in (1.0, 10.0, 100.0)
+        ]
+        out.append(replace(c, shapes=tuple(sizes)))
+    return tuple(out)
 
 
-def without(by_start: np.ndarray, by_value: np.ndarray) -> np.ndarray:
-    """Columns `[W, R, K]` less what a stretch's own start `[W, R, S]` would take up."""
-    if not by_start.shape[2]:
+def without(by_start: np.ndarray, by_value: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
+    """Columns `[W, R, K]` less what a stretch's own start `[W, R, S]` would take up, as far as its prior (`pull [S]`) lets it."""
+    if not by_start.shape[2] or not by_value.shape[2]:
         return by_value
+    if weight is not None and weight.any():
+        rows = by_start.shape[1]
+        own = np.concatenate([by_start, np.broadcast_to(np.diag(weight), (len(by_start), len(weight), len(weight)))], 1)
+        more = np.concatenate([by_value, np.zeros((len(by_start), len(weight), by_value.shape[2]))], 1)
+        return without(own, more)[:, :rows]
     own, _ = np.linalg.qr(by_start)
     return by_value - np.einsum("wrs,wqs,wqk->wrk", own, own, by_value, optimize=True)

@@ -76,7 +76,7 @@ def _moving(
         )
     have = [columns.by_joint.get("q", {}) for columns in trials]
     if not n:
-        if any(columns.base is None for columns in trials):
+        if any(columns.base is None and not columns.channels for columns in trials):
             raise BadInput(
                 f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) and base_qw .. base_qz"
             )
@@ -217,7 +217,7 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:
     found = role(name, names.joints)
-    if found is None or found.stem in ("time", "trial", "base"):
+    if found is None or found.stem in ("time", "trial", "base", "channel"):
         return (name,)
     if isinstance(found.joint, str):
         return found.words(name, found.joint)
@@ -261,6 +261,7 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
         payload=_of(meta.payload, raw.name, 0.0),
         extra=extra,
         base=columns.base,
+        channels=columns.channels,
     )
 
 

@@ -20,6 +20,8 @@ STEMS = {
 """Our stem -> the words that open a column's name."""
 BASE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit quaternion."""
+CHANNEL = "channel:"
+"""What opens our name of a column that `[channels]` gives to a sensor of the model."""
 INPUT_STEMS = ("tau", "target", "ctrl", "u", "i", "tau_commanded")
 NOT_JOINTS = (
     "d", "des", "desired", "cmd", "command", "commanded", "ref", "reference", "target", "goal", "error", "err", "raw",
@@ -32,7 +34,7 @@ _PATTERN = re.compile(rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?
 
 @dataclass(frozen=True)
 class Role:
-    """`stem`: time, trial, q, v, tau, tau_commanded, target, ctrl, u, i; `joint`: its number as written, name, or None."""
+    """`stem`: time, trial, base, channel, q, v, tau, tau_commanded, target, ctrl, u, i; `joint`: its number as written, name, None."""
 
     stem: str
     joint: int | str | None = None
@@ -50,6 +52,8 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
         return Role("time")
     if name in TRIAL:
         return Role("trial")
+    if name.startswith(CHANNEL):
+        return Role("channel", name.removeprefix(CHANNEL))
     if name.startswith("base_") and name.removeprefix("base_") in BASE:
         return Role("base", name.removeprefix("base_"))
     commanded = name.endswith("_commanded")

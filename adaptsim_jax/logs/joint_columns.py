@@ -31,7 +31,7 @@ class Columns:
 
     `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
     `named`: (stem, joint) -> its column; `scaled`: joints whose angles are declared in a scale that is no unit of angle;
-    `base [T, 7]`: place and orientation of a free base.
+    `base [T, 7]`: place and orientation of a free base; `channels`: by sensor of the model `[T]`.
     """
 
     raw: RawTrial
@@ -43,6 +43,7 @@ class Columns:
     named: dict[tuple[str, int], str] = field(default_factory=dict)
     scaled: dict[int, bool] = field(default_factory=dict)
     base: np.ndarray | None = None
+    channels: dict[str, np.ndarray] = field(default_factory=dict)
 
     def stacked(self, stem: str, n: int) -> np.ndarray:
         """`[T, n]` of a quantity, NaN for joints without."""
@@ -67,7 +68,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     written: dict[tuple[str, int], np.ndarray] = {}
     scaled: dict[int, bool] = {}
     for name, found in roles.items():
-        if found.stem in ("time", "trial", "base"):
+        if found.stem in ("time", "trial", "base", "channel"):
             continue
         if found.stem == "ctrl":
             ctrl[_place(found, zero_based)] = trial.columns[name]
@@ -107,6 +108,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         taken,
         scaled,
         _base(trial, roles),
+        {str(found.joint): trial.columns[name] for name, found in roles.items() if found.stem == "channel"},
     )
 
 

@@ -93,7 +93,8 @@ class LogTrial:
     `v [T, n]`: rad/s or m/s, None where no speed was logged; `u [T, m]`: the input, which holds from its row to the
     next: N m or N (torque), what the actuators were told (command), V, A. `extra`: other quantities of the file by
     their stem (`tau_commanded`, `target`, ...), each `[T, n]` and NaN for joints without; `group`: trials that
-    belong together; `payload`: kg at the tip; `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not logged.
+    belong together; `payload`: kg at the tip; `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not logged;
+    `channels`: by sensor of the model (`gyro[0]`) what `[channels]` compares with it `[T]`, in the sensor's unit.
     """
 
     name: str
@@ -106,6 +107,7 @@ class LogTrial:
     path: str = ""
     extra: dict[str, np.ndarray] = field(default_factory=dict)
     base: np.ndarray | None = None
+    channels: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def dt(self) -> float:
@@ -118,7 +120,10 @@ class LogTrial:
         v = None if self.v is None else self.v[part]
         extra = {name: values[part] for name, values in self.extra.items()}
         base = None if self.base is None else self.base[part]
-        return replace(self, time=self.time[part], q=self.q[part], v=v, u=self.u[part], extra=extra, base=base)
+        read = {name: values[part] for name, values in self.channels.items()}
+        return replace(
+            self, time=self.time[part], q=self.q[part], v=v, u=self.u[part], extra=extra, base=base, channels=read
+        )
 
 
 @dataclass(frozen=True)

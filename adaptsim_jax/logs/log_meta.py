@@ -10,12 +10,13 @@ from typing import Any
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.logs.columns import CHANNEL
 from adaptsim_jax.logs.log_units import Unit, check_unit
 
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
 TEXT_KEYS = ("name", "description", "note", "source", "license")
-TABLES = ("columns", "units", "angles", "hold", "commands", "known", "fit", "noise", "trials", "ros")
+TABLES = ("columns", "channels", "units", "angles", "hold", "commands", "known", "fit", "noise", "trials", "ros")
 KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
 SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
@@ -39,7 +40,7 @@ class LogMeta:
     (rad/s, m/s)
     or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data that holds its commands;
     `hold`: joint -> rad or m that it is held at (None: where the log or the file has it); `simulator`: tree or mujoco, None: by what
-    the model needs.
+    the model needs; `channels`: a sensor of the model, `gyro[0]` -> the column that it is compared with (among `columns`, too).
     """
 
     path: str = ""
@@ -64,6 +65,7 @@ class LogMeta:
     rate: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
     commands: Mapping[str, str] = field(default_factory=dict)
+    channels: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
@@ -94,13 +96,14 @@ def read_log_meta(path: str | Path) -> LogMeta:
     commands = _known_keys(path, "commands", tables["commands"], COMMAND_KEYS)
     trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
     convention = angles.get("convention", {})
+    channels = _channels(path, tables["channels"])
     return LogMeta(
         path=str(path),
         model=_beside(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
         data=_beside(path, raw, "data", "give the file or folder of the data, relative to meta.toml"),
         input=raw.get("input"),
         ignore=_texts(path, "ignore", raw.get("ignore", [])),
-        columns=_columns(path, tables["columns"]),
+        columns=_columns(path, tables["columns"]) | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
         units={key: check_unit(path, key, value) for key, value in tables["units"].items()},
         convention=_conventions(path, {"": convention} if isinstance(convention, str) else convention),
         zero=_numbers(path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"),
@@ -119,6 +122,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
             key: None if value is True else _number(path, f"hold.{key}", value) for key, value in tables["hold"].items()
         },
         simulator=raw.get("simulator"),
+        channels=channels,
     )
 
 
@@ -192,6 +196,19 @@ def _columns(path: Path, table: dict) -> dict[str, str]:
         if list(out.values()).count(name) > 1:
             keys = ", ".join(key for key, value in out.items() if value == name)
             raise BadInput(f"{path}: [columns] gives column {brief(name)} to {keys}; give it to one of them")
+    return out
+
+
+def _channels(path: Path, table: dict) -> dict[str, str]:
+    """A sensor of the model -> the file's column. Two columns cannot be one sensor's."""
+    out: dict[str, str] = {}
+    for column, value in table.items():
+        sensor = _text(path, f"channels.{column}", value)
+        if sensor in out:
+            raise BadInput(
+                f"{path}: [channels] gives {out[sensor]} and {column} to {sensor}; write {sensor}[0], {sensor}[1], ..."
+            )
+        out[sensor] = column
     return out
 
 

@@ -14,6 +14,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.roles import BALL, CONNECT, FREE, TIE, WELD, pose_of
 from adaptsim_jax.mechanisms.spec import Source, read_spec, shapeless
+from adaptsim_jax.simulators.mujoco.sensed import Reading, feels, readings
 
 STIFF = (1e-4, 1.0)
 HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -22,7 +23,8 @@ HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 @dataclass(frozen=True)
 class Stepped:
     """A model to be stepped. angle [n]: where each joint of the log is in qpos; base: first of the seven of a free base in qpos that
-    was logged, -1: none; pose [nq]: where everything is held or begins; notes: what was done, a sentence each."""
+    was logged, -1: none; free: the same of one that moves, logged or only felt by an IMU; read: what `[channels]` compares;
+    pose [nq]: where everything is held or begins; notes: what was done, a sentence each."""
 
     path: str
     model: mujoco.MjModel
@@ -30,6 +32,8 @@ class Stepped:
     base: int
     pose: np.ndarray
     notes: tuple[str, ...]
+    free: int = -1
+    read: tuple[Reading, ...] = ()
 
     def with_model(self, model: mujoco.MjModel) -> "Stepped":
         """The same with other numbers in the model."""
@@ -50,7 +54,8 @@ def stepped(source: Source, log: Log) -> Stepped:
     pose, _ = pose_of(first)
     values = {first.joint(k).name: pose[first.jnt_qposadr[k] :][:7] for k in range(first.njnt)}
     notes: list[str] = []
-    _weld(spec, values, logged, notes)
+    felt = not logged and feels(spec, log.meta.channels)
+    _weld(spec, values, logged or felt, notes)
     _hold(spec, source, log, values, notes)
     for mimic in source.mimics:
         tie = spec.add_equality(
@@ -61,6 +66,8 @@ def stepped(source: Source, log: Log) -> Stepped:
         tie.data, tie.solref, tie.solimp = data, STIFF, HARD  # of a URDF, which is exact
     for key in list(spec.keys):
         spec.delete(key)
+    for body in spec.bodies:
+        body.simple = False  # its centre of mass may be fitted
     model = _compiled(source.path, spec)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a run that blows up shall be seen
     at = {model.joint(k).name: int(model.jnt_qposadr[k]) for k in range(model.njnt)}
@@ -78,8 +85,14 @@ def stepped(source: Source, log: Log) -> Stepped:
         raise BadInput(
             f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco does not read; take tree"
         )
+    if felt and free >= 0:
+        notes.append(
+            "no pose of the base is logged: it is estimated with each start from gyro, accelerometer and feet that stand"
+        )
     angle = [at[name] for name in log.joint_names]
-    return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes))
+    read = readings(model, log.meta.channels, log.meta.path)
+    moves = free if logged or felt else -1
+    return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes), moves, read)
 
 
 def _compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -1,139 +1,126 @@
-"""What a model that MuJoCo steps may lack, as numbers of it by name: friction, damping and rotors of joints, gains, a late command,
-payloads, and what only contact shows: friction and stiffness of what touches the world, a world that is tilted."""
+"""What a model that MuJoCo steps may lack, as numbers of it by name: friction, damping and rotors of joints, weak drives, late or
+shifted commands, payloads, sensors that are off. What only contact and a base that moves show is in `contact`."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.fields import DELAY, TILTS, Field, field
+from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field
+from adaptsim_jax.simulators.mujoco.sensed import triple
 
 DECLARED = "viscous"
 """What is fitted whatever is named."""
-HEAVY = 0.05  # share of all mass, from which on a body may carry a payload
+HEAVY, HEAVIER = 0.05, 0.1  # share of all mass from which on a body may carry a payload; of a machine whose base moves
+AWAY = 0.01  # m: of a payload's place, a step that shows
+TURNED = 2e-3  # rad: of an angle read wrong, likewise
+SENSED = {"gyro": (5e-3, 1.0), "accelerometer": (0.05, 10.0)}  # rad/s, m/s^2: a bias that shows, and its bound
 UNITS = {
-    "frictionloss": "N m",
-    "damping": "N m s/rad",
-    "armature": "kg m^2",
-    "mass": "kg",
-    "friction": "1",
-    "solref": "s",
-    "kp": "N m/rad",
-}
+    "frictionloss": "N m", "damping": "N m s/rad", "armature": "kg m^2", "mass": "kg", "solref": "s", "kp": "N m/rad", "ipos": "m",
+    "offset": "rad", "wind": "N", "delay": "s",
+}  # fmt: skip
+SIZE, PRIOR = 10.0, 100.0  # steps of a field: what matters of it, and the width of its prior
 
 
-def candidates(
-    made: Stepped, joints: Sequence[str]
-) -> tuple[tuple[Field, ...], tuple[Quantity, ...], tuple[Candidate, ...]]:
-    """Fields, the quantities that they are (in their order), and the candidates that free them. joints: those that were logged."""
+@dataclass(frozen=True)
+class Row:
+    """A candidate and the fields that it frees."""
+
+    fields: tuple[Field, ...]
+    candidate: Candidate
+
+
+def row(
+    effect: str, where: str, fields: Field | Iterable[Field], told: tuple[str, str], same: tuple[str, ...] = ()
+) -> Row:
+    """An effect at a place; told: its physics and what shows it; same: effects that no such recording tells apart from it."""
+    fields = (fields,) if isinstance(fields, Field) else tuple(fields)
+    name = f"{effect} at {where}" if where else effect
+    apart = "a look at the machine" if same else ""
+    return Row(fields, Candidate(name, where, tuple(f.name for f in fields), *told, same=same, apart=apart))
+
+
+def quantity(f: Field) -> Quantity:
+    """A field as the search has it."""
+    stem = f.name.split("[")[0].split(".")[-1]
+    unit = UNITS.get(stem, UNITS.get(f.name.split(".")[0], "rad" if "tilt" in f.name else "1"))
+    return Quantity(f.name, unit, f.neutral, f.low, f.high, SIZE * f.scale, PRIOR * f.scale)
+
+
+def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
+    """All that joints, drives and bodies may lack. joints: those that were logged."""
     model = made.model
-    rows: list[tuple[Field, Quantity, Candidate]] = []
+    return [*_of_joints(made, joints), *_of_drives(model), *_of_bodies(model, HEAVY if made.free < 0 else HEAVIER)]
 
-    def add(effect: str, where: str, made_field: Field, physics: str, seen: str, same: tuple[str, ...] = ()) -> None:
-        name, unit = made_field.name, UNITS.get(made_field.field.split(".")[-1], "1")
-        q = Quantity(
-            name,
-            unit,
-            made_field.neutral,
-            made_field.low,
-            made_field.high,
-            10.0 * made_field.scale,
-            100.0 * made_field.scale,
-        )
-        rows.append((made_field, q, Candidate(f"{effect} at {where}", where, (name,), physics, seen, same=same)))
 
-    weight = _scales(model, joints)
-    for name in joints:
-        size = weight[name]
-        sized = lambda f, share, size=size: replace(f, scale=max(f.scale, share * size))
-        add("coulomb", name, sized(field(model, f"joint:{name}.frictionloss"), 0.01), "dry friction", "reversals")
-        add(
-            DECLARED,
-            name,
-            sized(field(model, f"joint:{name}.damping"), 0.01),
-            "friction in proportion to speed",
-            "fast motion",
-        )
-        rotor = field(model, f"joint:{name}.armature")
+def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
+    model, weight = made.model, _scales(made.model, joints)
+    wide = lambda f, size: replace(f, scale=max(f.scale, 0.01 * size))
+    for k, name in enumerate(joints):
         inertia = 1.0 / max(float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]]), 1e-9)
-        add(
-            "armature",
+        of = lambda what, size, name=name: wide(field(model, f"joint:{name}.{what}"), size)
+        yield row("coulomb", name, of("frictionloss", weight[name]), ("dry friction", "reversals"))
+        yield row(DECLARED, name, of("damping", weight[name]), ("friction in proportion to speed", "fast motion"))
+        yield row("armature", name, of("armature", inertia), ("a rotor's inertia", "fast changes of speed"))
+        off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
+        yield row(
+            "angle offset",
             name,
-            replace(rotor, scale=max(rotor.scale, 0.01 * inertia)),
-            "a rotor's inertia",
-            "fast changes of speed",
+            off,
+            ("the angle is read from another zero", "gravity, stops, and where it is driven to"),
         )
+
+
+def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
     for k in range(model.nu):
-        name = model.actuator(k).name
-        servo = model.actuator_biasprm[k, 1] < 0
-        what = "kp" if servo else "gainprm[0]"
-        if field(model, f"actuator:{name}.{what}").neutral:
-            add(
-                "gain",
-                name,
-                field(model, f"actuator:{name}.{what}"),
-                "the drive gives more or less than told",
-                "large commands",
-            )
+        name = model.actuator(k).name or f"actuator{k}"
+        if not np.any(model.actuator_gainprm[k, :3]):
+            continue
+        weak = (field(model, f"actuator:{name}.{STRENGTH}"),)
+        if model.actuator_biasprm[k, 1] < 0 and model.actuator_biasprm[k, 2] < 0:
+            weak += (field(model, f"actuator:{name}.kv"),)
+        yield row("gain", name, weak, ("the drive gives more or less than told", "large commands"))
+        if model.actuator_biasprm[k, 1] < 0 and model.actuator_trntype[k] == 0:
+            shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, TURNED)
+            yield row("command offset", name, shift, ("the drive goes to another angle than told", "any command"))
     if model.nu:
-        add("delay", "all joints", field(model, DELAY), "commands act late", "fast commands")
+        yield row("delay", "all joints", field(model, DELAY), ("commands act late", "fast commands"))
+
+
+def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
     total = float(model.body_mass.sum())
     for b in range(1, model.nbody):
-        if model.body_mass[b] > HEAVY * total and model.body_dofnum[b] > 0:
-            name = model.body(b).name
-            add("payload", name, field(model, f"body:{name}.mass"), "a body of another mass", "motion against gravity")
-    _of_contact(made, add)
-    return tuple(r[0] for r in rows), tuple(r[1] for r in rows), tuple(r[2] for r in rows)
+        if model.body_mass[b] > share * total and _moves(model, b):
+            name = model.body(b).name or f"body{b}"
+            place = [replace(field(model, f"body:{name}.ipos[{i}]"), scale=AWAY) for i in range(3)]
+            mass = field(model, f"body:{name}.mass")
+            yield row("payload", name, (mass, *place), ("a body of another mass", "motion against gravity"))
 
 
-def _of_contact(made: Stepped, add: Callable[..., None]) -> None:
-    """Adds what contact with the world shows, where anything may touch it."""
-    model = made.model
-    ground = [
-        g
-        for g in range(model.ngeom)
-        if model.geom_bodyid[g] == 0 and (model.geom_contype[g] or model.geom_conaffinity[g])
-    ]
-    touch = [
-        g
-        for g in range(model.ngeom)
-        if model.geom_bodyid[g] > 0 and (model.geom_contype[g] or model.geom_conaffinity[g])
-    ]
-    if not ground or not touch:
-        return
-    every = tuple(ground + touch)
-    friction = float(model.geom_friction[touch, 0].mean())
-    soft = float(model.geom_solref[touch, 0].mean())
-    scale = lambda name, what, column, neutral, high: Field(
-        name, f"geom.{what}", every, column, neutral, 1e-3, high, 0.01 * neutral
-    )
-    add(
-        "floor friction",
-        "all contacts",
-        scale("contact.friction", "friction", 0, friction, 5.0),
-        "a floor of other friction",
-        "sliding",
-    )
-    if soft > 0:
-        add(
-            "contact stiffness",
-            "all contacts",
-            scale("contact.solref", "solref", 0, soft, 1.0),
-            "softer or harder contacts",
-            "impacts",
+def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
+    """What sensors may read wrong. first: place of theirs among the channels."""
+    found = [(kind, axes) for kind in ("gyro", "accelerometer") if (axes := triple(made.read, kind)) is not None]
+    for kind, axes in found:
+        step, most = SENSED[kind]
+        places = tuple(first + k for k in axes)
+        off = [Field(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, -most, most, step) for i in range(3)]
+        yield row(f"{kind} bias", "imu", off, ("it reads more or less than there is", "any motion"))
+    if found:
+        starts = tuple(first + axes[0] for _, axes in found)
+        turned = [Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, TURNED) for i in range(3)]
+        yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
+        every = tuple(first + k for _, axes in found for k in axes)
+        yield row(
+            "late", "imu", Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3), ("it is read late", "fast motion")
         )
-    if made.base >= 0:
-        for name in TILTS:
-            add(
-                "tilt",
-                name,
-                field(model, name),
-                "the ground is tilted",
-                "standing and walking",
-            )
+
+
+def _moves(model: mujoco.MjModel, body: int) -> bool:
+    return model.body_dofnum[body] > 0 or model.body_weldid[body] != 0
 
 
 def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.diagnosis.run import Page, plain
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
@@ -17,16 +18,28 @@ from adaptsim_jax.diagnosis.simulator import Stretches as Compared
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco import rollouts
+from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
-from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, candidates, noise_of
-from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, with_values
+from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
+from adaptsim_jax.simulators.mujoco.coarse import told as coarse_step
+from adaptsim_jax.simulators.mujoco.contact import contact_rows
+from adaptsim_jax.simulators.mujoco.fields import Field, with_values
+from adaptsim_jax.simulators.mujoco.sensed import prior_of
 from adaptsim_jax.simulators.mujoco.starts import fitted
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut, delayed
+from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
 
-HORIZON = 0.3  # s: contact makes longer stretches chaotic
-BUDGET = 3e6  # steps of one linearisation
+HORIZON, TOUCHED = 0.5, 0.24  # s; where a base moves, for contact makes longer stretches chaotic
+BUDGET = 5e5  # steps of one linearisation
+STRETCHES = (24, 100)  # at least, at most
+OPENING = (1, 4)  # rounds of starts before all channels count as they should; where a base is only felt
+ROUGH = 30.0  # times its noise: what an accelerometer counts with there
+JUMPS = 0.1  # of an accelerometer's spread: its least noise where a base is only felt
+DIFF = 0.1  # of a quantity's scale, by which its derivative is taken
+WILD = 1e9  # of a derivative over the noise: what runs away
 FLOOR = 1e-6  # rad, m: least noise, of a log without any
 TURNED, SPED = 1e-2, 0.1  # rad (m) and rad/s (m/s) of a start
+SHORT = Criteria(rounds=4, glance=1)
+"""Where a base moves a round is dear: fits are short."""
 ONE_AT_A_TIME = Lock()  # MuJoCo's pool of threads is one for all
 
 
@@ -46,82 +59,92 @@ class MujocoSimulator:
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `diagnosis.simulator.Simulator`."""
         values = np.clip(values, *np.array([(f.low, f.high) for f in self.fields]).T)
-        rows, kind = np.unique(values, axis=0, return_inverse=True)
-        late = [i for i, f in enumerate(self.fields) if f.name == DELAY]
-        own = [i for i, f in enumerate(self.fields) if f.name != DELAY]
-        models = [with_values(self.made.model, [self.fields[i] for i in own], row[own]) for row in rows]
-        delays = rows[:, late[0]] if late else np.zeros(len(rows))
-        out = np.empty((len(which), *self.stretches.measured.shape[1:]))
+        own = [i for i, f in enumerate(self.fields) if f.field not in OUTSIDE]
+        rows, kind = np.unique(values[:, own], axis=0, return_inverse=True)
+        models = [with_values(self.made.model, [self.fields[i] for i in own], row) for row in rows]
+        by = acting(self.made, self.fields, values)
         with ONE_AT_A_TIME:
-            for delay in np.unique(delays):
-                lanes = np.flatnonzero(delays[kind.reshape(-1)] == delay)
-                own_stretches = (
-                    delayed(self.own, float(delay), float(self.made.model.opt.timestep)) if delay else self.own
-                )
-                some = [models[k] for k in kind.reshape(-1)[lanes]]
-                path = rollouts.predict(self.made, own_stretches, starts[lanes], which[lanes], some)
-                off = rollouts.residual(self.made, self.own, path, which[lanes])
-                out[lanes] = self.stretches.measured[which[lanes]] - off
-        return out
+            path = rollouts.predict(self.made, self.own, starts, which, [models[k] for k in kind.reshape(-1)], by)
+        read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
+        return as_read(self.fields, values, read, self.stretches.time[which])
 
     def linearise(
-        self, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray
+        self, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray, starts_too: bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `diagnosis.simulator.linearise`: all differences in one batch."""
-        b, p, s = len(which), values.shape[1], starts.shape[1]
-        ways = [(np.zeros(p), row) for row in np.diag(self.stretches.scale)] + [(row, np.zeros(s)) for row in basis]
-        if not ways:
-            return np.zeros((b, self.stretches.measured[0].size, 0)), np.zeros((b, self.stretches.measured[0].size, 0))
-        sides = [(side * STEP * v, side * STEP * x) for v, x in ways for side in (1.0, -1.0)]
-        every_value = np.concatenate([values + v for v, _ in sides])
-        every_start = np.concatenate([starts + x for _, x in sides])
-        noise = np.array([c.noise for c in self.channels])
-        seen = self.stretches.seen[which] > 0
-        read = self.predict(every_value, every_start, np.tile(which, len(sides))).reshape(
-            len(ways), 2, b, *self.stretches.measured.shape[1:]
-        )
-        slope = np.where(seen, (read[:, 0] - read[:, 1]) / noise / (2.0 * STEP), 0.0)
-        slope = np.clip(np.nan_to_num(slope), -1e12, 1e12).reshape(len(ways), b, -1)
-        both = np.moveaxis(slope, 0, -1)
-        return both[..., :s], both[..., s:]
+        """See `diagnosis.simulator.linearise`: forward differences in one batch, by steps wide enough to see past single contacts."""
+        b, width = len(which), starts.shape[1] if starts_too else 0
+        high = np.array([f.high for f in self.fields])
+        basis = DIFF * basis
+        basis = np.where(np.any(values[0] + basis > high, 1)[:, None], -basis, basis)
+        steps = STEP * np.diag(self.stretches.scale)[:width]
+        every_value = np.concatenate([values, np.tile(values, (width, 1)), *(values + row for row in basis)])
+        every_start = np.concatenate([starts, *(starts + row for row in steps), np.tile(starts, (len(basis), 1))])
+        read = self.predict(every_value, every_start, np.tile(which, 1 + width + len(basis)))
+        read = read.reshape(1 + width + len(basis), b, -1)
+        noise = np.tile([c.noise for c in self.channels], self.stretches.time.shape[1])
+        seen = self.stretches.seen[which].reshape(b, -1) > 0
+        size = np.concatenate([np.full(width, STEP), DIFF * np.sign(basis.sum(1) if len(basis) else np.zeros(0))])
+        slope = np.where(seen, (read[1:] - read[0]) / noise / size[:, None, None], 0.0)
+        both = np.moveaxis(np.clip(np.nan_to_num(slope), -WILD, WILD), 0, -1)
+        return both[..., :width], both[..., width:]
 
 
-def simulator(source: Source, log: Log, horizon: float = HORIZON) -> MujocoSimulator:
+def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
     """Of a model file over a recording. Raises BadInput as reading and cutting do."""
     made = stepped(source, log)
-    joints = [name for name in log.joint_names if mujoco.mj_name2id(made.model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0]
-    fields, quantities, wanted = candidates(made, joints)
-    cost = 2 * (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
-    own = cut(made, log, horizon, max(24, int(BUDGET / cost)))
-    starts, _ = fitted(made, own, _plain(made, own))
-    names = [
-        *(f"q_{n}" for n in log.joint_names),
-        *((f"v_{n}" for n in log.joint_names) if rollouts.has_speeds(made, own) else ()),
-    ]
-    names += [f"base_{c}" for c in ("x", "y", "z", "turn_x", "turn_y", "turn_z")] if made.base >= 0 else []
-    measured = (
-        own.measured
-        if made.base < 0
-        else np.concatenate([own.measured[..., :-4], np.zeros((*own.measured.shape[:2], 3))], -1)
-    )
-    seen = own.seen if made.base < 0 else np.concatenate([own.seen[..., :-4], own.seen[..., -3:]], -1)
-    noise = noise_of(measured, seen)
-    if made.base >= 0:
-        noise[-3:] = 2.0 * np.mean(noise_of(own.measured[..., -3:], own.seen[..., -3:]))
-    noise = np.maximum(noise, FLOOR)
+    horizon = horizon or (HORIZON if made.free < 0 else TOUCHED)
+    first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
+    found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
+    fields = tuple({f.name: f for r in found for f in r.fields}.values())
+    cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
+    own = cut(made, log, horizon, int(np.clip(BUDGET / cost, *STRETCHES)))
+    felt = made.free >= 0 > made.base
+    channels, measured, seen = _channels(made, own, log)
+    starts = np.zeros((own.count, rollouts.start_size(made)))
+    if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
+        starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
     nv, na = made.model.nv, made.model.na
     scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
-    compared = Compared(own.trial, own.names, own.time, measured, seen.astype(float), starts, scale)
-    channels = tuple(Channel(n, "rad", float(z)) for n, z in zip(names, noise, strict=True))
-    damping = tuple(
-        c.quantities[0] for c in wanted if c.name.startswith(DECLARED)
-    )  # fitted whatever is named, as for a tree
-    wanted = tuple(c for c in wanted if c.quantities[0] not in damping)
-    return MujocoSimulator(made, own, fields, quantities, damping, channels, compared, wanted)
+    prior = prior_of(made.model, made.free) if felt else None
+    compared = Compared(own.trial, own.names, own.time, measured, seen.astype(float), starts, scale, prior)
+    quantities = tuple(quantity(f) for f in fields)
+    declared = tuple(f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields)
+    wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
+    return MujocoSimulator(made, own, fields, quantities, declared, channels, compared, wanted)
 
 
-def _plain(made: Stepped, own: Stretches) -> np.ndarray:
-    return np.ones(own.measured.shape[2] - (1 if made.base >= 0 else 0))
+def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
+    """[C] weights of channels for first guesses of starts."""
+    rough = {r.name for r in made.read if r.kind == "accelerometer"}
+    return np.array([1.0 / (c.noise * (ROUGH if c.name in rough else 1.0)) for c in channels])
+
+
+def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
+    """Channels, and what was measured and seen of them; of a base three angles from the measured orientation."""
+    slides = {n for n in log.joint_names if made.model.jnt_type[made.model.joint(n).id] == mujoco.mjtJoint.mjJNT_SLIDE}
+    units = {n: "m" if n in slides else "rad" for n in log.joint_names}
+    named = [(f"q_{n}", units[n]) for n in log.joint_names]
+    if rollouts.has_speeds(made, own):
+        named += [(f"v_{n}", f"{units[n]}/s") for n in log.joint_names]
+    measured, seen = own.measured, own.seen
+    named += [(r.name, r.unit) for r in made.read]
+    noise = noise_of(measured, seen)
+    if made.base >= 0:
+        named += [*((f"base_{c}", "m") for c in "xyz"), *((f"base_turn_{c}", "rad") for c in "xyz")]
+        turn = 2.0 * float(np.mean(noise[-4:]))
+        noise = np.append(noise[:-4], [turn] * 3)
+        measured = np.concatenate([measured[..., :-4], np.zeros((*measured.shape[:2], 3))], -1)
+        seen = np.concatenate([seen[..., :-4], seen[..., -3:]], -1)
+    if made.free >= 0:  # contact makes accelerations jump, from which no start is found
+        own_spread = np.nanstd(np.where(seen, measured, np.nan), axis=(0, 1))
+        rough = [
+            len(named) - len(made.read) + k
+            for k, r in enumerate(made.read)
+            if r.kind == "accelerometer" and made.base < 0
+        ]
+        noise[rough] = np.maximum(noise[rough], JUMPS * own_spread[rough])
+    noise = np.maximum(noise, FLOOR)
+    return tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)), measured, seen
 
 
 def diagnose(
@@ -129,7 +152,7 @@ def diagnose(
     log: Log,
     *,
     out: str | Path | None = None,
-    horizon: float = HORIZON,
+    horizon: float | None = None,
     exclude: Sequence[str] = (),
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
@@ -137,11 +160,33 @@ def diagnose(
     """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo simulates; the report."""
     made = simulator(source, log, horizon)
     notes = ["simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.made.notes]
+    coarse: dict[str, list[str]] = {}
+
+    def with_notes(report: dict[str, Any]) -> dict[str, Any]:
+        if not coarse:
+            coarse["told"] = coarse_step(made, _values(made, report))
+        report["notes"] = [*(n for n in report.get("notes", ()) if n not in notes), *coarse["told"], *notes]
+        return report
 
     def told(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
-        report["notes"] = [*report.get("notes", ()), *notes]
-        (page or plain)(folder, report, evidence)
+        (page or plain)(folder, with_notes(report), evidence)
 
     name = Path(source.path).name
-    report = diagnose_simulator(made, out=out, exclude=exclude, progress=progress, page=told, name=name)
-    return report if out is not None else report | {"notes": [*report.get("notes", ()), *notes]}
+    report = diagnose_simulator(
+        made,
+        out=out,
+        criteria=None if made.made.free < 0 else SHORT,
+        exclude=exclude,
+        progress=progress,
+        page=told,
+        name=name,
+    )
+    return report if out is not None else with_notes(report)
+
+
+def _values(made: MujocoSimulator, report: dict[str, Any]) -> np.ndarray:
+    """[P] as a report has them."""
+    found = {**report["declared"]["after"]}
+    for e in report["effects"]:
+        found |= e["parameters"]
+    return np.array([found[q.name]["value"] if q.name in found else q.neutral for q in made.quantities])

@@ -19,13 +19,17 @@ from adaptsim_jax.core.errors import BadInput
 DELAY = "command.delay"
 TILTS = ("world.tilt_x", "world.tilt_y")
 """rad: gravity turned about the world's x and y."""
+GROUND = ("ground.tilt_x", "ground.tilt_y", "ground.height")
+"""rad, m: all that the world touches with, turned about the world's x and y, and lifted."""
+STRENGTH = "strength"
+"""Of an actuator: what it gives of what it should, all its gains alike, but for the damping of a position servo."""
 LATEST = 0.05  # s
 STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
 FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
 OF_DOF = ("damping", "armature", "frictionloss", "invweight0")
 KINDS = {kind: (f"{kind if kind != 'joint' else 'jnt'}_", getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"))
          for kind in ("joint", "body", "geom", "actuator", "tendon", "site")}  # fmt: skip
-POSITIVE = ("mass", "inertia", "friction", "damping", "armature", "frictionloss", "stiffness", "kp", "kv")
+POSITIVE = ("mass", "inertia", "friction", "damping", "armature", "frictionloss", "stiffness", "kp", "kv", STRENGTH)
 CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
 """Fields from which MuJoCo derives others, which then are made anew."""
 
@@ -51,6 +55,9 @@ def field(model: mujoco.MjModel, name: str) -> Field:
         return Field(name, DELAY, (), 0, 0.0, -LATEST, LATEST, max(float(model.opt.timestep), 1e-3))
     if name in TILTS:
         return Field(name, name, (), 0, 0.0, -0.5, 0.5, 0.002)
+    if name in GROUND:
+        high = 0.5 if name != GROUND[2] else 1.0
+        return Field(name, name, (), 0, 0.0, -high, high, 0.002 if name != GROUND[2] else 5e-4)
     found = FORM.fullmatch(name)
     if found is None:
         raise BadInput(
@@ -116,6 +123,8 @@ def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray
 
 
 def _get(model: mujoco.MjModel, made: Field, element: int) -> float:
+    if made.field == f"actuator.{STRENGTH}":
+        return 1.0
     if made.field == "actuator.kp":
         return float(-model.actuator_biasprm[element, 1])
     if made.field == "actuator.kv":
@@ -125,7 +134,10 @@ def _get(model: mujoco.MjModel, made: Field, element: int) -> float:
 
 
 def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None:
-    if made.field == "actuator.kp":
+    if made.field == f"actuator.{STRENGTH}":
+        model.actuator_gainprm[element, :3] *= value
+        model.actuator_biasprm[element, : 2 if model.actuator_biasprm[element, 1] else 3] *= value
+    elif made.field == "actuator.kp":
         old = -model.actuator_biasprm[element, 1]
         model.actuator_gainprm[element, 0] *= value / old if old else 1.0
         model.actuator_biasprm[element, 1] = -value
@@ -161,6 +173,9 @@ def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence
             mujoco.mju_rotVecQuat(turned, out.opt.gravity, np.array([np.cos(0.5 * value), *half]))
             out.opt.gravity = turned
             continue
+        if made.name in GROUND:
+            _move_ground(out, made.name, value)
+            continue
         for element in made.elements:
             if made.field == "body.mass" and out.body_mass[element] > 0:
                 out.body_inertia[element] *= value / out.body_mass[element]
@@ -169,3 +184,22 @@ def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence
     if anew:
         mujoco.mj_setConst(out, mujoco.MjData(out))
     return out
+
+
+def grounds(model: mujoco.MjModel) -> list[int]:
+    """Geoms of the world that others may touch."""
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return [int(g) for g in np.flatnonzero((model.geom_bodyid == 0) & solid)]
+
+
+def _move_ground(model: mujoco.MjModel, name: str, value: float) -> None:
+    """In place: turn (rad) or lift (m) what the world touches with."""
+    for g in grounds(model):
+        if name == GROUND[2]:
+            model.geom_pos[g, 2] += value
+            continue
+        turn = np.array([np.cos(0.5 * value), *np.eye(3)[GROUND.index(name)] * np.sin(0.5 * value)])
+        place, way = np.zeros(3), np.zeros(4)
+        mujoco.mju_rotVecQuat(place, model.geom_pos[g], turn)
+        mujoco.mju_mulQuat(way, turn, model.geom_quat[g])
+        model.geom_pos[g], model.geom_quat[g] = place, way

@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from adaptsim_jax.simulators.mujoco.acting import Acting, control_of
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.stretches import Stretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 STEP = 1e-5
 """rad, m (a second): of a start, for its derivative; the solver of constraints converges to far less."""
-ROOM = 2e8  # numbers of states that are kept at once
+ROOM = 4e7  # numbers of states that are kept at once
 
 
 def start_size(made: Stepped) -> int:
@@ -25,37 +26,38 @@ def start_size(made: Stepped) -> int:
 
 
 def predict(
-    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray, models: Sequence[mujoco.MjModel] = ()
+    made: Stepped,
+    stretches: Stretches,
+    starts: np.ndarray,
+    lanes: np.ndarray,
+    models: Sequence[mujoco.MjModel] = (),
+    by: Acting | None = None,
 ) -> np.ndarray:
     """What the channels would read [B, L, C], NaN where the simulation blew up.
 
-    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one made).
+    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one made); by: what else acts on each.
     """
     size = mujoco.mj_stateSize(made.model, FULL)
     block = max(1, int(ROOM / (size * stretches.steps)))
-    parts = [
-        _predict(
-            made, stretches, starts[i : i + block], lanes[i : i + block], models[i : i + block] if len(models) else ()
-        )
-        for i in range(0, len(lanes), block)
-    ]
+    parts = []
+    for i in range(0, len(lanes), block):
+        some = slice(i, i + block)
+        own = models[some] if len(models) else ()
+        parts.append(_predict(made, stretches, starts[some], lanes[some], own, None if by is None else by.of(some)))
     return np.concatenate(parts)
 
 
-def _predict(made: Stepped, stretches: Stretches, starts, lanes, models) -> np.ndarray:
+def _predict(made: Stepped, stretches: Stretches, starts, lanes, models, by) -> np.ndarray:
     model = made.model
     threads = max(1, len(os.sched_getaffinity(0)))
     states = initial_states(made, stretches, starts, lanes)
-    control = stretches.control[lanes]
-    spec = int(mujoco.mjtState.mjSTATE_CTRL)
-    if control.shape[2] != model.nu or not model.nu:  # torques were logged: the model's actuators are off
-        spec = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    control, spec = control_of(made, stretches, lanes, by)
     chosen = list(models) if len(models) else model
     data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
     with quietly():
-        path, _ = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
+        path, sensed = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
     path = np.concatenate([states[:, None], path], 1)
-    return read(made, stretches, path, lanes)
+    return read(made, stretches, path, sensed, lanes)
 
 
 @contextlib.contextmanager
@@ -96,8 +98,8 @@ def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lane
     return out
 
 
-def read(made: Stepped, stretches: Stretches, path: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-    """Channels [B, L, C] of paths [B, S+1, nstate], between steps along straight lines."""
+def read(made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    """Channels [B, L, C] of paths [B, S+1, nstate] and sensors [B, S, nsensordata], between steps along straight lines."""
     model, at = made.model, stretches.at[lanes]
     low = np.minimum(np.floor(at + 1e-6).astype(int), path.shape[1] - 1)
     high = np.minimum(low + 1, path.shape[1] - 1)
@@ -114,6 +116,13 @@ def read(made: Stepped, stretches: Stretches, path: np.ndarray, lanes: np.ndarra
         columns.append(made.base + np.arange(7))
     columns = np.concatenate(columns)
     first, last = pick(low, columns), pick(high, columns)
+    if made.read:
+        felt, lane = sensed[..., [r.place for r in made.read]], np.arange(len(lanes))[:, None]
+        split = columns.size - (7 if made.base >= 0 else 0)
+        row = lambda k: felt[lane, np.minimum(k, felt.shape[1] - 1)]
+        first, last = (
+            np.concatenate([z[..., :split], row(k), z[..., split:]], -1) for z, k in ((first, low), (last, high))
+        )
     out = first + share * (last - first)
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, np.nan)
 
@@ -133,7 +142,7 @@ def residual(made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: 
 
 def has_speeds(made: Stepped, stretches: Stretches) -> bool:
     """Whether speeds of the joints are among the channels."""
-    return stretches.measured.shape[2] - (7 if made.base >= 0 else 0) == 2 * len(made.angle)
+    return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(made.angle)
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -88,4 +88,4 @@ def _step(off: np.ndarray, slope: np.ndarray, weight: np.ndarray, damping: float
     size = np.sqrt(np.maximum(np.diagonal(hess), 1e-12))
     scaled = hess / size / size[:, None]
     scaled[np.diag_indices_from(scaled)] += damping + 1e-10
-    return -np.linalg.lstsq(scaled, (j.T @ r) / size, rcond=1e-12)[0] / size
+    return -np.linalg.solve(scaled + 1e-9 * np.eye(len(size)), (j.T @ r) / size) / size

@@ -10,6 +10,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
 
 PAST = 0.1  # s of command before a stretch, for actuators that remember
 
@@ -17,7 +18,7 @@ PAST = 0.1  # s of command before a stretch, for actuators that remember
 @dataclass(frozen=True)
 class Stretches:
     """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows with `seen` [W, L, C] readings
-    `measured` [W, L, C] of C channels (angles in the log's order, then speeds where they are logged, then the seven of a base);
+    `measured` [W, L, C] of C channels (angles in the log's order, then speeds where they are logged, sensors, the seven of a base);
     at [W, L]: rows in steps since the start; control [W, S, nu]; past [W, B, nu]: commands of the B steps before; qpos [W, nq],
     qvel [W, nv], act [W, na]: where each begins, from the measured motion; before [W, nv]: its speeds by the rows just before."""
 
@@ -59,13 +60,25 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
     rows = max(e - b for _, b, e in chosen) + 1
     steps = max(int(np.ceil((log.trials[k].time[e] - log.trials[k].time[b]) / h - 0.25)) for k, b, e in chosen)
     motion = {k: _motion(log.trials[k]) for k in {k for k, *_ in chosen}}
+    felt = _felt(made, log)
     inputs = [inputs_of(model, log, trial) for trial in log.trials]
-    lanes = [_lane(made, log.trials[k], motion[k], inputs[k], b, e, rows, max(steps, 1)) for k, b, e in chosen]
+    lanes = [
+        _lane(made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], b, e, rows, max(steps, 1))
+        for k, b, e in chosen
+    ]
     stack = lambda key: np.stack([lane[key] for lane in lanes])
     keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
     return Stretches(
         np.array([k for k, *_ in chosen]), **{k: stack(k) for k in keys}, names=tuple(t.name for t in log.trials)
     )
+
+
+def _felt(made: Stepped, log: Log) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """By trial the orientation [T, 4] and rate [T, 3] of a base that only its IMU tells of; empty where its pose is logged."""
+    if made.free < 0 or made.base >= 0:
+        return {}
+    read = {k: np.stack([t.channels[r.name] for r in made.read], 1) for k, t in enumerate(log.trials)}
+    return {k: oriented(made.model, made.read, log.trials[k].time, values) for k, values in read.items()}
 
 
 def _motion(trial: LogTrial) -> tuple[np.ndarray, np.ndarray]:
@@ -127,13 +140,18 @@ def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end
     channels = [
         trial.q[live],
         *([trial.v[live]] if trial.v is not None else []),
+        *(trial.channels[r.name][live, None] for r in made.read),
         *([trial.base[live]] if made.base >= 0 else []),
     ]
     measured = np.concatenate(channels, 1)
     qpos, qvel = _start(made, trial, motion, begin)
+    at, seen = np.clip((trial.time[live] - start) / h, 0, steps), np.isfinite(measured) & here
+    if made.read:  # a sensor is read where a step begins, and none begins at the end
+        last = measured.shape[1] - (7 if made.base >= 0 else 0)
+        seen[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
     return {
-        "time": trial.time[live] - trial.time[0], "measured": np.nan_to_num(measured), "seen": np.isfinite(measured) & here,
-        "at": np.clip((trial.time[live] - start) / h, 0, steps), "control": control, "past": past, "qpos": qpos, "qvel": qvel,
+        "time": trial.time[live] - trial.time[0], "measured": np.nan_to_num(measured), "seen": seen, "at": at,
+        "control": control, "past": past, "qpos": qpos, "qvel": qvel,
         "act": _act(made, qpos, past), "before": _rate_before(made, trial, begin, qpos, qvel),
     }  # fmt: skip
 
@@ -142,7 +160,7 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
     """qpos [nq] and qvel [nv] from the measured motion; what was not logged as the loops and equalities of the model have it."""
     model, data = made.model, mujoco.MjData(made.model)
     qpos, qvel = made.pose.copy(), np.zeros(model.nv)
-    q, v = motion
+    q, v, felt = motion
     measured = trial.q[begin]
     qpos[made.angle] = np.where(np.isfinite(measured), measured, q[begin])
     dof = dofs(made)
@@ -156,6 +174,12 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
         at = int(model.jnt_dofadr[k])
         known[at : at + 6] = True
         qvel[at : at + 6] = _base_rate(trial, begin)
+    if felt is not None:
+        at = int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == made.free)[0]])
+        known[at : at + 6] = True
+        qpos[made.free : made.free + 2] = 0.0
+        qpos[made.free + 3 : made.free + 7], qvel[at + 3 : at + 6] = felt[0][begin], felt[1][begin]
+        standing(model, data, made.free, qpos, qvel)
     if not known.all() and model.neq:
         qpos, qvel = _consistent(model, data, qpos, qvel, ~known)
     return qpos, qvel
@@ -182,8 +206,8 @@ def _known(made: Stepped) -> np.ndarray:
     """[nv]: whether a log tells the speed."""
     out = np.zeros(made.model.nv, bool)
     out[dofs(made)] = True
-    if made.base >= 0:
-        at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
+    if made.free >= 0:
+        at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.free)[0]])
         out[at : at + 6] = True
     return out
 

@@ -1,0 +1,90 @@
+"""What acts beside a model's own numbers: commands that are late or shifted, a force on the base, readings that are off."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.fields import DELAY, Field
+from adaptsim_jax.simulators.mujoco.stretches import Stretches
+
+SHIFT, WIND = "command.offset", "wind"
+READ, BIAS, TURN, LATE = "reading.offset", "imu.bias", "imu.turn", "imu.late"
+OUTSIDE = (DELAY, SHIFT, WIND, READ, BIAS, TURN, LATE)
+"""Kinds of fields that are no number of the model."""
+
+
+@dataclass(frozen=True)
+class Acting:
+    """Of B simulations: late [B] s of all commands; shift [B, nu] of each; force [B, nv] that acts all the time, None: none."""
+
+    late: np.ndarray
+    shift: np.ndarray
+    force: np.ndarray | None
+
+    def of(self, some: slice) -> "Acting":
+        """Those alone."""
+        return Acting(self.late[some], self.shift[some], None if self.force is None else self.force[some])
+
+
+def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting:
+    """By values [B, P] of the fields."""
+    model, count = made.model, len(values)
+    late, shift, force = np.zeros(count), np.zeros((count, model.nu)), None
+    for f, value in zip(fields, values.T, strict=True):
+        if f.field == DELAY:
+            late = value
+        elif f.field == SHIFT:
+            shift[:, f.elements[0]] += value
+        elif f.field == WIND and np.any(value):
+            force = np.zeros((count, model.nv)) if force is None else force
+            force[:, f.elements[0] + f.index] += value
+    return Acting(late, shift, force)
+
+
+def control_of(made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Acting | None) -> tuple[np.ndarray, int]:
+    """(controls [B, S, ...], what of MuJoCo's state they are). Commands between steps are a mix of both."""
+    model, control = made.model, stretches.control[lanes]
+    command = control.shape[2] == model.nu and model.nu > 0
+    if by is not None and np.any(by.late):
+        both = np.concatenate([stretches.past[lanes], control], 1)
+        before, count, last = stretches.past.shape[1], control.shape[1], both.shape[1] - 1
+        at = np.clip(before + np.arange(count) - (by.late / float(model.opt.timestep))[:, None], 0, last)
+        low = np.floor(at).astype(int)
+        share, row = (at - low)[..., None], np.arange(len(lanes))[:, None]
+        control = (1.0 - share) * both[row, low] + share * both[row, np.minimum(low + 1, last)]
+    if by is not None and command and np.any(by.shift):
+        control = control + by.shift[:, None]
+    spec = int(mujoco.mjtState.mjSTATE_CTRL if command else mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    if by is not None and by.force is not None:
+        force = np.broadcast_to(by.force[:, None], (*control.shape[:2], model.nv))
+        if not command:  # torques were logged: they are forces, too
+            return control + force, spec
+        control, spec = np.concatenate([control, force], 2), spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+    return control, spec
+
+
+def as_read(fields: Sequence[Field], values: np.ndarray, read: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Channels [B, L, C] as a sensor that is off reads them, by values [B, P]; time [B, L] s."""
+    out = read
+    for f, value in zip(fields, values.T, strict=True):
+        if f.field not in (READ, BIAS, TURN, LATE) or not np.any(value):
+            continue
+        out = out.copy() if out is read else out
+        if f.field in (READ, BIAS):
+            out[..., f.elements[f.index]] += value[:, None]
+        elif f.field == TURN:  # each triple of axes by a small angle about one of them
+            for first in f.elements:
+                one, two = first + (f.index + 1) % 3, first + (f.index + 2) % 3
+                c, s = np.cos(value)[:, None], np.sin(value)[:, None]
+                out[..., one], out[..., two] = (
+                    c * out[..., one] + s * out[..., two],
+                    c * out[..., two] - s * out[..., one],
+                )
+        else:
+            for k in f.elements:
+                slope = np.gradient(out[..., k], axis=1) / np.maximum(np.gradient(time, axis=1), 1e-9)
+                out[..., k] -= value[:, None] * slope
+    return out

@@ -1,0 +1,93 @@
+"""What only contact and a base that moves show: friction, softness and bounce of what touches the world, ground that is tilted or
+lies at another height, wind."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.simulators.mujoco.acting import WIND
+from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.catalogue import Row, row
+from adaptsim_jax.simulators.mujoco.fields import GROUND, Field, field, grounds
+
+WIDE = (0.7, 1.4)  # of what the file has
+PUSH = 1e-3  # of the weight: a wind that shows
+
+
+def contact_rows(made: Stepped) -> Iterable[Row]:
+    """Where anything may touch the world, and where the base moves."""
+    model = made.model
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    touch = [int(g) for g in np.flatnonzero((model.geom_bodyid > 0) & solid)]
+    if grounds(model) and touch:
+        yield from _of_touch(model, (*grounds(model), *touch), _effective(model, touch))
+        if made.free >= 0:
+            turned = [field(model, name) for name in GROUND[:2]]
+            yield row(
+                "tilted",
+                "ground",
+                turned,
+                ("what it stands on is not level", "standing, walking"),
+                ("a log's frame turned",),
+            )
+            yield row(
+                "height", "ground", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step")
+            )
+    if made.free >= 0:
+        k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
+        weight = float(model.body_mass.sum()) * 9.81
+        first = int(model.jnt_dofadr[k])
+        wind = [Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, PUSH * weight) for i, a in enumerate("xyz")]
+        yield row("wind", "base", wind, ("a steady force on the base", "flight, slipping, long runs"), ("a tether",))
+
+
+def _effective(model: mujoco.MjModel, touch: list[int]) -> list[int]:
+    """Geoms of the bodies furthest out, which touch the ground first: where a model has feet, these."""
+    ends = [g for g in touch if not np.any(model.body_parentid == model.geom_bodyid[g])]
+    return ends or touch
+
+
+def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) -> Iterable[Row]:
+    """One number for all that touches; its neutral value is that of the feet."""
+
+    def of(what: str, column: int, high: float) -> Field:
+        value = float(getattr(model, f"geom_{what}")[feet, column].mean())
+        return Field(
+            f"contact.{what}[{column}]",
+            f"geom.{what}",
+            every,
+            column,
+            value,
+            1e-3 * min(value, 1.0),
+            high,
+            0.01 * value,
+        )
+
+    def of_wide(effect: str, f: Field, told: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
+        """Tried at sizes, too: where contacts chatter a derivative says little."""
+        made = row(effect, "all contacts", f, told, same)
+        sizes = tuple({f.name: float(np.clip(share * f.neutral, f.low, f.high))} for share in WIDE)
+        return replace(made, candidate=replace(made.candidate, shapes=({}, *sizes)))
+
+    dims = int(model.geom_condim[list(every)].max())
+    yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
+    if dims >= 4 and model.geom_friction[feet, 1].any():
+        yield of_wide(
+            "torsional friction", of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot")
+        )
+    if dims >= 6 and model.geom_friction[feet, 2].any():
+        yield of_wide(
+            "rolling friction", of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls")
+        )
+    if (model.geom_solref[feet, 0] > 0).all():
+        yield of_wide(
+            "contact stiffness", of("solref", 0, 1.0), ("softer or harder contacts", "impacts"), ("soft ground",)
+        )
+        yield of_wide(
+            "contact damping", of("solref", 1, 5.0), ("contacts that bounce", "impacts, falls"), ("restitution",)
+        )
+        yield of_wide(
+            "contact impedance", of("solimp", 0, 0.9999), ("contacts that give from the first touch", "standing")
+        )
