@@ -25,7 +25,7 @@ from adaptsim_jax.environments.kind import environment_setting
 from adaptsim_jax.environments.task import Setting, task_of
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
-TRIED = ("adaptsim", "bayesopt", "cma_es")  # deploy the best of what they tried, by its own trials
+TRIED = ("adaptsim", "bayesopt", "cma_es", "gradient")  # deploy the best of what they tried, by its own trials
 BOUNDS = ("best_in_omega", "oracle")
 ROOM = 0.02  # of the upper bound: where UDR is nearer to it than this, a target tells methods apart by luck alone
 

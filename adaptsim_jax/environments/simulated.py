@@ -10,8 +10,8 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,8 @@ OWN = {"cartpole": "adaptsim_jax.environments.cartpole:make", "arm": "adaptsim_j
 class Simulated:
     """Pure functions of one sample. `model`: a pytree, of which `edit` replaces the fields; actions lie in [-1, 1].
 
-    native: the file's model, None where there is none (gymnax). length: steps of an episode, of `dt` s each.
+    native: the file's model, None where there is none (gymnax). length: steps of an episode, of `dt` s each. interface: nominal
+    values of its fields, where they are others than usual (a delay that was measured).
     """
 
     name: str
@@ -46,6 +47,7 @@ class Simulated:
     seen: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]  # state -> obs [O], reward [], done [] (float)
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none
     edit: Callable[[Any, tuple[Field, ...], jax.Array], Any] = edited
+    interface: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> Any:
@@ -178,6 +180,7 @@ def simulated(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: 
         step=step,
         seen=seen,
         data=lambda state: getattr(state, "data", getattr(state, "pipeline_state", None)),
+        interface=getattr(env, "interface", {}),
     )
 
 
