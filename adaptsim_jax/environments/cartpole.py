@@ -9,7 +9,7 @@ from adaptsim_jax.environments.own import ModelEnvironment
 
 MJCF = """
 <mujoco model="cartpole">
-  <option timestep="0.01"><flag contact="disable"/></option>
+  <option timestep="0.01" iterations="1" ls_iterations="4"><flag contact="disable"/></option>
   <worldbody>
     <camera name="side" pos="0 -4 0.3" xyaxes="1 0 0 0 0 1"/>
     <light pos="0 -2 3" dir="0 1 -1"/>

@@ -34,8 +34,8 @@ def made():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", STEPS)
 def test_a_method_deploys_something_in_every_target(method, made):
-    if method == "cma_es":
-        pytest.importorskip("cma", reason="cma is an extra")
+    if method in ("cma_es", "sbi"):
+        pytest.importorskip({"cma_es": "cma"}.get(method, method), reason="it is an extra")
     setting, prepared = made
     base = default_comparison("environment")
     table = configs.over(configs.to_table(base), SIZES | {"train": {"phase1": configs.to_table(PHASE1)}})
@@ -47,6 +47,7 @@ def test_a_method_deploys_something_in_every_target(method, made):
     assert (returns >= 0.0).all() and (returns <= 25.0).all()  # a step is worth 1 at most
     counted = {
         "adaptsim": [1, 2, 3], "bayesopt": [1, 2, 3], "cma_es": [1, 2, 3], "sysid_bayes": [0, 1, 2], "sysid_point": [0, 1, 2],
+        "sbi": [0, 1, 2], "gradient": [1, 2, 3],
         "fine_tune": [0, 2],
     }  # fmt: skip
     assert list(trials) == counted.get(method, [0])

@@ -12,7 +12,7 @@ from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments import small
 from tests.environments.cart import Cart
 
-CONFIG = EnvironmentConfig(training=PPOTraining(steps=1000, parallel=20, unroll=25, hidden=(16,)))
+CONFIG = EnvironmentConfig(training=PPOTraining(steps=800, parallel=32, unroll=25, hidden=(16,)))
 KEYS = jax.random.split(jax.random.key(5), 2)
 
 
