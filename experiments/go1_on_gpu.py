@@ -4,7 +4,8 @@
     python experiments/go1_on_gpu.py --out runs/try --env cartpole --parallel 16 --minutes 0.2 --unroll 10    anywhere
 
 Fields: the floor's friction, a payload on the trunk, kp of all twelve servos, and a delay. Written: `result.json`, anew
-after every few updates, so that a run that is cut off has left what it measured. Playground fetches Go1's meshes when it is first loaded.
+after every few updates, so that a run that is cut off has left what it measured. Playground fetches
+Go1's meshes when it is first loaded.
 """
 
 import argparse

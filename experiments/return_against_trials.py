@@ -23,7 +23,8 @@ from adaptsim_jax.core.progress import progress
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
 METHODS = (
-    "udr", "oracle", "adaptsim", "sysid_point", "sysid_bayes", "bayesopt", "cma_es", "fine_tune", "nominal", "best_in_omega",
+    "udr", "oracle", "adaptsim", "sysid_point", "sysid_bayes", "bayesopt", "cma_es", "gradient", "sbi", "fine_tune",
+    "nominal", "best_in_omega",
 )  # fmt: skip
 SWING = {"body:cart.mass": [0.6, 1.6], "actuator:slide.gear": [6.0, 14.0]}
 TASKS: dict[str, dict[str, Any]] = {

@@ -98,11 +98,17 @@ def _playground(name: str, options: dict[str, Any], where: str) -> Any:
     registry = _peer("mujoco_playground", "playground", where).registry
     if name not in registry.ALL_ENVS:
         raise BadInput(f"{where}: Playground has no '{name}'; {suggest(name, registry.ALL_ENVS)}")
-    options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
-    if options["impl"] == "warp" and jax.default_backend() == "cpu":
-        print(f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]', file=sys.stderr)
     known = registry.get_default_config(name)
-    return registry.load(name, config_overrides={key: value for key, value in options.items() if key in known})
+    for key in options:
+        if key not in known:
+            raise BadInput(f"{where}: options.{key}: '{name}' has no such option; {suggest(key, known)}")
+    if "impl" in known:
+        options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
+    if options.get("impl") == "warp":
+        _peer("warp", "warp-lang", f'{where}: impl = "warp"')
+        if jax.default_backend() == "cpu":
+            print(f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]', file=sys.stderr)
+    return registry.load(name, config_overrides=options)
 
 
 def _brax(name: str, options: dict[str, Any], where: str) -> Any:
