@@ -17,6 +17,7 @@ from adaptsim_jax.core.given import finite
 
 SAID = {*HELD, *ACTUATED} - {"delay", "actuator_lag"}
 BODY, JOINT, ACTUATOR = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_ACTUATOR
+SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 WORDS = {BODY: ("body", "nbody"), JOINT: ("joint", "njnt"), ACTUATOR: ("actuator", "nu")}
 ARRAYS = {
     BODY: ("body_mass", "body_ipos", "body_iquat", "body_inertia"),
@@ -102,9 +103,7 @@ def _copied(
     for i in range(getattr(found, count)):
         name = mujoco.mj_id2name(found, kind, i)
         was = mujoco.mj_name2id(declared, kind, name) if name else -1
-        if was < 0 or (
-            kind == JOINT and found.jnt_type[i] not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-        ):
+        if was < 0 or (kind == JOINT and int(found.jnt_type[i]) not in SIMPLE):
             continue
         own = mujoco.mj_name2id(native, kind, name)
         for array in ARRAYS[kind]:

@@ -57,9 +57,9 @@ def make_slope(play: Play, acting: Acting, policy_of: Callable[[jax.Array], Any]
 
     def slope(keys: jax.Array, mean: Any, values: Any) -> Slope:
         window = play.sim.length
-        told = [jnp.asarray(x, jnp.float32) for x in (mean, values)]
+        mean, values = (jnp.asarray(x, jnp.float32) for x in (mean, values))
         while True:
-            gradients, scores = (np.asarray(x) for x in every(keys, *told, window))
+            gradients, scores = (np.asarray(x) for x in every(mean, keys, values, window))
             steep = np.abs(gradients).max()  # not a number, where one of them is
             if steep <= EXPLODES * (np.abs(scores).mean() + 1e-6):
                 return Slope(float(scores.mean()), gradients.mean(0), window)

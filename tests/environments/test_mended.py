@@ -14,17 +14,17 @@ from tests.environments import small
 
 ROBOT = """
 <mujoco><option timestep="0.02"/><worldbody><body name="cart">
-  <joint name="slide" type="slide" axis="1 0 0" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
+  <joint name="{joint}" type="slide" axis="1 0 0" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
   <geom type="box" size="0.1 0.1 0.1" mass="{mass}"/></body></worldbody>
-<actuator><motor name="motor" joint="slide" gear="4" ctrlrange="-1 1"/></actuator></mujoco>
+<actuator><motor name="motor" joint="{joint}" gear="4" ctrlrange="-1 1"/></actuator></mujoco>
 """
 AS_DECLARED = {"damping": 0.4, "dry": 0, "armature": 0, "mass": 1}
 FOUND = {"damping": 0.7, "dry": 0.3, "armature": 0.05, "mass": 1.2}
 
 
 def written(folder, effects="", found=FOUND, joint="slide"):
-    (folder / "declared.xml").write_text(ROBOT.format(**AS_DECLARED).replace('"slide"', f'"{joint}"'))
-    (folder / "model.xml").write_text(ROBOT.format(**found).replace('"slide"', f'"{joint}"'))
+    (folder / "declared.xml").write_text(ROBOT.format(joint=joint, **AS_DECLARED))
+    (folder / "model.xml").write_text(ROBOT.format(joint=joint, **found))
     path = folder / "model.toml"
     path.write_text(f'schema = 1\ntask = "mechanism"\nmodel = "declared.xml"\n{effects}')
     return path
