@@ -12,7 +12,6 @@ import numpy as np
 
 from adaptsim_jax.baselines.learned import Bout, Trip
 from adaptsim_jax.baselines.steps_arena import StepsArena
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.interface import make_play
 from adaptsim_jax.environments.slope import make_slope
 from adaptsim_jax.environments.task import Law, acting_of, environment, longest_delay
@@ -24,8 +23,6 @@ def gradient(bout: Bout) -> Trip:
     """A visit in the target for each mean; its slope from four starts in the simulator with all of the target's values."""
     arena: StepsArena = bout.arena  # type: ignore[assignment]
     setting, T = arena.setting, len(arena.targets)
-    if setting.config.policy != "knows":
-        raise BadInput("compare: method 'gradient' is for policy = \"knows\"; leave it out")
     every = [setting.targets[name].values for name in arena.names]
     sim = environment(setting.env, setting.fields, setting.config.length)
     play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))

@@ -57,8 +57,6 @@ def npe(u: np.ndarray, x: np.ndarray, seed: int, epochs: int = EPOCHS) -> Callab
 def sbi(bout: Bout) -> Trip:
     """The loop of SysID-Bayes with that posterior: the policy is told its mean within Omega."""
     arena: StepsArena = bout.arena  # type: ignore[assignment]
-    if arena.setting.config.policy != "knows":
-        raise BadInput("compare: method 'sbi' is for policy = \"knows\"; leave it out")
     T, D, seed = len(arena.targets), arena.setting.space.dim, int(bout.seeds[0])
     config, sample = bout.config.sysid, _posterior(bout, seed)
     mean, means, rewards = np.full((T, D), 0.5, np.float32), [], []

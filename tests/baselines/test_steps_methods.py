@@ -1,13 +1,17 @@
 """Every row of a comparison over many steps, tried on a mass on a rail whose policy takes seconds to train."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.phase1_config import Phase1Config
+from adaptsim_jax.baselines import compare_steps
 from adaptsim_jax.baselines.compare_steps import tried
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.registry import STEPS
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.task import setting_of, task_of
 from adaptsim_jax.environments.trainer import PPOTraining
@@ -51,3 +55,17 @@ def test_a_method_deploys_something_in_every_target(method, made):
         "fine_tune": [0, 2],
     }  # fmt: skip
     assert list(trials) == counted.get(method, [0])
+
+
+def test_rows_that_cannot_be_run_are_told_before_anything_is_trained(monkeypatch, capsys):
+    monkeypatch.setattr(compare_steps.importlib.util, "find_spec", lambda name: None)
+    setting, base = setting_of(Cart(), EnvironmentConfig(policy="tuned")), default_comparison("environment")
+    assert set(compare_steps.steps_methods()) - set(compare_steps._wanted(base, setting)) == {
+        "cma_es",
+        "sbi",
+        "gradient",
+    }
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 3 and "compare: no row 'cma_es': it needs the package cma (pip install cma)" in told
+    with pytest.raises(BadInput, match="method 'gradient' is for policy = \"knows\"; leave it out of --methods"):
+        compare_steps._wanted(replace(base, methods=("gradient",)), setting)
