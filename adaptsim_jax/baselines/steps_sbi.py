@@ -11,7 +11,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.stats import qmc
 
 from adaptsim_jax.baselines.learned import Bout, Trip
 from adaptsim_jax.baselines.steps_arena import StepsArena
@@ -79,7 +78,7 @@ def _posterior(bout: Bout, seed: int) -> Callable[[np.ndarray, int], np.ndarray]
     arena: StepsArena = bout.arena  # type: ignore[assignment]
     task, D = arena.one.task, arena.setting.space.dim
     count = bout.config.sysid.simulations
-    u, mean = np.split(qmc.Sobol(2 * D, rng=seed).random(count).astype(np.float32), 2, 1)
+    u, mean = np.split(np.random.default_rng(seed).random((count, 2 * D), np.float32), 2, 1)
     show = jax.jit(jax.vmap(lambda k, m, p: task.observe(task.rollout(k, Law(m), task.space.physical(p)))))
     seen = show(
         jax.random.split(jax.random.fold_in(jax.random.key(seed), 400), count), jnp.asarray(mean), jnp.asarray(u)
