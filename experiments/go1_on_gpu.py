@@ -40,7 +40,7 @@ TOLD = 5  # updates between two lines
 def setting_for(args: argparse.Namespace) -> Setting:
     hidden = (512, 256, 128) if args.env == GO1 else (64, 64)
     training = PPOTraining(
-        steps=args.steps, parallel=args.parallel, unroll=args.unroll, hidden=hidden, activation="swish", minibatches=16,
+        steps=args.steps, parallel=args.parallel, unroll=args.unroll, hidden=hidden, activation="silu", minibatches=16,
         hyper=PPOHyper(learning_rate=3e-4, discount=0.97, entropy=1e-2),
     )  # fmt: skip
     fields = FIELDS if args.env == GO1 else {}
@@ -96,7 +96,9 @@ def main() -> None:
     setting = setting_for(args)
     found: dict[str, Any] = {"env": args.env, "device": jax.devices()[0].device_kind, "parallel": args.parallel}
     found["bare_steps_per_second"] = bare(setting, args.parallel, args.unroll)
-    print(f"{found['device']}: {found['bare_steps_per_second']:.3g} steps/s of {args.parallel} environments", flush=True)
+    print(
+        f"{found['device']}: {found['bare_steps_per_second']:.3g} steps/s of {args.parallel} environments", flush=True
+    )
     trainer, worlds = setting.trainer, everywhere(setting)
     state = trainer.begin(jax.random.key(1), trainer.init(jax.random.key(0)))
     jax.block_until_ready(trainer.train(jax.random.key(2), state, worlds, TOLD)[0])  # compiles
