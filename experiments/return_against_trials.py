@@ -6,7 +6,7 @@
 
 Resumable: each task, seed and method is a part of its own in `OUT/TASK/seed-N.json`. Five targets a task: one within Omega, four that
 Omega cannot say; they run in MuJoCo C. Returns are normalised in each target: 0 UDR, 1 the oracle or the best in Omega. Tasks of
-Playground need the extra `[environments]`.
+Playground and the pendulum of gymnax need the extra `[environments]`, row sbi the extra `[sbi]`.
 """
 
 import argparse
@@ -23,7 +23,8 @@ from adaptsim_jax.core.progress import progress
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
 METHODS = (
-    "udr", "oracle", "adaptsim", "sysid_point", "sysid_bayes", "bayesopt", "cma_es", "fine_tune", "nominal", "best_in_omega",
+    "udr", "oracle", "adaptsim", "sysid_point", "sysid_bayes", "bayesopt", "cma_es", "gradient", "sbi", "fine_tune",
+    "nominal", "best_in_omega",
 )  # fmt: skip
 SWING = {"body:cart.mass": [0.6, 1.6], "actuator:slide.gear": [6.0, 14.0]}
 TASKS: dict[str, dict[str, Any]] = {
@@ -36,6 +37,17 @@ TASKS: dict[str, dict[str, Any]] = {
             "dry": {"joint:slide.frictionloss": 1.5},
             "late": {"delay": 0.03, "body:pole.mass": 0.4},
             "drag": {"joint:slide.damping": 3.0, "action_scale": 0.8},
+        },
+    },
+    "pendulum": {
+        "env": "gymnax:Pendulum-v1",
+        "fields": {"params.m": [0.5, 2.0], "params.l": [0.7, 1.4]},
+        "targets": {
+            "within": {"params.m": 1.6, "params.l": 0.8},
+            "heavy": {"params.m": 2.6},
+            "late": {"delay": 0.1},
+            "weak": {"action_scale": 0.6, "params.m": 1.2},
+            "moon": {"params.g": 3.0},
         },
     },
     "arm": {
@@ -86,7 +98,7 @@ TASKS: dict[str, dict[str, Any]] = {
         },
     },
 }  # fmt: skip
-STEPS = {"cartpole": 6_000_000, "arm": 6_000_000}  # of PPO; Playground's tasks 20 million
+STEPS = {"cartpole": 6_000_000, "pendulum": 3_000_000, "arm": 6_000_000}  # of PPO; Playground's tasks 20 million
 SMALL = {"steps": 1_024_000}
 
 
@@ -103,7 +115,7 @@ def comparison(options: dict[str, Any], small: bool) -> Any:
     if small:
         train = replace(train, phase1=replace(train.phase1, trajectories=300))
         sysid = replace(base.sysid, simulations=100)
-        return replace(base, train=train, sysid=sysid, starts=1, iterations=10, steps=replace(base.steps, tests=6))
+        return replace(base, train=train, sysid=sysid, starts=1, iterations=10, steps=replace(base.steps, tests=12, points=16))
     return replace(base, train=train, starts=2, iterations=19)
 
 

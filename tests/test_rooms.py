@@ -44,8 +44,8 @@ WITHIN = {
         "yardstick", "rows", "written", "simulated",
     ),
     "environments": (
-        "fields", "randomise", "simulated", "own", "cartpole", "arm", "gymnax", "interface", "rollout", "planner", "trainer", "config",
-        "targets", "checks", "task", "film", "kind",
+        "fields", "randomise", "simulated", "own", "cartpole", "arm", "gymnax", "mended", "interface", "rollout", "slope", "planner",
+        "trainer", "config", "targets", "checks", "task", "film", "kind",
     ),
     "tasks": (
         "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",

@@ -5,6 +5,7 @@ deployed is scored by episodes that chose nothing, and normalised: 0 what UDR ea
 whichever is more.
 """
 
+import importlib.util
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -25,7 +26,7 @@ from adaptsim_jax.environments.kind import environment_setting
 from adaptsim_jax.environments.task import Setting, task_of
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
-TRIED = ("adaptsim", "bayesopt", "cma_es")  # deploy the best of what they tried, by its own trials
+TRIED = ("adaptsim", "bayesopt", "cma_es", "gradient")  # deploy the best of what they tried, by its own trials
 BOUNDS = ("best_in_omega", "oracle")
 ROOM = 0.02  # of the upper bound: where UDR is nearer to it than this, a target tells methods apart by luck alone
 
@@ -40,9 +41,7 @@ def compare_steps(
     task = task_of(setting)
     made = task.preparation
     assert made is not None
-    methods = [m.replace("-", "_") for m in config.methods] or list(steps_methods())
-    for method in methods:
-        configs.pick("method", method, steps_methods())
+    methods = _wanted(config, setting)
     every = [*dict.fromkeys(("udr", "oracle", *methods))]
     seeds = range(config.seed, config.seed + config.seeds)
     found: dict[str, list[Deployed]] = {method: [] for method in every}
@@ -52,6 +51,29 @@ def compare_steps(
         for method, deployed in tried(setting, ready, names, every, config, seed, told):
             found[method].append(deployed)
     return rows_of(found, methods, names), _about(setting, names, found)
+
+
+def _wanted(config: CompareConfig, setting: Setting) -> list[str]:
+    """The rows that are asked for; where none is, all that can be run here, and a line for each that cannot."""
+    named = [configs.pick("method", m.replace("-", "_"), steps_methods()) for m in config.methods]
+    out = []
+    for method in named or steps_methods():
+        if not (lack := _lack(method, setting)):
+            out.append(method)
+        elif named:
+            raise BadInput(f"compare: method '{method}' {lack}; leave it out of --methods")
+        else:
+            print(f"compare: no row '{method}': it {lack}", file=sys.stderr)
+    return out
+
+
+def _lack(method: str, setting: Setting) -> str:
+    package = {"cma_es": "cma", "sbi": "sbi"}.get(method)
+    if package and importlib.util.find_spec(package) is None:
+        return f"needs the package {package} (pip install {package})"
+    if method in ("sbi", "gradient") and setting.config.policy != "knows":
+        return 'is for policy = "knows"'
+    return "needs two fields or more" if method == "cma_es" and setting.space.dim == 1 else ""
 
 
 class Deployed(tuple):

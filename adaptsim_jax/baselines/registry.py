@@ -1,9 +1,8 @@
 """Baselines by name. Imports no JAX: commands list the names.
 
 Of a task whose policy is solved exactly, `(Run) -> Visits` (`methods.py`); of one whose policies are learned, `(Bout) -> Trip`
-(`learned.py`), also of one whose trials are episodes of
-many steps. Another package adds one by an entry point of the group `adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or
-`steps.NAME`.
+(`learned.py`), also of one whose trials are episodes of many steps. Another package adds one by an entry point of the group
+`adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or `steps.NAME`.
 """
 
 from collections.abc import Callable
@@ -50,6 +49,8 @@ STEPS: Registry[Callable[..., Any]] = Registry(
         "sysid_point": f"{HERE}.learned:sysid_point",
         "bayesopt": f"{HERE}.bayesopt:bayesopt",
         "cma_es": f"{HERE}.steps_methods:cma_es",
+        "sbi": f"{HERE}.steps_sbi:sbi",
+        "gradient": f"{HERE}.steps_gradient:gradient",
         "fine_tune": f"{HERE}.steps_methods:fine_tune",
         "nominal": f"{HERE}.steps_methods:nominal",
         "udr": f"{HERE}.steps_methods:udr",

@@ -116,8 +116,6 @@ def cma_es(bout: Bout) -> Trip:
     space, total = arena.one.task.space, bout.config.starts * (bout.config.iterations + 1)
     T = len(arena.targets)
     options = {"bounds": [0.0, 1.0], "verbose": -9, "seed": int(bout.seeds[0]) + 1}
-    if space.dim == 1:
-        raise BadInput("compare: method 'cma_es' needs two fields or more; leave it out")
     searches = [cma.CMAEvolutionStrategy(space.dim * [0.5], bout.config.steps.sigma, options) for _ in range(T)]
     means, rewards, own = [], [], []
     while len(means) < total:

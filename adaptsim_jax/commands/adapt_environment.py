@@ -21,6 +21,7 @@ def show(
     for row in scores:
         ax.plot(range(len(row)), row, marker="o", markersize=3, linewidth=1.4)
     look.quiet(ax)
+    ax.xaxis.get_major_locator().set_params(integer=True)
     ax.set_xlabel("iteration")
     ax.set_ylabel(f"return in {found['target']['name']}")
     lines = [f"written: {look.save(figure, out / 'returns.png')}"]

@@ -9,7 +9,7 @@ from adaptsim_jax.environments.own import ModelEnvironment
 
 MJCF = """
 <mujoco model="arm">
-  <option timestep="0.01" gravity="0 0 0"><flag contact="disable"/></option>
+  <option timestep="0.01" iterations="1" ls_iterations="4" gravity="0 0 0"><flag contact="disable"/></option>
   <worldbody>
     <camera name="top" pos="0 0 1.6" xyaxes="1 0 0 0 1 0"/>
     <light pos="0 0 3"/>

@@ -9,9 +9,10 @@ from adaptsim_jax.environments.own import ModelEnvironment
 
 MJCF = """
 <mujoco model="cartpole">
-  <option timestep="0.01"><flag contact="disable"/></option>
+  <option timestep="0.01" iterations="1" ls_iterations="4"><flag contact="disable"/></option>
+  <asset><texture type="skybox" builtin="flat" rgb1="1 1 1" width="8" height="8"/></asset>
   <worldbody>
-    <camera name="side" pos="0 -4 0.3" xyaxes="1 0 0 0 0 1"/>
+    <camera name="side" pos="0 -3.4 0.1" xyaxes="1 0 0 0 0 1"/>
     <light pos="0 -2 3" dir="0 1 -1"/>
     <geom name="rail" type="capsule" fromto="-2 0 0 2 0 0" size="0.02" rgba="0.4 0.4 0.4 1"/>
     <body name="cart">

@@ -7,7 +7,7 @@ program and a target in MuJoCo C. Nominal values are the file's.
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -105,6 +105,7 @@ def field_of(model: Any, name: str, where: str = "fields") -> Field:
     """The field called `name` of `model`, an MjModel or gymnax's parameters. BadInput with the nearest names where the model has none.
 
     A mass takes its inertia along in proportion, and the gain of a position actuator its bias, as they do in MJCF.
+    `actuator:*.gain` is that of all actuators: the first one's, the others in proportion.
     """
     if name in INTERFACE:
         unit, least, nominal = INTERFACE[name]
@@ -118,11 +119,25 @@ def field_of(model: Any, name: str, where: str = "fields") -> Field:
     if form["attr"] not in kinds:
         raise BadInput(f"{where}: '{name}': a {form['kind']} has {', '.join(kinds)}; name one of them")
     kind = kinds[form["attr"]]
+    if form["name"] == "*":
+        return _of_all(model, form, name, where)
     row = _row(model, form["kind"], form["name"], kind.rows, name, where)
     array = _array(model, kind.array)
     index = (*row, *_column(array, row, form["index"], name, where))
     value = float(array[index])
     return Field(name, value, kind.unit, kind.least, _edits(model, kind.array, index, value))
+
+
+def _of_all(model: mujoco.MjModel, form: re.Match, name: str, where: str) -> Field:
+    every = [field_of(model, name.replace(":*.", f":{one}."), where) for one in _names(model, form["kind"])]
+    if not every:
+        raise BadInput(f"{where}: '{name}': the model has no {form['kind']} with a name; name them in the MJCF")
+    first = every[0]
+    ratio = lambda f: f.nominal / first.nominal if first.nominal else 1.0
+    if not all(np.isfinite(ratio(f)) and (first.nominal or not f.nominal) for f in every):
+        raise BadInput(f"{where}: '{name}': the first is 0 and another is not, so there is no proportion; name them one by one")
+    edits = tuple(e._replace(factor=e.factor * ratio(f)) for f in every for e in f.edits)
+    return replace(first, name=name, edits=edits)
 
 
 def _of_params(params: Any, name: str, where: str) -> Field:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.environments.fields import Field
+from adaptsim_jax.environments.fields import INTERFACE, Field
 from adaptsim_jax.environments.simulated import Physics, Simulated
 
 
@@ -47,20 +47,23 @@ def make_play(sim: Simulated, fields: tuple[Field, ...], longest: float = 0.0, p
 
     A delay between two steps is a mean of both actions, weighted by how near they are; before the first action there is 0.
     """
-    held = int(-(-longest // sim.dt)) + 2 if longest > 0 else 1
     names = [field.name for field in fields]
+    longest = max(longest, 0.0 if "delay" in names else sim.interface.get("delay", 0.0))
+    held = int(-(-longest // sim.dt)) + 2 if longest > 0 else 1
 
-    def own(values, name, nominal):
+    def own(values, name):
+        nominal = sim.interface.get(name, INTERFACE[name][2])
         return values[names.index(name)] if name in names else jnp.asarray(nominal, jnp.float32)
 
     def world(values):
-        delay = own(values, "delay", 0.0) / sim.dt
         model = sim.edit(sim.model, fields, values)
-        return World(model, delay, own(values, "action_scale", 1.0), own(values, "observation_noise", 0.0))
+        return World(
+            model, own(values, "delay") / sim.dt, own(values, "action_scale"), own(values, "observation_noise")
+        )
 
     def view(world, state, actions, key, time):
         obs, reward, done = sim.seen(state)
-        if "observation_noise" in names:
+        if "observation_noise" in {*names, *sim.interface}:
             key, noise_key = jax.random.split(key)
             obs = obs + world.noise * jax.random.normal(noise_key, obs.shape)
         return Live(state, actions, key, obs, reward, done, time)

@@ -10,8 +10,8 @@ import importlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,8 @@ OWN = {"cartpole": "adaptsim_jax.environments.cartpole:make", "arm": "adaptsim_j
 class Simulated:
     """Pure functions of one sample. `model`: a pytree, of which `edit` replaces the fields; actions lie in [-1, 1].
 
-    native: the file's model, None where there is none (gymnax). length: steps of an episode, of `dt` s each.
+    native: the file's model, None where there is none (gymnax). length: steps of an episode, of `dt` s each. interface: nominal
+    values of its fields, where they are others than usual (a delay that was measured).
     """
 
     name: str
@@ -46,6 +47,7 @@ class Simulated:
     seen: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]  # state -> obs [O], reward [], done [] (float)
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none
     edit: Callable[[Any, tuple[Field, ...], jax.Array], Any] = edited
+    interface: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> Any:
@@ -96,11 +98,17 @@ def _playground(name: str, options: dict[str, Any], where: str) -> Any:
     registry = _peer("mujoco_playground", "playground", where).registry
     if name not in registry.ALL_ENVS:
         raise BadInput(f"{where}: Playground has no '{name}'; {suggest(name, registry.ALL_ENVS)}")
-    options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
-    if options["impl"] == "warp" and jax.default_backend() == "cpu":
-        print(f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]', file=sys.stderr)
     known = registry.get_default_config(name)
-    return registry.load(name, config_overrides={key: value for key, value in options.items() if key in known})
+    for key in options:
+        if key not in known:
+            raise BadInput(f"{where}: options.{key}: '{name}' has no such option; {suggest(key, known)}")
+    if "impl" in known:
+        options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
+    if options.get("impl") == "warp":
+        _peer("warp", "warp-lang", f'{where}: impl = "warp"')
+        if jax.default_backend() == "cpu":
+            print(f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]', file=sys.stderr)
+    return registry.load(name, config_overrides=options)
 
 
 def _brax(name: str, options: dict[str, Any], where: str) -> Any:
@@ -178,6 +186,7 @@ def simulated(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: 
         step=step,
         seen=seen,
         data=lambda state: getattr(state, "data", getattr(state, "pipeline_state", None)),
+        interface=getattr(env, "interface", {}),
     )
 
 

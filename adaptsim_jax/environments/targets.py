@@ -21,6 +21,7 @@ from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.environments.fields import Field, edit_native, field_of
 
 ENGINE = {"engine": "mujoco", "integrator": "implicitfast", "steps": 2}
+SOLVED = 100, 50  # iterations of the solver and its line search at most: a file may say few of them, for MJX's speed
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -78,6 +79,7 @@ def native_physics(model: mujoco.MjModel, fields: tuple[Field, ...], target: Tar
     edit_native(c, fields, target.values)
     c.opt.timestep = model.opt.timestep / target.steps
     c.opt.integrator = INTEGRATORS[target.integrator]
+    c.opt.iterations, c.opt.ls_iterations = max(c.opt.iterations, SOLVED[0]), max(c.opt.ls_iterations, SOLVED[1])
     nq, nv, na = c.nq, c.nv, c.na
     pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads)]
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS

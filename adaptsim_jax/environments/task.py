@@ -75,7 +75,9 @@ def setting_of(
     ranges = config.fields or getattr(env, "fields", {})
     space, omega = space_of(raw.names, ranges, f"{where}, fields")
     table = config.targets or {"nominal": {}}
-    fields = (*omega, *hidden_fields(raw.names, table, omega))
+    own = lambda f: replace(f, nominal=raw.interface.get(f.name, f.nominal))
+    fields = tuple(map(own, (*omega, *hidden_fields(raw.names, table, omega))))
+    omega = fields[: space.dim]
     targets = {name: target_of(name, given, fields, raw.native is not None) for name, given in table.items()}
     sim = environment(env, omega, config.length, where)
     longest = [p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"]

@@ -79,8 +79,8 @@ class PPOTraining:
 
 
 class TrainerState(NamedTuple):
-    """The learner, environments `[B]` with the values `[B, F]` and what is told of them `[B, D]`, discounted rewards so far `[B]`,
-    and updates so far."""
+    """The learner, environments `[B]` with the values `[B, F]` and what is told of them `[B, D]`, discounted and plain rewards so far
+    `[B]`, updates so far and in all; rates, which are arguments so that one compiled program serves all of them."""
 
     ppo: PPOState
     live: Live
@@ -89,6 +89,8 @@ class TrainerState(NamedTuple):
     carried: jax.Array
     gained: jax.Array
     number: jax.Array
+    rounds: jax.Array
+    hyper: PPOHyper
 
 
 class TrainerInfo(NamedTuple):
@@ -118,16 +120,17 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
         return play.reset(play.world(values), reset_key), values, told
 
     def begin(key, learned):
-        R = len(play.fields) - D
-        centre = jnp.full(D, 0.5)
-        nominal = jnp.asarray([f.nominal for f in play.fields[D:]], jnp.float32).reshape(R)
-        live, values, told = jax.vmap(fresh_one, (0, None))(
-            jax.random.split(key, B), Worlds(centre, centre, jnp.ones(()), nominal)
-        )
+        """Nothing is simulated yet: the first round puts fresh environments in place of these."""
+        centre, rest = jnp.full(D, 0.5), jnp.zeros(len(play.fields) - D)
+        told = Worlds(centre, centre, jnp.ones(()), rest)
+        blank = jax.eval_shape(jax.vmap(fresh_one, (0, None)), jax.random.split(key, B), told)
+        live, values, mean = jax.tree.map(lambda x: _blank(key, x), blank)
         if config.stagger:
             live = live._replace(time=jax.random.randint(key, (B,), 0, play.sim.length))
         zero = jnp.zeros(B)
-        return TrainerState(learned, live, values, told, zero, zero, jnp.zeros((), jnp.int32))
+        rates = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), config.hyper)
+        count = jnp.zeros((), jnp.int32)
+        return TrainerState(learned, live, values, mean, zero, zero, count, count + config.rounds, rates)
 
     def one_round(key, state: TrainerState, worlds: Worlds):
         fresh_key, act_key, learn_key = jax.random.split(key, 3)
@@ -164,8 +167,8 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
         cut = cut.at[-1].set(jnp.maximum(cut[-1], over * (1.0 - ended[-1])))  # those begin anew, in another world
         extra = jnp.broadcast_to(told, (config.unroll, *told.shape))
         batch = Batch(obs, extra, action, log_prob, reward, obs_after, ended, cut, state.carried)
-        share = jnp.clip(state.number / config.rounds, 0.0, 1.0)
-        hyper = config.hyper
+        share = jnp.clip(state.number / state.rounds, 0.0, 1.0)
+        hyper = state.hyper
         rate = hyper.learning_rate * (1.0 - (1.0 - config.decay) * share)
         learned, info = ppo.update(learn_key, state.ppo, batch, replace(hyper, learning_rate=rate))
         _, kept = carried(batch, hyper.discount)
@@ -177,6 +180,8 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
             jnp.where(over, 0.0, kept),
             jnp.where(over, 0.0, gained),
             state.number + 1,
+            state.rounds,
+            hyper,
         )
         episode = jnp.sum(totals * stops) / jnp.sum(stops)
         return state, TrainerInfo(episode, reward.mean(), info.spread, info.kl)
@@ -191,6 +196,12 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
         return ppo.deployed(policy, obs, told)
 
     return Trainer(ppo.init, begin, train, lambda state: state.ppo, ppo.actor, act)
+
+
+def _blank(key: jax.Array, like: jax.ShapeDtypeStruct) -> jax.Array:
+    if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
+        return jax.random.split(key, like.shape)
+    return jnp.zeros(like.shape, like.dtype)
 
 
 def _like(on: jax.Array, x: jax.Array) -> jax.Array:

@@ -1,13 +1,17 @@
 """Every row of a comparison over many steps, tried on a mass on a rail whose policy takes seconds to train."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.phase1_config import Phase1Config
+from adaptsim_jax.baselines import compare_steps
 from adaptsim_jax.baselines.compare_steps import tried
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.registry import STEPS
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.task import setting_of, task_of
 from adaptsim_jax.environments.trainer import PPOTraining
@@ -32,10 +36,12 @@ def made():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", STEPS)
+@pytest.mark.parametrize(
+    "method", [pytest.param(m, marks=pytest.mark.filterwarnings("ignore") if m == "sbi" else ()) for m in STEPS]
+)
 def test_a_method_deploys_something_in_every_target(method, made):
-    if method == "cma_es":
-        pytest.importorskip("cma", reason="cma is an extra")
+    if method in ("cma_es", "sbi"):
+        pytest.importorskip({"cma_es": "cma"}.get(method, method), reason="it is an extra")
     setting, prepared = made
     base = default_comparison("environment")
     table = configs.over(configs.to_table(base), SIZES | {"train": {"phase1": configs.to_table(PHASE1)}})
@@ -47,6 +53,21 @@ def test_a_method_deploys_something_in_every_target(method, made):
     assert (returns >= 0.0).all() and (returns <= 25.0).all()  # a step is worth 1 at most
     counted = {
         "adaptsim": [1, 2, 3], "bayesopt": [1, 2, 3], "cma_es": [1, 2, 3], "sysid_bayes": [0, 1, 2], "sysid_point": [0, 1, 2],
+        "sbi": [0, 1, 2], "gradient": [1, 2, 3],
         "fine_tune": [0, 2],
     }  # fmt: skip
     assert list(trials) == counted.get(method, [0])
+
+
+def test_rows_that_cannot_be_run_are_told_before_anything_is_trained(monkeypatch, capsys):
+    monkeypatch.setattr(compare_steps.importlib.util, "find_spec", lambda name: None)
+    setting, base = setting_of(Cart(), EnvironmentConfig(policy="tuned")), default_comparison("environment")
+    assert set(compare_steps.steps_methods()) - set(compare_steps._wanted(base, setting)) == {
+        "cma_es",
+        "sbi",
+        "gradient",
+    }
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 3 and "compare: no row 'cma_es': it needs the package cma (pip install cma)" in told
+    with pytest.raises(BadInput, match="method 'gradient' is for policy = \"knows\"; leave it out of --methods"):
+        compare_steps._wanted(replace(base, methods=("gradient",)), setting)

@@ -128,3 +128,15 @@ def test_domain_randomisation_is_in_the_form_that_playground_and_brax_take():
     assert models.opt.gravity.shape == (5, 3) and models.dof_damping.shape == env.mjx_model.dof_damping.shape
     with pytest.raises(BadInput, match="of the interface"):
         domain_randomize(env.mj_model, {"delay": [0.0, 0.1]})
+
+
+def test_a_star_is_all_of_a_kind_in_proportion():
+    two = SERVO.replace("</actuator>", '<position name="other" joint="hinge" kp="14" ctrlrange="-1 1"/></actuator>')
+    model = mujoco.MjModel.from_xml_string(two)
+    field = field_of(model, "actuator:*.gain")
+    assert field.nominal == 7.0 and field.name == "actuator:*.gain"
+    edit_native(model, (field,), [10.0])
+    np.testing.assert_allclose(model.actuator_gainprm[:, 0], [10.0, 20.0])
+    np.testing.assert_allclose(model.actuator_biasprm[:, 1], [-10.0, -20.0])
+    with pytest.raises(BadInput, match="has no tendon with a name"):
+        field_of(model, "tendon:*.stiffness")

@@ -1,5 +1,7 @@
 """Environments that people have: Playground's over an `mjx.Model`, also in MuJoCo C, and gymnax's; with the extra `[environments]`."""
 
+import importlib.util
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,3 +81,15 @@ def test_a_peer_that_is_not_there_is_told_with_what_to_install(name, tells, monk
     monkeypatch.setattr(importlib, "import_module", absent)
     with pytest.raises(BadInput, match=tells):
         load(name)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_option_that_playground_has_not_is_refused():
+    pytest.importorskip("mujoco_playground", reason="Playground is an extra")
+    with pytest.raises(
+        BadInput, match=r"options.control_dt: 'CartpoleSwingup' has no such option; did you mean 'ctrl_dt'"
+    ):
+        load("playground:CartpoleSwingup", {"control_dt": 0.02})
+    if importlib.util.find_spec("warp") is None:
+        with pytest.raises(BadInput, match=r'impl = "warp": needs warp-lang .* pip install warp-lang'):
+            load("playground:CartpoleSwingup", {"impl": "warp"})

@@ -1,6 +1,7 @@
 """An environment as a `Task`: its policy is trained once, then Phase 1 and 2 run on it; what is wrong with one is told."""
 
 import itertools
+import re
 from dataclasses import replace
 
 import jax
@@ -16,8 +17,9 @@ from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.rollout import Steps, look
-from adaptsim_jax.environments.task import Law, environment_task, setting_of, task_of
+from adaptsim_jax.environments.task import Law, environment_task, everywhere, setting_of, task_of
 from adaptsim_jax.environments.trainer import PPOTraining
+from adaptsim_jax.learners.ppo import PPOHyper
 from tests.environments.cart import Cart, State
 
 SMALL = EnvironmentConfig(
@@ -48,6 +50,18 @@ def test_training_makes_the_policy_better_and_says_how_far_it_is(made):
     # standing still 0.5 m off earns exp(-2.5) a step; at the middle a step is worth 1
     assert before < 4.0 and after > 10.0
     assert said[-1][0] == said[-1][1] == SMALL.training.rounds
+
+
+def test_one_program_trains_at_all_rates_and_lengths():
+    programs = []
+    for rate, steps in ((1e-3, 64 * 25 * 40), (3e-4, 64 * 25 * 80)):
+        training = replace(SMALL.training, steps=steps, hyper=PPOHyper(learning_rate=rate))
+        setting = setting_of(Cart(), replace(SMALL, training=training))
+        state = setting.trainer.begin(jax.random.key(1), setting.trainer.init(jax.random.key(0)))
+        train = lambda *args, setting=setting: setting.trainer.train(*args, 2)
+        program = str(jax.make_jaxpr(train)(jax.random.key(2), state, everywhere(setting)))
+        programs.append(re.sub("0x[0-9a-f]+", "", program))  # where functions lie in memory
+    assert programs[0] == programs[1]
 
 
 def test_what_is_observed_tells_worlds_apart_and_rewards_have_their_scale(made):

@@ -1,0 +1,70 @@
+"""d(return)/d(E's mean), through the policy that knows E and the simulator's steps: forward mode, for environments without contact.
+
+Over many steps such derivatives grow without bound where the motion is unstable. They are then truncated: a window of so many steps
+counts how an action moves the states after it, and what went before the window counts for nothing.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.environments.interface import Play
+from adaptsim_jax.environments.rollout import Acting
+
+EXPLODES = 10.0  # a return that would change by more than so many times itself over Omega
+SHORTEST = 5  # steps of a window
+
+
+class Slope(NamedTuple):
+    """The mean return `score []` over the starts, its derivative by E's mean `gradient [D]` (unit coordinates), and the window [steps]
+    that it was taken over; 0 where none is short enough, and the gradient 0."""
+
+    score: float
+    gradient: np.ndarray
+    window: int
+
+
+def make_slope(play: Play, acting: Acting, policy_of: Callable[[jax.Array], Any]) -> Callable:
+    """`slope(keys [N], mean [D], values [F]) -> Slope`: over N starts, with the longest window whose derivatives do not explode.
+
+    Args:
+        play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies, `policy_of(mean) -> policy`.
+    """
+
+    def score(mean, key, values, window):
+        world, policy = play.world(values), policy_of(mean)
+        reset_key, act_key = jax.random.split(key)
+
+        def step(carry, row):
+            live, memory, on = carry
+            key, number = row
+            held = lambda x: jnp.where(number % window == 0, jax.lax.stop_gradient(x), x)
+            live = jax.tree.map(held, live)
+            action, memory = acting.act(key, policy, memory, live)
+            after = play.step(world, live, action)
+            return (after, memory, on * (1.0 - after.done)), on * after.reward
+
+        T = play.sim.length
+        rows = (jax.random.split(act_key, T), jnp.arange(T))
+        start = (play.reset(world, reset_key), acting.start(policy), jnp.ones(()))
+        total = jax.lax.scan(step, start, rows)[1].sum()
+        return total, total
+
+    every = jax.jit(jax.vmap(jax.jacfwd(score, has_aux=True), (None, 0, None, None)))
+
+    def slope(keys: jax.Array, mean: Any, values: Any) -> Slope:
+        window = play.sim.length
+        mean, values = (jnp.asarray(x, jnp.float32) for x in (mean, values))
+        while True:
+            gradients, scores = (np.asarray(x) for x in every(mean, keys, values, window))
+            steep = np.abs(gradients).max()  # not a number, where one of them is
+            if steep <= EXPLODES * (np.abs(scores).mean() + 1e-6):
+                return Slope(float(scores.mean()), gradients.mean(0), window)
+            if window <= SHORTEST:
+                return Slope(float(scores.mean()), np.zeros(gradients.shape[1]), 0)
+            window = max(window // 2, SHORTEST)
+
+    return slope

@@ -1,0 +1,92 @@
+"""An environment that carries what a diagnosis found: by name, absolute, and refused by name where no field can say it."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.config import EnvironmentConfig
+from adaptsim_jax.environments.mended import mended
+from adaptsim_jax.environments.task import setting_of
+from tests.environments import small
+
+ROBOT = """
+<mujoco><option timestep="0.02"/><worldbody><body name="cart">
+  <joint name="{joint}" type="slide" axis="1 0 0" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
+  <geom type="box" size="0.1 0.1 0.1" mass="{mass}"/></body></worldbody>
+<actuator><motor name="motor" joint="{joint}" gear="4" ctrlrange="-1 1"/></actuator></mujoco>
+"""
+AS_DECLARED = {"damping": 0.4, "dry": 0, "armature": 0, "mass": 1}
+FOUND = {"damping": 0.7, "dry": 0.3, "armature": 0.05, "mass": 1.2}
+
+
+def written(folder, effects="", found=FOUND, joint="slide"):
+    (folder / "declared.xml").write_text(ROBOT.format(joint=joint, **AS_DECLARED))
+    (folder / "model.xml").write_text(ROBOT.format(joint=joint, **found))
+    path = folder / "model.toml"
+    path.write_text(f'schema = 1\ntask = "mechanism"\nmodel = "declared.xml"\n{effects}')
+    return path
+
+
+def effect(name, value, parameter, joint="slide"):
+    return f'[[effects]]\nname = "{name}"\njoint = "{joint}"\n[effects.parameters.{parameter}]\nvalue = {value}\nunit = "s"\n'
+
+
+def test_the_model_has_what_was_found_and_the_rest_as_it_was(tmp_path):
+    env = small.make()
+    path = written(tmp_path, effect("coulomb", 0.3, "level") + effect("delay", 0.03, "delay"))
+    one = mended(env, path)
+    own = one.mj_model
+    found = [own.dof_damping[0], own.dof_frictionloss[0], own.dof_armature[0], own.body("cart").mass[0]]
+    np.testing.assert_allclose(found, [0.7, 0.3, 0.05, 1.2])
+    assert env.mj_model.dof_damping[0] == 0.4 and own.ngeom == env.mj_model.ngeom and not own.opt.gravity.any()
+    setting = setting_of(one, EnvironmentConfig(targets={"as_found": {}, "later": {"delay": 0.05}}))
+    assert setting.targets["as_found"].values[-1] == 0.03 and setting.space.names == tuple(small.FIELDS)
+    values = jnp.asarray([1.2, 0.7], jnp.float32)
+
+    @jax.jit
+    def places(values):
+        world = setting.play.world(values)
+        step = lambda live, _: (setting.play.step(world, live, jnp.ones(1)),) * 2
+        return jax.lax.scan(step, setting.play.reset(world, jax.random.key(0)), None, 10)[1].obs[:, 0]
+
+    # a constant push, late by 3/4 of a step of 40 ms, by hand in MuJoCo C with steps of 20 ms
+    model, data = mujoco.MjModel.from_xml_path(str(path.parent / "model.xml")), None
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.5
+    expected = []
+    for i in range(10):
+        data.ctrl[0] = 0.25 if i == 0 else 1.0
+        mujoco.mj_step(model, data, 2)
+        expected.append(data.qpos[0])
+    np.testing.assert_allclose(places(values), expected, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("effects", "joint", "tells"),
+    [
+        (effect("stribeck", 0.2, "level"), "slide", "no field of a model says 'stribeck' of slide"),
+        (effect("delay", -0.1, "delay"), "slide", "give 0 or more"),
+        (effect("delay", 0.1, "delay", "hinge"), "slide", "delays differ between actuators"),
+        ("", "slidr", "has no joint 'slidr'; did you mean 'slide'"),
+    ],
+)
+def test_what_it_cannot_say_is_refused_by_name(effects, joint, tells, tmp_path):
+    with pytest.raises(BadInput, match=tells):
+        mended(small.make(), written(tmp_path, effects, joint=joint))
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    path = written(tmp_path)
+    path.write_text('task = "pushing"')
+    with pytest.raises(BadInput, match="of a robot"):
+        mended(small.make(), path)
+    path.write_text('task = "mechanism"')
+    (tmp_path / "model.xml").unlink()
+    with pytest.raises(BadInput, match=r"model.xml: no such file; keep it beside"):
+        mended(small.make(), path)
+    with pytest.raises(BadInput, match="holds no mj_model"):
+        mended(object.__new__(type("Nothing", (), {})), path)
