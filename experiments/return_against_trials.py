@@ -115,7 +115,9 @@ def comparison(options: dict[str, Any], small: bool) -> Any:
     if small:
         train = replace(train, phase1=replace(train.phase1, trajectories=300))
         sysid = replace(base.sysid, simulations=100)
-        return replace(base, train=train, sysid=sysid, starts=1, iterations=10, steps=replace(base.steps, tests=12, points=16))
+        return replace(
+            base, train=train, sysid=sysid, starts=1, iterations=10, steps=replace(base.steps, tests=12, points=16)
+        )
     return replace(base, train=train, starts=2, iterations=19)
 
 

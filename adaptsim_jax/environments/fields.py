@@ -135,7 +135,9 @@ def _of_all(model: mujoco.MjModel, form: re.Match, name: str, where: str) -> Fie
     first = every[0]
     ratio = lambda f: f.nominal / first.nominal if first.nominal else 1.0
     if not all(np.isfinite(ratio(f)) and (first.nominal or not f.nominal) for f in every):
-        raise BadInput(f"{where}: '{name}': the first is 0 and another is not, so there is no proportion; name them one by one")
+        raise BadInput(
+            f"{where}: '{name}': the first is 0 and another is not, so there is no proportion; name them one by one"
+        )
     edits = tuple(e._replace(factor=e.factor * ratio(f)) for f in every for e in f.edits)
     return replace(first, name=name, edits=edits)
 

@@ -28,7 +28,12 @@ def test_it_agrees_with_sysid_bayes_on_the_pendulum():
     network = mixture_estimator(D, CONFIG)
     shift, scale = mdn.standardise(x)
     fitted = mdn.fit(
-        fit_key, network.init(init_key, task.obs_dim), network.loss, (x - shift[None]) / scale[None], u, CONFIG.first_fit
+        fit_key,
+        network.init(init_key, task.obs_dim),
+        network.loss,
+        (x - shift[None]) / scale[None],
+        u,
+        CONFIG.first_fit,
     )
     broken = np.asarray(x).copy()
     broken[:50, 0] = np.nan  # simulations that failed
