@@ -107,9 +107,10 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")
 
 
-def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(tmp_path):
-    model = mujoco.MjModel.from_xml_string(SERVO.format(kp=8.0, kv=0.8, friction=0.1))
-    rng, folder = np.random.default_rng(1), tmp_path / "servo"
+def servo_log(folder, kp, kv, friction):
+    """A pendulum under a position servo, 3 trials of 12 s at 50 Hz."""
+    model = mujoco.MjModel.from_xml_string(SERVO.format(kp=kp, kv=kv, friction=friction))
+    rng = np.random.default_rng(1)
     folder.mkdir()
     for k in range(3):
         data, rows = mujoco.MjData(model), []
@@ -120,8 +121,25 @@ def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_th
             data.ctrl[0] = target
             mujoco.mj_step(model, data, 20)
         np.savetxt(folder / f"t{k}.csv", rows, delimiter=",", header="time,q_hinge,target_hinge", comments="")
-    (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "command"\n')
+    return folder
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_path):
+    folder = servo_log(tmp_path / "servo", 30.0, 2.0, friction)
+    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0))
+    machine = load(folder, None)
+    report, _, whole = examined(machine, Criteria(), 0.5)
+    assert whole.judge == "torque" and report["error"]["unit"] == "rad"
+    assert [e["name"] for e in report["effects"]] == (["coulomb"] if friction else [])
+    if friction:
+        assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(friction, rel=0.1)
+
+
+def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(tmp_path):
+    folder = servo_log(tmp_path / "servo", 8.0, 0.8, 0.1)
+    (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0))
     machine = load(folder, None)
     found, (servo,) = calibrated(machine, 0.5)
     assert servo.scale and servo.kp == pytest.approx(8.0, rel=0.15) and servo.damping == pytest.approx(0.8, rel=0.3)
