@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.backward import judged
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
@@ -29,6 +30,7 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.base import Reach
 
 NOTHING = (
     "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
@@ -97,8 +99,8 @@ def examine(
     if judge == TORQUE:
         words = confirmed(problem, words, criteria) if follows else words
         found = selection(problem, words, declared, reach)
-        if follows and over_floor(problem, found.final) > criteria.explained:
-            found = _polished(problem, found)
+        if follows and (found.named or over_floor(problem, found.final) > criteria.explained):
+            found = _polished(problem, found, reach, criteria, say)
         if not follows or asked or over_floor(problem, found.final) < criteria.near:
             after = _simulated(problem, found.final, horizon)
             after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
@@ -115,12 +117,17 @@ def examine(
     return Examined(problem, found, words, before, after, judge, why)
 
 
-def _polished(problem: Problem, found: Selection) -> Selection:
-    """With the final values fitted by simulation, where that predicts better: along the motion a time or a gain is only so exact."""
-    again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS, glance=2)
-    model = modelled(problem, found.final.added, again)
-    better = over_floor(problem, model) < over_floor(problem, found.final)
-    return replace(found, final=model) if better else found
+def _polished(
+    problem: Problem, found: Selection, reach: Reach, criteria: Criteria, say: Callable[[str], None]
+) -> Selection:
+    """With the final values fitted by simulation, since along the motion a time or a gain is only so exact, and each name held against
+    the others and its look-alikes there. What else was fitted along the motion stays in the model."""
+    say("fit by simulation")
+    names = tuple(n.candidate for n in found.named)
+    again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS)
+    trace = list(found.trace)
+    final, named = judged(problem, modelled(problem, names, again), reach, criteria, trace, say)
+    return replace(found, final=final, named=named, trace=tuple(trace))
 
 
 def tells(machine: Machine) -> bool:

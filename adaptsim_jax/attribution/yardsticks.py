@@ -113,7 +113,7 @@ def headline(measures: Mapping[str, Measure | None], follows: bool, asked: str |
     words = lambda k: (
         f"{100 * skill[k]:.0f} % better than a straight line" if skill[k] > 0 else "no better than a straight line"
     )
-    if follows and skill.get(TORQUE, -1.0) >= TELLS:
+    if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= TELLS:
         return (
             TORQUE,
             f"it follows commands, and of the torque that its command errors come to the model tells {100 * skill[TORQUE]:.0f} %",
