@@ -121,13 +121,16 @@ def _polished(
     problem: Problem, found: Selection, reach: Reach, criteria: Criteria, say: Callable[[str], None]
 ) -> Selection:
     """With the final values fitted by simulation, since along the motion a time or a gain is only so exact, and each name held against
-    the others and its look-alikes there. What else was fitted along the motion stays in the model."""
+    the others and its look-alikes there. What else was fitted along the motion stays in the model, and so do its values where
+    all names stay and it simulates to within the noise already."""
     say("fit by simulation")
     names = tuple(n.candidate for n in found.named)
     again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS)
     trace = list(found.trace)
     final, named = judged(problem, modelled(problem, names, again), reach, criteria, trace, say)
-    return replace(found, final=final, named=named, trace=tuple(trace))
+    as_it_was = {n.candidate.key for n in named} == {c.key for c in names}
+    enough = as_it_was and over_floor(problem, found.final) <= criteria.explained
+    return replace(found, final=found.final if enough else final, named=named, trace=tuple(trace))
 
 
 def tells(machine: Machine) -> bool:

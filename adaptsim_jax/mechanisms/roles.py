@@ -224,7 +224,7 @@ def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
         ends = [int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e])]
         if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
             ends = [int(model.site_bodyid[k]) for k in ends]
-        ways = [_upwards(model, max(b, 0)) for b in ends]
+        ways = [upwards(model, max(b, 0)) for b in ends]
         own = set(ways[0]) ^ set(ways[1])
         for b in own:
             looped |= {k for k in range(model.njnt) if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE}
@@ -235,7 +235,8 @@ def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
     return looped, told
 
 
-def _upwards(model: mujoco.MjModel, body: int) -> list[int]:
+def upwards(model: mujoco.MjModel, body: int) -> list[int]:
+    """A body and those that carry it, up to the world, which is left out."""
     out = []
     while body > 0:
         out.append(body)

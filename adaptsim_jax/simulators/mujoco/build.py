@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
-from adaptsim_jax.mechanisms.roles import BALL, CONNECT, FREE, TIE, WELD, pose_of
+from adaptsim_jax.mechanisms.roles import BALL, CONNECT, FREE, TIE, WELD, pose_of, upwards
 from adaptsim_jax.mechanisms.spec import Source, read_spec, shapeless
 from adaptsim_jax.simulators.mujoco.sensed import Reading, feels, readings
 
@@ -158,7 +158,7 @@ def _tied(model: mujoco.MjModel, logged: Collection[str]) -> set[str]:
             ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
             if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
                 ends = [int(model.site_bodyid[k]) for k in ends]
-            bodies = set(_upwards(model, ends[0])) ^ set(_upwards(model, ends[1]))
+            bodies = set(upwards(model, ends[0])) ^ set(upwards(model, ends[1]))
             groups.append({k for k in range(model.njnt) if int(model.jnt_bodyid[k]) in bodies})
     for t in range(model.ntendon):
         rows = range(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
@@ -168,11 +168,3 @@ def _tied(model: mujoco.MjModel, logged: Collection[str]) -> set[str]:
     while more := [g for g in groups if g & reached and not g <= reached]:
         reached = reached.union(*more)
     return {model.joint(k).name for k in reached}
-
-
-def _upwards(model: mujoco.MjModel, body: int) -> list[int]:
-    out = []
-    while body > 0:
-        out.append(body)
-        body = int(model.body_parentid[body])
-    return out
