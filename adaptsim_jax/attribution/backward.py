@@ -86,6 +86,7 @@ def from_afar(problem: Problem, settle: Callable[..., Model], vector: Vector, st
 def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
     """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes, of which
     the simplest has the name."""
+    model = of_members(problem, model, criteria, trace, say)
     gone: set[tuple] = set()
     sure: set[tuple] = set()  # effects that were far from going: they are tested again once nothing else goes
     while True:
@@ -132,6 +133,34 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
         Named(c, test, tuple(other.added[-1] for other, _ in others), steady, test.p)
         for (c, _, test, steady), others in zip(tests, alike, strict=True)
     )
+
+
+def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
+    """The model whose effects at many joints are at those that show it: each joint is tested beside all else, as if it were an effect
+    of its own, and those that do not hold out go together."""
+    many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
+    parts = [(c, one) for c in many for one in c.split()]
+
+    def weak(part: tuple[Candidate, Candidate]) -> bool:
+        c, one = part
+        say(f"without {one.effect} at {where(problem, one)}")
+        alone = replace(model, added=(*tuple(k for k in model.added if k is not c), one))
+        less = without(problem, alone, one, criteria)
+        test = paired(problem, less.held.loss, model.held.loss)
+        why = why_not(problem, model, less, one, test, steadiness(model, one), criteria)
+        if why:
+            trace.append(Step("dropped", one, None, test, why))
+        return bool(why)
+
+    gone = [one for (_, one), drop in zip(parts, parallel_map(weak, parts), strict=True) if drop]
+    if not gone:
+        return model
+    added, keys = [], [e.key for one in gone for e in one.entries]
+    for c in model.added:
+        left = [e for e in c.entries if e.key not in keys]
+        added += [c if len(left) == len(c.entries) else c.at(left)] if left else []
+    own = fit(problem, model.fit.vector.without(keys), model.fit.starts, rounds=criteria.rounds)
+    return modelled(problem, added, own)
 
 
 def _weak(problem: Problem, model: Model, tests, criteria: Criteria):

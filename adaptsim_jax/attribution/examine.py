@@ -96,16 +96,19 @@ def examine(
     }
     follows = bool(np.any(machine.actuator[2] != 0.0))
     judge, why = headline(before, follows, asked)
+    by_torque = None
     if judge == TORQUE:
         words = confirmed(problem, words, criteria) if follows else words
         found = selection(problem, words, declared, reach)
         if follows and (found.named or over_floor(problem, found.final) > criteria.explained):
             found = _polished(problem, found, reach, criteria, say)
-        if not follows or asked or over_floor(problem, found.final) < criteria.near:
-            after = _simulated(problem, found.final, horizon)
-            after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
-            return Examined(problem, found, words, before, after, judge, why, follows)
-        judge, why = STRETCHES, "what the command errors show leaves far more than noise in simulated stretches"
+        after = _simulated(problem, found.final, horizon)
+        after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
+        by_torque = Examined(problem, found, words, before, after, judge, why, follows)
+        good = over_floor(problem, found.final) < criteria.near if follows else after[STRETCHES].skill > 0.0
+        if asked or good or (not follows and problem.joints > criteria.torque.simulated):
+            return by_torque
+        judge, why = STRETCHES, f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches"
     effects = [
         (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
     ]
@@ -114,6 +117,8 @@ def examine(
     found = by_simulation(problem, null, criteria, say, keep, hint)
     before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
     after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}
+    if by_torque is not None and not follows and _worth(after) < _worth(by_torque.after):
+        return by_torque
     return Examined(problem, found, words, before, after, judge, why)
 
 
@@ -151,6 +156,11 @@ def by_simulation(problem: Problem, null: Vector, criteria: Criteria, say, keep,
     if not found.named and over_floor(problem, found.final) > criteria.odd:
         found = select_shorter(problem, null, criteria, found, say)
     return found
+
+
+def _worth(measures: dict[str, Measure | None]) -> float:
+    """Skill of a model by all yardsticks together."""
+    return sum(m.skill for m in measures.values() if m is not None)
 
 
 def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Measure | None]:
@@ -210,6 +220,7 @@ def _witnesses(e: Examined) -> list[str]:
     return notes
 
 
+_SHOWN = {True: "the command error", False: "the torque along the motion"}
 _WORDS = {
     STRETCHES: "simulated stretches",
     "whole": "whole simulated trials",

@@ -37,9 +37,11 @@ from adaptsim_jax.logs.quality.findings import Audit
 from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.logs.recording import read_recording, without_trials
-from adaptsim_jax.logs.types import Recording
+from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.mechanisms.model_file import ModelFile
 from adaptsim_jax.mechanisms.registry import make_plant
+
+LEAST_ROWS = 64  # of a part of a trial between rows without angles, that is smoothed by itself
 
 
 def diagnose_pendulum(
@@ -136,9 +138,23 @@ def first_parameters(recording: Recording, checked: Audit) -> np.ndarray:
     plant = make_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
     check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
     noise = noise_floor(recording, checked)
-    motions = [(t, *smooth(t, noise)) for t in recording.trials]
+    motions = [(t, *smooth(t, noise)) for whole in recording.trials for t in _unbroken(whole)]
     plant = plant if any(np.any(t.torque) for t in recording.trials) else plant.unscaled()
     return plant.initial_theta([(t.time, q, v, t.torque) for t, q, v in motions])
+
+
+def _unbroken(trial: Trial) -> list[Trial]:
+    """The trial, or its parts of `LEAST_ROWS` or more between rows that have no angles."""
+    seen = np.all(np.isfinite(trial.q), axis=1)
+    parts = np.split(np.arange(len(seen)), np.flatnonzero(np.diff(seen)) + 1)
+    if seen.all():
+        return [trial]
+    cut = lambda z, rows: None if z is None else z[rows]
+    return [
+        replace(trial, time=trial.time[p], q=trial.q[p], v=cut(trial.v, p), torque=cut(trial.torque, p))
+        for p in parts
+        if seen[p[0]] and len(p) >= LEAST_ROWS
+    ]
 
 
 def masked(recording: Recording, checked: Audit) -> Recording:

@@ -6,7 +6,7 @@ stretches themselves (White, 1980; Liang and Zeger, 1986), so that a model that 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -40,6 +40,19 @@ class Candidate:
 
     def shaped(self) -> dict[str, float]:
         return dict(self.shape)
+
+    def at(self, entries: Sequence[Entry]) -> "Candidate":
+        """With some of its entries, at their joints alone."""
+        joints = tuple(j for e in entries for j in e.joints)
+        return replace(
+            self, joints=joints, entries=tuple(entries), sharing="joint" if len(joints) == 1 else self.sharing
+        )
+
+    def split(self) -> "list[Candidate]":
+        """One a joint, where it has own values at each of several."""
+        if self.sharing != "all":
+            return [self]
+        return [self.at([e for e in self.entries if e.joints == (j,)]) for j in self.joints]
 
 
 @dataclass(frozen=True)

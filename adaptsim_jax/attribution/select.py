@@ -3,7 +3,7 @@
 Every step that chooses looks at folds (trials) that were left out of the parameters with which they are predicted (`held_out.py`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from adaptsim_jax.attribution.held_out import (
     placed,
     refit,
 )
-from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import eased, steady_each
@@ -112,7 +112,7 @@ def _steady(problem: Problem, model: Model, criteria: Criteria) -> Model:
         each = steady_each(model, c) >= criteria.steady if c.sharing == "all" else np.ones(len(c.entries), bool)
         gone += [e.key for e, stays in zip(c.entries, each, strict=True) if not stays]
         if each.any():
-            added.append(_of(c, [e for e, stays in zip(c.entries, each, strict=True) if stays]))
+            added.append(c.at([e for e, stays in zip(c.entries, each, strict=True) if stays]))
     if not gone:
         return model
     again = fit(problem, model.fit.vector.without(gone), model.fit.starts, rounds=criteria.rounds)
@@ -249,13 +249,7 @@ def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
     if c.sharing != "all" or all(values[e.key] == e.off for e in c.entries):
         return c, []
     still = [e for e in c.entries if values[e.key] == e.off]
-    return _of(c, [e for e in c.entries if e not in still]), [e.key for e in still]
-
-
-def _of(c: Candidate, entries: Sequence[Entry]) -> Candidate:
-    """A candidate with some of its entries, at their joints alone."""
-    joints = tuple(j for e in entries for j in e.joints)
-    return replace(c, joints=joints, entries=tuple(entries), sharing="joint" if len(joints) == 1 else c.sharing)
+    return c.at([e for e in c.entries if e not in still]), [e.key for e in still]
 
 
 def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:

@@ -47,6 +47,8 @@ def test_rows_that_the_audit_found_spiked_are_not_fitted(tmp_path):
     checked = audit(recording)
     hidden = ~np.isfinite(masked(usable(recording, checked), checked).trials[1].q[:, 1])
     assert np.flatnonzero(hidden).tolist() == [205]
+    rest = masked(usable(recording, checked), checked)
+    np.testing.assert_allclose(first_parameters(rest, checked)[:4], TRUE[:4], rtol=0.15)
 
 
 @pytest.mark.slow

@@ -120,15 +120,6 @@ def _trusted(c: Candidate) -> Candidate:
     return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
-def _split(c: Candidate) -> list[Candidate]:
-    """A candidate at several joints with own values, as one a joint."""
-    if c.sharing != "all":
-        return [c]
-    return [
-        Candidate(c.effect, (j,), "joint", tuple(e for e in c.entries if e.joints == (j,)), c.shape) for j in c.joints
-    ]
-
-
 def _friction_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
     hides another (a file's damping and rotors that are not there: dry friction that is)."""
@@ -184,7 +175,7 @@ def _backward(
 ) -> tuple[list[Candidate], list[Candidate]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that stay are not shown by themselves:
     what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone."""
-    added, own = [k for c in added for k in _split(c)], state.limits
+    added, own = [k for c in added for k in c.split()], state.limits
     while True:
         whole = state.set_of(added)
         tests = [
