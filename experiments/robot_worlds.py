@@ -105,9 +105,9 @@ def record(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "meta.toml").write_text(f'task = "mechanism"\nmodel = "{path.resolve()}"\n')
     data, every, rate = mujoco.MjData(model), 10, 200
-    names = [f"q_{model.joint(k).name}" for k in range(model.njnt)] + [
-        f"ctrl_{model.actuator(k).name}" for k in range(model.nu)
-    ]
+    joint_of = lambda k: model.joint(int(model.actuator_trnid[k, 0])).name
+    told_by = lambda k: f"ctrl_{model.actuator(k).name}" if model.actuator(k).name else f"target_{joint_of(k)}"
+    names = [f"q_{model.joint(k).name}" for k in range(model.njnt)] + [told_by(k) for k in range(model.nu)]
     for trial in range(6):
         mujoco.mj_resetData(model, data)
         data.qpos[:] = pose

@@ -34,10 +34,15 @@ class Forecast:
 
 
 def forecast(
-    problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS, roughly: bool = False
+    problem: Problem,
+    vector: Vector,
+    rows: np.ndarray | None = None,
+    rounds: int = ROUNDS,
+    roughly: bool = False,
+    starts: Sequence[np.ndarray] | None = None,
 ) -> Forecast:
-    """Simulate all stretches at a vector; rows [W, P]: other values for each stretch; roughly: as of `fitted_starts`."""
-    starts, paths = fitted_starts(problem, vector, rows, rounds, roughly)
+    """Simulate all stretches at a vector; rows [W, P]: other values for each stretch; roughly, starts: as of `fitted_starts`."""
+    starts, paths = fitted_starts(problem, vector, rows, rounds, roughly, starts)
     measured, seen = observed(problem)
     out = np.zeros_like(measured)
     for group, path in zip(problem.groups, paths, strict=True):
@@ -74,15 +79,19 @@ def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fitted_starts(
-    problem: Problem, vector: Vector, rows: np.ndarray | None = None, rounds: int = ROUNDS, roughly: bool = False
+    problem: Problem,
+    vector: Vector,
+    rows: np.ndarray | None = None,
+    rounds: int = ROUNDS,
+    roughly: bool = False,
+    starts: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
-    """Starts by plain least squares on the angles, from the smoothed ones, and the paths from there. roughly: a path is taken to
-    follow its
-    start as one that nothing acts on, which needs no derivatives; no step is taken that does not gain."""
+    """Starts by plain least squares on the angles, from the smoothed ones or those given, and the paths from there. roughly: a path
+    is taken to follow its start as one that nothing acts on, which needs no derivatives; no step is taken that does not gain."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
     made = ready(problem, vector, rows)
-    starts = widened(made, starts_of(problem))
+    starts = widened(made, starts_of(problem) if starts is None else starts)
 
     def by_lane(
         starts,

@@ -9,23 +9,33 @@ from dataclasses import replace
 from adaptsim_jax.attribution.equation.models import Said, model_of, without
 from adaptsim_jax.attribution.held_out import Model, paired
 from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.stays import eased, worth
 from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 
 def confirmed(problem: Problem, found: Said, criteria: Criteria) -> Said:
-    """Without the effects that simulation does not bear out, the weakest first, each refitted by the balance."""
+    """Without the effects that simulation does not bear out, the weakest first, each refitted by the balance. One that takes far more
+    than the least off is not asked again."""
+    sure: set[tuple] = set()
+    starts = None
     while found.named:
-        whole = model_of(problem, found, found.final, found.added)
-        weak = []
-        for named in found.named:
-            less = without(problem, found, [named.candidate], [])
-            gain = _gain(problem, model_of(problem, less, less.final, less.added), whole, criteria)
-            if gain is not None:
-                weak.append((gain, named.candidate, less))
+        whole = model_of(problem, found, found.final, found.added, starts)
+        starts = whole.fit.starts
+
+        def weighed(c: Candidate, found=found, whole=whole, starts=starts) -> tuple[float, bool, Candidate, Said]:
+            less = without(problem, found, [c], [])
+            model = model_of(problem, less, less.final, less.added, starts)
+            return *_gain(problem, model, whole, criteria), c, less
+
+        asked = [n.candidate for n in found.named if n.candidate.key not in sure]
+        tests = parallel_map(weighed, asked)
+        weak = [(gain, c, less) for gain, stays, c, less in tests if not stays]
         if not weak:
             return found
+        sure |= {c.key for gain, stays, c, _ in tests if stays and gain > criteria.apart}
         _, gone, less = min(weak, key=lambda w: w[0])
         found = replace(
             less,
@@ -36,10 +46,9 @@ def confirmed(problem: Problem, found: Said, criteria: Criteria) -> Said:
     return found
 
 
-def _gain(problem: Problem, less: Model, whole: Model, criteria: Criteria) -> float | None:
-    """Share of the left-out loss that an effect takes off where it does not stay; None where it does."""
+def _gain(problem: Problem, less: Model, whole: Model, criteria: Criteria) -> tuple[float, bool]:
+    """Share of the left-out loss that an effect takes off, and whether it stays."""
     test = paired(problem, losses(problem, less.held.paths, whole.fit.weights), whole.held.loss)
     holds = test.p <= criteria.confidence and test.gain > criteria.size
-    if holds and eased(problem, less, whole) > 0.0 and worth(problem, less, whole) >= criteria.worth:
-        return None
-    return test.gain
+    stays = holds and eased(problem, less, whole) > 0.0 and worth(problem, less, whole) >= criteria.worth
+    return test.gain, stays

@@ -115,14 +115,22 @@ def _score(step: Step, total: float) -> Score:
     return Score(step.candidate, np.zeros(0), test.gain * total, test.gain * total, test.p, share)
 
 
-def model_of(problem: Problem, found: Said, vector: Vector, added: Sequence[Candidate]) -> Model:
-    """A vector with how it simulates stretches, each from starts fitted to it, with the values of the folds that it is not in."""
+def model_of(
+    problem: Problem,
+    found: Said,
+    vector: Vector,
+    added: Sequence[Candidate],
+    starts: Sequence[np.ndarray] | None = None,
+) -> Model:
+    """A vector with how it simulates stretches, each from starts fitted to it, with the values of the folds that it is not in.
+    starts: from which these are fitted, of a model that is nearly the same."""
     vectors = _folded(problem, found, vector)
     fold = np.minimum(problem.fold, len(vectors) - 1)
     rows = vectors[fold]
     width = problem.groups[0].stretches.count
     rows = np.concatenate([rows, np.repeat(rows[-1:], width - len(rows), 0)])
-    seen = forecast(problem, vector, rows, ROUNDS, roughly=True)
+    rounds = ROUNDS if starts is None else 1
+    seen = forecast(problem, vector, rows, rounds, roughly=True, starts=starts)
     weights = weigh(problem, seen.paths)
     loss = losses(problem, seen.paths, weights)
     fit = Fit(vector, seen.starts, weights, loss, "converged", 0)
