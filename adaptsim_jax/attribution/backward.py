@@ -1,6 +1,6 @@
 """Backward: each effect tested beside all others, and against its look-alikes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from adaptsim_jax.attribution.estimate import fit
@@ -144,7 +144,7 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
     def weak(part: tuple[Candidate, Candidate]) -> bool:
         c, one = part
         say(f"without {one.effect} at {where(problem, one)}")
-        alone = replace(model, added=(*tuple(k for k in model.added if k is not c), one))
+        alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
         test = paired(problem, less.held.loss, model.held.loss)
         why = why_not(problem, model, less, one, test, steadiness(model, one), criteria)
@@ -152,10 +152,17 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
             trace.append(Step("dropped", one, None, test, why))
         return bool(why)
 
-    gone = [one for (_, one), drop in zip(parts, parallel_map(weak, parts), strict=True) if drop]
-    if not gone:
+    drops = parallel_map(weak, parts)
+    return trimmed(
+        problem, model, [e.key for (_, c), drop in zip(parts, drops, strict=True) if drop for e in c.entries], criteria
+    )
+
+
+def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Criteria) -> Model:
+    """The model without some entries of its effects, refitted; as it is where there are none."""
+    if not keys:
         return model
-    added, keys = [], [e.key for one in gone for e in one.entries]
+    added = []
     for c in model.added:
         left = [e for e in c.entries if e.key not in keys]
         added += [c if len(left) == len(c.entries) else c.at(left)] if left else []

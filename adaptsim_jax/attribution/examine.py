@@ -98,8 +98,10 @@ def examine(
     judge, why = headline(before, follows, asked)
     by_torque = None
     if judge == TORQUE:
-        words = confirmed(problem, words, criteria) if follows else words
         found = selection(problem, words, declared, reach)
+        keep(found)
+        if follows and (fewer := confirmed(problem, words, found.final, criteria)) is not words:
+            words, found = fewer, selection(problem, fewer, declared, reach)
         if follows and (found.named or over_floor(problem, found.final) > criteria.explained):
             found = _polished(problem, found, reach, criteria, say)
         after = _simulated(problem, found.final, horizon)

@@ -33,16 +33,9 @@ class Forecast:
     paths: tuple[Path, ...]
 
 
-def forecast(
-    problem: Problem,
-    vector: Vector,
-    rows: np.ndarray | None = None,
-    rounds: int = ROUNDS,
-    roughly: bool = False,
-    starts: Sequence[np.ndarray] | None = None,
-) -> Forecast:
-    """Simulate all stretches at a vector; rows [W, P]: other values for each stretch; roughly, starts: as of `fitted_starts`."""
-    starts, paths = fitted_starts(problem, vector, rows, rounds, roughly, starts)
+def forecast(problem: Problem, vector: Vector) -> Forecast:
+    """Simulate all stretches at a vector."""
+    starts, paths = fitted_starts(problem, vector)
     measured, seen = observed(problem)
     out = np.zeros_like(measured)
     for group, path in zip(problem.groups, paths, strict=True):
@@ -86,8 +79,9 @@ def fitted_starts(
     roughly: bool = False,
     starts: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
-    """Starts by plain least squares on the angles, from the smoothed ones or those given, and the paths from there. roughly: a path
-    is taken to follow its start as one that nothing acts on, which needs no derivatives; no step is taken that does not gain."""
+    """Starts by plain least squares on the angles, from the smoothed ones or those given, and the paths from there. rows [W, P]:
+    other values for each stretch; roughly: a path is taken to follow its start as one that nothing acts on, which needs no
+    derivatives; no step is taken that does not gain."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
     made = ready(problem, vector, rows)

@@ -144,16 +144,17 @@ def first_parameters(recording: Recording, checked: Audit) -> np.ndarray:
 
 
 def _unbroken(trial: Trial) -> list[Trial]:
-    """The trial, or its parts of `LEAST_ROWS` or more between rows that have no angles."""
+    """The trial, or its parts between rows that have no angles: those of `LEAST_ROWS` or more, else the longest."""
     seen = np.all(np.isfinite(trial.q), axis=1)
-    parts = np.split(np.arange(len(seen)), np.flatnonzero(np.diff(seen)) + 1)
     if seen.all():
         return [trial]
+    parts = [p for p in np.split(np.arange(len(seen)), np.flatnonzero(np.diff(seen)) + 1) if seen[p[0]]]
+    longest = max(map(len, parts), default=0)
     cut = lambda z, rows: None if z is None else z[rows]
     return [
-        replace(trial, time=trial.time[p], q=trial.q[p], v=cut(trial.v, p), torque=cut(trial.torque, p))
+        replace(trial, **{name: cut(getattr(trial, name), p) for name in ("time", "q", "v", "torque", "commanded")})
         for p in parts
-        if seen[p[0]] and len(p) >= LEAST_ROWS
+        if len(p) >= min(LEAST_ROWS, longest)
     ]
 
 

@@ -43,7 +43,7 @@ class Candidate:
 
     def at(self, entries: Sequence[Entry]) -> "Candidate":
         """With some of its entries, at their joints alone."""
-        joints = tuple(j for e in entries for j in e.joints)
+        joints = tuple(dict.fromkeys(j for e in entries for j in e.joints))
         return replace(
             self, joints=joints, entries=tuple(entries), sharing="joint" if len(joints) == 1 else self.sharing
         )

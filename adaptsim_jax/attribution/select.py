@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import Named, Step, from_afar, judged, more, scored, where
+from adaptsim_jax.attribution.backward import Named, Step, from_afar, judged, more, scored, trimmed, where
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
     Model,
@@ -107,16 +107,12 @@ def _hinted(problem: Problem, base: Model, hint: Hint, criteria: Criteria, trace
 
 def _steady(problem: Problem, model: Model, criteria: Criteria) -> Model:
     """Without the joints at which an effect that was put in at many differs between folds by as much as it is."""
-    added, gone = [], []
-    for c in model.added:
-        each = steady_each(model, c) >= criteria.steady if c.sharing == "all" else np.ones(len(c.entries), bool)
-        gone += [e.key for e, stays in zip(c.entries, each, strict=True) if not stays]
-        if each.any():
-            added.append(c.at([e for e, stays in zip(c.entries, each, strict=True) if stays]))
-    if not gone:
-        return model
-    again = fit(problem, model.fit.vector.without(gone), model.fit.starts, rounds=criteria.rounds)
-    return modelled(problem, added, again)
+    gone = [
+        e.key
+        for c in model.added if c.sharing == "all"
+        for e, steady in zip(c.entries, steady_each(model, c), strict=True) if steady < criteria.steady
+    ]  # fmt: skip
+    return trimmed(problem, model, gone, criteria)
 
 
 def declared(problem: Problem, null: Vector, criteria: Criteria, roughly: bool = False) -> Model:

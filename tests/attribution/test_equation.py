@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
-from adaptsim_jax.attribution.diagnose import declared_vector, examined
+from adaptsim_jax.attribution.diagnose import declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.models import said
@@ -17,8 +17,10 @@ from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.servo import calibrated
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
+from experiments.mechanism_rigs import RIGS
 from tests.attribution.pendulum import record
+from tests.logs.measured_files import measured
 
 NOTHING = Vector((), np.zeros(0))
 SERVO = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="implicitfast"/><worldbody><body name="link">
@@ -129,9 +131,12 @@ def servo_log(folder, kp, kv, friction):
 def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_path):
     folder = servo_log(tmp_path / "servo", 30.0, 2.0, friction)
     (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0))
-    machine = load(folder, None)
-    report, _, whole = examined(machine, Criteria(), 0.5)
+    machine, kept = load(folder, None), []
+    report, _, whole = examined(machine, Criteria(), 0.5, keep=kept.append)
     assert whole.judge == "torque" and report["error"]["unit"] == "rad"
+    assert (
+        "coulomb" in {e["name"] for e in kept[0]["effects"]} or not friction
+    )  # on disk before it is held against simulation
     assert [e["name"] for e in report["effects"]] == (["coulomb"] if friction else [])
     if friction:
         assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(friction, rel=0.1)
@@ -146,3 +151,21 @@ def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_th
     assert servo.coulomb == pytest.approx(0.1, rel=0.3) and servo.p < 0.01
     assert found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
     assert calibrated(found, 0.5)[1] == ()  # as they are now, they are right
+
+
+@pytest.mark.slow
+def test_what_the_torque_shows_of_a_real_servo_is_held_against_its_motion(tmp_path):
+    """The torque along the motion finds a rotor that simulates worse than none; friction that follows the load simulates better."""
+    folder = measured("measured_servo_pendulum")
+    (tmp_path / "meta.toml").write_text(
+        'task = "mechanism"\nmodel = "model.xml"\ninput = "voltage"\n[noise]\nv = 0.024\n'
+    )
+    (tmp_path / "model.xml").write_text((RIGS / "servo_pendulum" / "model.xml").read_text())
+    for file in [*folder.glob("kp100_*.csv"), *folder.glob("kp400_*.csv")]:
+        (tmp_path / file.name).symlink_to(file)
+    skill = {}
+    for criteria in (Criteria(torque=TorqueCriteria(simulated=0)), Criteria()):
+        _, _, whole = examined(scaled(load(tmp_path, None), 0.5), criteria, 0.5)
+        skill[whole.judge] = {k: m.skill for k, m in whole.after.items()}
+    assert skill["torque"]["stretches"] < -0.9 and skill["stretches"]["stretches"] > 0.0
+    assert sum(skill["stretches"].values()) > sum(skill["torque"].values())

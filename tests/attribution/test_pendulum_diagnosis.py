@@ -12,9 +12,18 @@ import pytest
 
 import adaptsim_jax
 from adaptsim_jax import diagnose
+from adaptsim_jax.attribution.backward import of_members
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.diagnose import declared_vector
+from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.held_out import modelled
+from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
+from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.cli import main
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.mechanisms import dynamics, equations
@@ -49,6 +58,30 @@ def test_rows_that_the_audit_found_spiked_are_not_fitted(tmp_path):
     assert np.flatnonzero(hidden).tolist() == [205]
     rest = masked(usable(recording, checked), checked)
     np.testing.assert_allclose(first_parameters(rest, checked)[:4], TRUE[:4], rtol=0.15)
+    holes = replace(checked, valid={t.name: np.arange(len(t.time)) % 50 > 0 for t in rest.trials})
+    torn = masked(usable(recording, checked), holes)  # no part is as long as one that is smoothed by itself
+    assert np.all(np.isfinite(first_parameters(torn, holes)))
+
+
+def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
+    """Dry friction put in at both joints, of which the second rubs: tested at each, it is left at that one, refitted."""
+    recording = read_recording(
+        written(tmp_path, make_trials(3, 4, 2.0, 100.0, noise=0.2, extra=rubbing, velocity=False))
+    )
+    machine = declared_machine(recording, first_parameters(recording, audit(recording)), tmp_path / "declared.xml")
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    null = in_the_plane(declared_vector(machine, problem))
+    reach = scaled_reach(problem, *own_inertia(problem, null))
+    (both,) = [c for c in candidates(problem, null, reach) if c.effect == "coulomb" and c.sharing == "all"]
+    assert [c.joints for c in both.split()] == [(0,), (1,)]
+    model = modelled(problem, (both,), fit(problem, null.with_entries(both.entries), rounds=8))
+    trace: list = []
+    less = of_members(problem, model, Criteria(), trace, lambda note: None)
+    assert [(c.effect, c.joints, c.sharing) for c in less.added] == [("coulomb", (1,), "joint")]
+    assert [s.candidate.joints for s in trace] == [(0,)]
+    values = {e.key: z for e, z in zip(less.fit.vector.entries, less.fit.vector.values, strict=True)}
+    assert values["coulomb", "level", (1,)] == pytest.approx(LEVEL, rel=0.1)
+    assert ("coulomb", "level", (0,)) not in values
 
 
 @pytest.mark.slow

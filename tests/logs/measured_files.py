@@ -86,9 +86,13 @@ def write(folder, trials, meta=META):
 
 def real_rig(name):
     """The folder of a real recording, or a visible skip where the data is not at hand."""
+    return measured(f"measured_double_pendulum/{name}")
+
+
+def measured(name):
+    """A folder of real recordings, or a visible skip where the data is not at hand."""
     root = Path(__file__).resolve().parents[2]
-    base = Path(os.environ.get("ADAPTSIM_DATA", root.parent / "shared" / "data"))
-    folder = base / "measured_double_pendulum" / name
+    folder = Path(os.environ.get("ADAPTSIM_DATA", root.parent / "shared" / "data")) / name
     if not folder.is_dir():
-        pytest.skip(f"real recording {name} is not at hand: set ADAPTSIM_DATA to the folder that holds it")
+        pytest.skip(f"real recording {folder.name} is not at hand: set ADAPTSIM_DATA to the folder that holds it")
     return folder

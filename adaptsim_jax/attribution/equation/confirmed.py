@@ -16,18 +16,15 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 
-def confirmed(problem: Problem, found: Said, criteria: Criteria) -> Said:
+def confirmed(problem: Problem, found: Said, whole: Model, criteria: Criteria) -> Said:
     """Without the effects that simulation does not bear out, the weakest first, each refitted by the balance. One that takes far more
-    than the least off is not asked again."""
+    than the least off is not asked again. whole: the model of all that is found."""
     sure: set[tuple] = set()
-    starts = None
     while found.named:
-        whole = model_of(problem, found, found.final, found.added, starts)
-        starts = whole.fit.starts
 
-        def weighed(c: Candidate, found=found, whole=whole, starts=starts) -> tuple[float, bool, Candidate, Said]:
+        def weighed(c: Candidate, found=found, whole=whole) -> tuple[float, bool, Candidate, Said]:
             less = without(problem, found, [c], [])
-            model = model_of(problem, less, less.final, less.added, starts)
+            model = model_of(problem, less, less.final, less.added, whole.fit.starts)
             return *_gain(problem, model, whole, criteria), c, less
 
         asked = [n.candidate for n in found.named if n.candidate.key not in sure]
@@ -43,6 +40,7 @@ def confirmed(problem: Problem, found: Said, criteria: Criteria) -> Said:
                 replace(w, kept=tuple(k for k in w.kept if k.candidate is not gone)) for w in less.witnesses
             ),
         )
+        whole = model_of(problem, found, found.final, found.added, whole.fit.starts)
     return found
 
 

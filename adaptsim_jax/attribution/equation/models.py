@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.backward import Step as Told
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.search import FACTOR, Step, Witness, refitted, within, witness
 from adaptsim_jax.attribution.equation.solve import Compared
-from adaptsim_jax.attribution.forecast import Forecast, forecast
+from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.held_out import HeldOut, Model
 from adaptsim_jax.attribution.linear import Normal
 from adaptsim_jax.attribution.parameters import Vector
@@ -18,6 +18,7 @@ from adaptsim_jax.attribution.paths import residuals
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score
 from adaptsim_jax.attribution.select import Selection
+from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, losses, weigh
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -130,11 +131,11 @@ def model_of(
     width = problem.groups[0].stretches.count
     rows = np.concatenate([rows, np.repeat(rows[-1:], width - len(rows), 0)])
     rounds = ROUNDS if starts is None else 1
-    seen = forecast(problem, vector, rows, rounds, roughly=True, starts=starts)
-    weights = weigh(problem, seen.paths)
-    loss = losses(problem, seen.paths, weights)
-    fit = Fit(vector, seen.starts, weights, loss, "converged", 0)
-    return Model(tuple(added), fit, None, _held(problem, seen, loss, vectors), curvature(found, vector))
+    starts, paths = fitted_starts(problem, vector, rows, rounds, roughly=True, starts=starts)
+    weights = weigh(problem, paths)
+    loss = losses(problem, paths, weights)
+    fit = Fit(vector, starts, weights, loss, "converged", 0)
+    return Model(tuple(added), fit, None, _held(problem, tuple(paths), loss, vectors), curvature(found, vector))
 
 
 def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
@@ -151,16 +152,16 @@ def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
     return np.clip(out, vector.low, vector.high)
 
 
-def _held(problem: Problem, seen: Forecast, loss: np.ndarray, vectors: np.ndarray) -> HeldOut:
+def _held(problem: Problem, paths: tuple[Path, ...], loss: np.ndarray, vectors: np.ndarray) -> HeldOut:
     n = problem.joints
     squared = np.zeros((len(loss), 2 * n))
-    for group, path in zip(problem.groups, seen.paths, strict=True):
+    for group, path in zip(problem.groups, paths, strict=True):
         r = residuals(group, path)
         count = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
         j = np.array(group.joints)
         squared[:, [*j, *(n + j)]] = np.square(r).sum(1) / np.maximum(count, 1)
     folds, size = vectors.shape
-    return HeldOut(loss, squared, vectors, Normal(np.zeros((folds, size, size)), np.zeros((folds, size))), seen.paths)
+    return HeldOut(loss, squared, vectors, Normal(np.zeros((folds, size, size)), np.zeros((folds, size))), paths)
 
 
 def curvature(found: Said, vector: Vector) -> np.ndarray:
