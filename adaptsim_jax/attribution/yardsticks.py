@@ -19,10 +19,10 @@ from adaptsim_jax.attribution.equation.windows import SPAN
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.diagnosis.criteria import TELLS
 
 STRETCHES, WHOLE, TORQUE = "stretches", "whole", "torque"
 NAMES = (STRETCHES, WHOLE, TORQUE)
-TELLS = 0.35  # skill of the declared model, fitted, from which on its simulated stretches tell one model from another
 WORTH = 0.02  # skill up to which a model is worth no more than none
 
 

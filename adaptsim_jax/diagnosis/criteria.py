@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 
+TELLS = (
+    0.35  # skill against what needs no model, from which on a model tells one thing from another, and is worth using
+)
+
 
 @dataclass(frozen=True)
 class TorqueCriteria:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from adaptsim_jax.diagnosis.criteria import TELLS
 from adaptsim_jax.report import diagnosis_format as fmt
 
 TONES = {
@@ -229,6 +230,11 @@ def todo(report: Mapping, plan: Mapping | None) -> str:
     """What to do now; it points to the next experiment where there is one."""
     there = report.get("next_experiment") or plan
     nameless = report["verdict"] in ("within_noise", "data_fault")
+    if report["effects"] and (skill := _skill(report)) < TELLS:
+        return (
+            f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % better than what needs no model. "
+            "Look where the rest sits."
+        )
     return NEXT[report["verdict"]] + (" See the next experiment below." if there and not nameless else "")
 
 
@@ -243,3 +249,9 @@ def next_words(report: Mapping, plan: Mapping | None) -> str:
                 return given[key]
     names = (plan or {}).get("separates") or (given.get("separates") if isinstance(given, Mapping) else None)
     return f"Commanded torques chosen to tell {fmt.listing([plain(n) for n in names])} apart." if names else ""
+
+
+def _skill(report: Mapping) -> float:
+    """Of the mended model by the yardstick by which it does best; 1 where none was looked at."""
+    skills = [row["skill"] for row in (report.get("yardsticks") or {}).get("mended", {}).values()]
+    return max((z for z in skills if z is not None and z == z), default=1.0)

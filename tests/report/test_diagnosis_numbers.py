@@ -159,3 +159,12 @@ def test_a_gain_is_read_as_a_factor():
         "gain": "−0.300 [−0.310, −0.290]",
         "scale (1: none)": "0.700",
     }
+
+
+@pytest.mark.parametrize(
+    ("skill", "begins"), [(0.2, "Do not rely on the mended model yet: at best it is 20 %"), (0.9, "Use")]
+)
+def test_a_model_that_hardly_beats_a_straight_line_is_not_recommended(skill, begins):
+    mended = {"stretches": {"skill": -0.3}, "torque": {"skill": skill}}
+    report = {"verdict": "partly_explained", "effects": [{}], "yardsticks": {"mended": mended}}
+    assert words.todo(report, None).startswith(begins)
