@@ -22,7 +22,7 @@ class Values(NamedTuple):
 
     inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias per speed, lowest and highest
     force, before the gear [n, .]; effects {name: {parameter: [n, .]}}; ties [n, n, .]: gears by which a joint's actuator pulls other
-    joints as well (a tendon), None where none does.
+    joints as well (a tendon), None where none does; read [n, .]: angles that the sensors gave where a stretch begins.
     """
 
     inertial: Any
@@ -31,6 +31,7 @@ class Values(NamedTuple):
     gear: Any
     effects: dict[str, dict[str, Any]]
     ties: Any = None
+    read: Any = None
 
 
 class Motion(NamedTuple):

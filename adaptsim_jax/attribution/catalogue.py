@@ -306,8 +306,8 @@ OWN: tuple[Effect, ...] = (
     *DRIVES,
     Effect(
         "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,
-        "play between the link and what its encoder turns with", "many reversals", ("coulomb",), jump=True,
-        grid=lambda reach, joint: [{"gap": g * float(reach.q_high[joint] - reach.q_low[joint])} for g in (0.01, 0.04)],
+        "play between the link and what its encoder turns with", "many reversals", ("coulomb",), jump=True, slack="gap",
+        grid=lambda reach, joint: [{"gap": g * float(reach.q_high[joint] - reach.q_low[joint])} for g in (0.01, 0.04, 0.15)],
         formula="reading follows q at a distance of at most gap / 2",
     ),
     Effect(

@@ -162,9 +162,9 @@ def _answered(values, x, u, p, effect: str, parameter: str):
 
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
-def _sensed(time, x, torque, p, size, effect: Effect, parameter: str):
-    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; torque [L+1, n, W] of the drives, for
-    an effect that they matter to."""
+def _sensed(time, x, read, torque, p, size, effect: Effect, parameter: str):
+    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; read [n, W]: what it gave first; torque
+    [L+1, n, W] of the drives, for an effect that they matter to."""
     n = x.shape[1] // 2
     also = (torque,) if effect.carried else ()
     run = lambda value: effect.apply(
@@ -172,7 +172,7 @@ def _sensed(time, x, torque, p, size, effect: Effect, parameter: str):
         time[:, None, :],
         x[:, :n],
         x[:, n:],
-        x[0, :n],
+        read,
         *also,
     )
     if effect.jump:
@@ -251,7 +251,8 @@ class Columns:
                     _command(g.model, self.values, s.stamp, s.command, self.path, p, step, s.past, effect, parameter)
                 )
             torque = self.torque() if effect.carried else None
-            dq, dv = _sensed(self.time, self.path.x, torque, p, size - p[parameter], effect, parameter)
+            x, read = self.path.x, self.values.read
+            dq, dv = _sensed(self.time, x, read, torque, p, size - p[parameter], effect, parameter)
             return "output", np.concatenate([np.asarray(dq), np.asarray(dv)], 1)
 
     def torque(self) -> np.ndarray:

@@ -12,7 +12,7 @@ import scipy.linalg
 
 from adaptsim_jax.attribution.linear import Linear, linear, normal
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
+from adaptsim_jax.attribution.paths import at_ends, ready, residuals, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, Weights, group_losses, losses, weigh
@@ -109,7 +109,7 @@ def settled(
         new = list(zip(starts, group_losses(problem, paths, lin.fit.weights), paths, strict=True))
         best[:] = [_better(*both) for both in zip(new, best, strict=True)] if best else new
 
-    for starts in options:
+    for starts in (*options, *at_ends(made)):
         offer(starts)
     for _ in range(refine):
         moves = [

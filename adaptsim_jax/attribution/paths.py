@@ -88,6 +88,23 @@ def _start(group: Group, values: Values, x: np.ndarray) -> np.ndarray:
         return np.asarray(with_drives(group.model, values, s.time, s.stamp, s.command, x, s.past))
 
 
+def at_ends(made: Sequence[Ready]) -> list[tuple[np.ndarray, ...]]:
+    """Other starts by group: each joint whose sensor has play begins at either end of it (`Effect.slack`)."""
+    out = []
+    for group, at, *_ in made:
+        for effect in group.model.effects:
+            if not effect.slack or effect.name not in at.effects:
+                continue
+            gap = np.asarray(at.effects[effect.name][effect.slack])[:, 0]
+            for k in np.flatnonzero(gap):
+                for end in (0.5, -0.5):
+                    shift = np.where(np.arange(2 * len(gap)) == k, end * gap[k], 0.0)
+                    out.append((group, shift[:, None]))
+    return [
+        tuple(g.stretches.start + (shift if g is group else 0.0) for g, *_ in made) for group, shift in out
+    ]
+
+
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:
     """Simulated paths by group."""
     made = ready(problem, vector)

@@ -300,7 +300,8 @@ def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray |
     gravity = np.stack([tilted(np.asarray(group.model.tree.gravity), *z) for z in tilt], -1)
     wide = lambda z: np.asarray(z, float)[..., None]
     ties = None if group.ties is None else wide(group.ties)
-    return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects, ties)
+    read = group.stretches.start[:n]
+    return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects, ties, read)
 
 
 def tilted(gravity: np.ndarray, about_x: float, about_y: float) -> np.ndarray:

@@ -220,7 +220,7 @@ def measure(model: Model, values: Values, time, x, u):
         if effect.place == "measurement" and effect.name in values.effects:
             p = {k: z[None] for k, z in values.effects[effect.name].items()}
             also = (carried(values, x, u),) if effect.carried else ()
-            q, v = effect.apply(p, time[:, None, :], q, v, q[0], *also)
+            q, v = effect.apply(p, time[:, None, :], q, v, values.read, *also)
     return jnp.concatenate([q, v], 1)
 
 

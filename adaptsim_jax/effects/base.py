@@ -153,6 +153,8 @@ class Effect:
     effects that this one includes as a special case (of mechanisms it is tried where one of these is).
     `pair`: its force is on the joint and on the one before it, too. `carried`: a measurement effect that is also given the torque
     [N m] which the joint's drive carries, `apply(p, t, q, v, first, torque)`.
+    `slack`: of a measurement effect, its parameter within which the reading does not tell the angle: stretches are also begun with
+    the angle at either end of it.
     `describes`: it is no law but a form that fits many (of mechanisms it must take off `Criteria.described`).
     `formula`: the physics in a line, for people.
     """
@@ -171,6 +173,7 @@ class Effect:
     jump: bool = False
     pair: bool = False
     carried: bool = False
+    slack: str = ""
     describes: bool = False
     contains: tuple[str, ...] = ()
     grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = field(
