@@ -90,7 +90,8 @@ def select(
         stages.append(base)
         keep(so_far())
         scores = scored(problem, base, reach, True)
-    final, named = judged(problem, base, reach, criteria, trace, say)
+    beside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
+    final, named = judged(beside, base, reach, criteria, trace, say)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
 
 

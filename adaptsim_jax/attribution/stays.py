@@ -49,9 +49,10 @@ def least_worth(problem: Problem, c: Candidate, criteria: Criteria) -> float:
 
 def worth(problem: Problem, less: Model, model: Model) -> float:
     """Share of the squared held-out error of one joint's angles that a model takes off another's, at the joint where it is most: of
-    the median stretch or of the ninth decile. An error within the noise floor counts as the floor."""
+    the median stretch or of the ninth decile. An error within the noise floor counts as the floor, and so does one that is next to
+    nothing beside what the declared model leaves (`Problem.least`)."""
     before, after = (np.square(np.quantile(held_error(problem, m), [0.5, 0.9], axis=0)) for m in (less, model))
-    floor = np.square(np.maximum(problem.floor[: problem.joints], 1e-12))
+    floor = np.square(np.maximum(np.maximum(problem.floor[: problem.joints], problem.least), 1e-12))
     return float(np.max((before - after) / np.maximum(before, floor)))
 
 

@@ -45,6 +45,7 @@ class Criteria:
     size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming. Of
         mechanisms also what each parameter that a model has more must take off.
     worth: least share of the squared error of some joint's angles (at least of the noise floor's square) that an effect must take off.
+    beside: of the error that the declared model leaves at a joint, the share below which what is left counts as noise for `worth`.
     described: the same of an effect that is no law but describes one (a torque that depends on the angle in any way).
     gap: share of the loss by which an alternative may be worse and still be told as doing as well; of mechanisms one with fewer
         parameters then has the name.
@@ -75,6 +76,7 @@ class Criteria:
     confidence: float = 0.05
     size: float = 0.01
     worth: float = 0.1
+    beside: float = 0.02
     described: float = 0.5
     gap: float = 0.02
     alike: float = 0.1

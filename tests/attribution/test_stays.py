@@ -16,7 +16,7 @@ DT = 0.005  # s
 GOOD = Paired(0.4, 0.0001, 6, 6, 24)
 
 
-def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, describes=False):
+def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0, describes=False):
     """Of a delay [s] that leaves `angles` times the error of the angles without it, at a noise floor."""
     entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
     candidate = Candidate("delay", (0,), "joint", (entry,))
@@ -29,6 +29,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, describes=
         fold=np.zeros(8, int),
         joints=1,
         floor=np.full(2, floor),
+        least=least,
         effect=lambda name: SimpleNamespace(describes=describes),
     )
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
@@ -48,6 +49,7 @@ def test_what_holds_out_stays():
         ({"angles": 1.1}, "do not come nearer"),
         ({"angles": 0.97}, "less than 10 % off the squared error of any joint"),
         ({"angles": 0.9, "floor": 1.5}, "less than 10 % off the squared error of any joint"),
+        ({"angles": 0.9, "least": 1.5}, "less than 10 % off the squared error of any joint"),
         ({"angles": 0.8, "describes": True}, "less than 50 % off the squared error of any joint"),
     ],
 )
@@ -65,7 +67,7 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
         fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), (size * floor) ** 2))
     )
     problem: Any = SimpleNamespace(
-        reach=SimpleNamespace(dt=DT, torque=np.array([1.0])), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor),
+        reach=SimpleNamespace(dt=DT, torque=np.array([1.0])), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor), least=0.0,
         effect=lambda name: SimpleNamespace(describes=False),
     )  # fmt: skip
     candidate = Candidate("presliding", (0,), "joint", (entry,))
