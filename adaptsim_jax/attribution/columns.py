@@ -163,8 +163,8 @@ def _answered(values, x, u, p, effect: str, parameter: str):
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _sensed(time, x, read, torque, p, size, effect: Effect, parameter: str):
-    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; read [n, W]: what it gave first; torque
-    [L+1, n, W] of the drives, for an effect that they matter to."""
+    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; read [n, W]: what it gave first;
+    torque [L+1, n, W] of the drives, for an effect that they matter to."""
     n = x.shape[1] // 2
     also = (torque,) if effect.carried else ()
     run = lambda value: effect.apply(

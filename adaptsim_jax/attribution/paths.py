@@ -100,9 +100,7 @@ def at_ends(made: Sequence[Ready]) -> list[tuple[np.ndarray, ...]]:
                 for end in (0.5, -0.5):
                     shift = np.where(np.arange(2 * len(gap)) == k, end * gap[k], 0.0)
                     out.append((group, shift[:, None]))
-    return [
-        tuple(g.stretches.start + (shift if g is group else 0.0) for g, *_ in made) for group, shift in out
-    ]
+    return [tuple(g.stretches.start + (shift if g is group else 0.0) for g, *_ in made) for group, shift in out]
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:

@@ -55,7 +55,7 @@ class Problem:
     has_speed: bool
     declared: dict[tuple[str, str], np.ndarray]  # (effect, parameter) -> [n] what the model file says
     floor: np.ndarray  # [2n] noise of angles and speeds
-    least: np.ndarray | float = 0.0  # [n] error of angles below which, beside what was there to explain, no effect is worth a name
+    least: np.ndarray | float = 0.0  # [n] error of angles below which no effect is worth a name
 
     @property
     def joints(self) -> int:
