@@ -114,15 +114,20 @@ def read_so(problem: Problem, found: Selection) -> list[str]:
 
 
 def early_commands(problem: Problem, found: Selection) -> list[str]:
-    """What a delay below zero means."""
+    """What a delay below zero means, or one within a row."""
     vector = found.final.fit.vector
     delays = [z for e, z in zip(vector.entries, vector.values, strict=True) if e.owner == "delay"]
-    if not delays or min(delays) >= 0.0:
+    named = any(n.candidate.effect == "delay" for n in found.named)
+    if not delays or (named and min(delays) >= 0.0):
         return []
-    if not any(n.candidate.effect == "delay" for n in found.named):
+    if not named:
+        least = min(delays)
+        side = "before" if least < 0.0 else "after"
+        why = ": they changed between rows, by a controller faster than its log, or were logged that late"
+        why = why if least < 0.0 else ", or angles were logged that late: less than the log resolves"
         return [
-            f"Commands act {-1e3 * min(delays):.2g} ms before their row (rows are {1e3 * problem.reach.dt:.3g} ms apart): they "
-            "changed between rows, by a controller faster than its log, or were logged that late. Read so; no effect is named for it."
+            f"Commands act {1e3 * abs(least):.2g} ms {side} their row (rows are {1e3 * problem.reach.dt:.3g} ms apart){why}. "
+            "Read so; no effect is named for it."
         ]
     return [
         "a delay below zero is the log's, not the machine's: commands were logged late, or changed between two rows (of a controller "

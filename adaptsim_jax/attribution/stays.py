@@ -67,8 +67,8 @@ def eased(problem: Problem, less: Model, model: Model) -> float:
 
 
 def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
-    """Whether it is how commands are read: they act early at all driven joints, by no more than those of a controller that is faster
-    than its log (half of the difference of both intervals); or rotors are heavier by what damps a joint in a small part of a row,
+    """Whether it is how commands are read: at all driven joints they act early, by no more than those of a controller that is faster
+    than its log (half of the difference of both intervals), or late by less than the log resolves; or rotors are heavier by what damps a joint in a small part of a row,
     which is how a simulator's implicit step damps it."""
     if c.effect == "armature":
         return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
@@ -76,8 +76,8 @@ def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteri
     times = [
         z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key == c.entries[0].key
     ]
-    early = bool(times) and -criteria.within_row * problem.reach.dt < times[0] < 0.0
-    return c.effect == "delay" and early and len(c.entries) == 1 and driven <= set(c.joints)
+    between = bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.least_shift
+    return c.effect == "delay" and between and len(c.entries) == 1 and driven <= set(c.joints)
 
 
 def in_step(problem: Problem, entries: Sequence[Entry], values: np.ndarray, criteria: Criteria) -> bool:

@@ -8,7 +8,7 @@ import pytest
 
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.stays import steadiness, why_not
+from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.paired import Test as Paired
 
@@ -73,6 +73,16 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
     candidate = Candidate("presliding", (0,), "joint", (entry,))
     why = why_not(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())
     assert (why == "") is stays and ("break away within" in why) is not stays
+
+
+@pytest.mark.parametrize(("rows", "read"), [(-0.7, False), (-0.5, True), (0.2, True), (0.3, False)])
+def test_commands_between_rows_are_how_rows_are_read(rows, read):
+    entry = Entry("delay", "delay", (0, 1), 0.0, 0.0, -0.1, 0.1, "s")
+    model: Any = SimpleNamespace(
+        fit=SimpleNamespace(vector=SimpleNamespace(entries=(entry,), values=np.array([rows * DT])))
+    )
+    problem: Any = SimpleNamespace(joints=2, reach=SimpleNamespace(dt=DT, peak=np.ones(2)))
+    assert between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria()) is read
 
 
 def test_steadiness_is_that_of_an_effect_all_else_held():
