@@ -68,8 +68,8 @@ def eased(problem: Problem, less: Model, model: Model) -> float:
 
 def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
     """Whether it is how commands are read: at all driven joints they act early, by no more than those of a controller that is faster
-    than its log (half of the difference of both intervals), or late by less than the log resolves; or rotors are heavier by what damps a joint in a small part of a row,
-    which is how a simulator's implicit step damps it."""
+    than its log (half of the difference of both intervals), or late by less than the log resolves; or
+    rotors are heavier by what damps a joint in a small part of a row, which is how a simulator's implicit step damps it."""
     if c.effect == "armature":
         return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
     driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}

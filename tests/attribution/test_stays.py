@@ -82,7 +82,7 @@ def test_commands_between_rows_are_how_rows_are_read(rows, read):
         fit=SimpleNamespace(vector=SimpleNamespace(entries=(entry,), values=np.array([rows * DT])))
     )
     problem: Any = SimpleNamespace(joints=2, reach=SimpleNamespace(dt=DT, peak=np.ones(2)))
-    assert between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria()) is read
+    assert bool(between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria())) is read
 
 
 def test_steadiness_is_that_of_an_effect_all_else_held():
