@@ -7,6 +7,7 @@ import numpy as np
 from adaptsim_jax.core.constants import GRAVITY
 
 JOINTS = ("joint1", "joint2")
+THIN = 1e-2  # of a link's moment about its joint's axis: the moment about its own length
 
 
 def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -30,8 +31,8 @@ def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.n
 def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle_zero: str) -> str:
     """MJCF text of base parameters `theta [6] = p1, p3, h1, h2, b1, b2` (`rigid.py`), geometry `l1` m and `g` m/s^2.
 
-    Joints `joint1` and `joint2` (relative) turn about the world's y axis; at zero the links hang or stand as `angle_zero` says. A
-    moment across the axis is that about the axis, which no motion in the plane shows.
+    Joints `joint1` and `joint2` (relative) turn about the world's y axis; at zero the links hang or stand as `angle_zero` says. Links
+    are thin: a body that is as thick as long has no less of a moment than its thickness gives it, however it is fitted.
     """
     mass, centre, moment = links_of(theta, float(geometry["l1"]))
     down = -1.0 if angle_zero == "hanging" else 1.0
@@ -41,7 +42,7 @@ def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle
         link.append(
             f'<joint name="{JOINTS[k]}" type="hinge" axis="0 1 0" damping="{damping:.9g}"/>'
             f'<inertial pos="0 0 {down * centre[k]:.9g}" mass="{mass[k]:.9g}" '
-            f'diaginertia="{moment[k]:.9g} {moment[k]:.9g} {moment[k]:.9g}"/>'
+            f'diaginertia="{moment[k]:.9g} {moment[k]:.9g} {THIN * moment[k]:.9g}"/>'
         )
     return (
         '<mujoco model="double_pendulum">\n'
