@@ -241,7 +241,7 @@ OWN: tuple[Effect, ...] = (
     Effect(
         "torque_gain", "force", (Parameter("gain", "1", -0.9, 2.0, 0.0),), torque_gain,
         "the actuator's torque is off by a share", "driven motion beside free swings",
-        ("position_gain", "load_friction", "inertia"), formula="(1 + gain) torque",
+        ("torque_gain", "position_gain", "load_friction", "inertia"), formula="(1 + gain) torque",
     ),
     Effect(
         "torque_coupling", "force",

@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, mjcf_files
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
+    JOINTS,
     LINEAR,
     RIGID,
     declared_machine,
@@ -109,6 +110,7 @@ def diagnose_pendulum(
             *doubted(recording.known, declared_values(recording, problem, found.final)),
         ]
         report["notes"] += checked.limits
+        _of_unknown_masses(report, recording)
         add_trials(report, evidence, pendulum_trials(recording), CHANNELS)
         evidence["audit"] += checked.rows
         provenance = {k: report[k] for k in ("verdict", "message")} | {"data": recording.path} | run.told()
@@ -156,6 +158,25 @@ def _unbroken(trial: Trial) -> list[Trial]:
         for p in parts
         if len(p) >= min(LEAST_ROWS, longest)
     ]
+
+
+def _of_unknown_masses(report: dict[str, Any], recording: Recording) -> None:
+    """Where nothing of the masses is known, the gain g of one joint's torque is that of the other's by 1 / (1 + g), all masses and
+    dampings being as many times less: put among the alternatives, in place."""
+    gains = [e for e in report["effects"] if e["name"] == "torque_gain" and e["where"] in JOINTS]
+    if recording.known or len(gains) != 1:
+        return
+    (effect,) = gains
+    other = f"torque_gain@{JOINTS[1 - JOINTS.index(effect['where'])]}"
+    if other not in effect["alternatives"]:
+        effect["alternatives"].append(other)
+    if report["verdict"] == "explained":
+        report["verdict"] = "explained_class"
+    size = 1.0 / (1.0 + effect["parameters"]["gain"]["value"]) - 1.0
+    report["notes"].append(
+        f"{other.replace('@', ' at ')} of {size:.3g}, with masses and dampings {1.0 + size:.3g} times those told here, makes the same "
+        "motion: no mass is known; give what is known of them under [known] in meta.toml."
+    )
 
 
 def masked(recording: Recording, checked: Audit) -> Recording:

@@ -4,20 +4,24 @@ one, a linearized world, an effect of one's own."""
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 import adaptsim_jax
 from adaptsim_jax import diagnose
+from adaptsim_jax.attribution import pendulum_diagnosis
 from adaptsim_jax.attribution.backward import of_members
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import modelled
-from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
+from adaptsim_jax.attribution.parameters import ETA, inertias
+from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
@@ -167,3 +171,34 @@ def test_an_effect_of_ones_own_competes(tmp_path):
     report = diagnose(data, effects=(*few, mine))
     assert [(e["name"], e["where"]) for e in report["effects"]] == [("mine", "joint1")]
     assert report["effects"][0]["parameters"]["size"]["value"] == pytest.approx(0.1, rel=0.05)
+
+
+@pytest.mark.parametrize("known", [{}, {"m1": 1.0}])
+def test_a_gain_of_either_joint_is_the_same_where_no_mass_is_known(known):
+    """Twice the torque of joint 2 on masses M is half of that of joint 1 on M / 2."""
+    gain = {"name": "torque_gain", "where": "joint2", "alternatives": [], "parameters": {"gain": {"value": 1.0}}}
+    report = {"effects": [gain], "verdict": "explained", "notes": []}
+    pendulum_diagnosis._of_unknown_masses(report, SimpleNamespace(known=known))
+    assert gain["alternatives"] == ([] if known else ["torque_gain@joint1"])
+    assert report["verdict"] == ("explained" if known else "explained_class")
+    assert known or "torque_gain at joint1 of -0.5, with masses and dampings 0.5 times" in report["notes"][0]
+
+
+def test_links_are_thin_enough_for_rigs_whose_mass_sits_at_their_ends(tmp_path):
+    """Base parameters of a rig with little moment about its centres of mass are reached by the fitted links, from others."""
+    theta, wanted, l1 = (
+        np.array([0.070, 0.0355, 0.122, 0.081, 0.0, 0.0]),
+        np.array([0.1404, 0.0798, 0.2808, 0.2139]),
+        0.244,
+    )
+    (tmp_path / "rig.xml").write_text(double_pendulum_mjcf(theta, {"l1": l1}, "hanging"))
+    bodies = inertias(np.asarray(read_mechanism(tmp_path / "rig.xml").tree.inertial))
+    places = [(b, ETA.index(name)) for b in range(2) for name in LINK]
+
+    def off(z):
+        eta = np.zeros((2, 10))
+        eta[tuple(zip(*places, strict=True))] = z
+        return base_parameters(bodies.at(eta)[0], l1, 1.0) / wanted - 1.0
+
+    found = least_squares(off, np.zeros(len(places)))
+    assert np.max(np.abs(found.fun)) < 1e-3
