@@ -99,8 +99,9 @@ def label(method: str) -> str:
 
 
 def style(method: str) -> dict:
-    """Line style: state-only variants are dashed."""
-    return {"color": colour(method), "linestyle": "--" if method.endswith("_state") else "-"}
+    """Line style: state-only variants are dashed, and so is the bound that has the oracle's colour."""
+    dashed = method.endswith("_state") or method == "best_in_omega"
+    return {"color": colour(method), "linestyle": "--" if dashed else "-"}
 
 
 def marker(method: str) -> str:
