@@ -164,7 +164,7 @@ def _of_unknown_masses(report: dict[str, Any], recording: Recording) -> None:
     """Where nothing of the masses is known, the gain g of one joint's torque is that of the other's by 1 / (1 + g), all masses and
     dampings being as many times less: put among the alternatives, in place."""
     gains = [e for e in report["effects"] if e["name"] == "torque_gain" and e["where"] in JOINTS]
-    if recording.known or len(gains) != 1:
+    if recording.known or recording.model_file is not None or len(gains) != 1:
         return
     (effect,) = gains
     other = f"torque_gain@{JOINTS[1 - JOINTS.index(effect['where'])]}"

@@ -121,14 +121,12 @@ def early_commands(problem: Problem, found: Selection) -> list[str]:
     if not delays or (named and min(delays) >= 0.0):
         return []
     if not named:
-        least = min(delays)
-        side = "before" if least < 0.0 else "after"
-        why = ": they changed between rows, by a controller faster than its log, or were logged that late"
-        why = why if least < 0.0 else ", or angles were logged that late: less than the log resolves"
-        return [
-            f"Commands act {1e3 * abs(least):.2g} ms {side} their row (rows are {1e3 * problem.reach.dt:.3g} ms apart){why}. "
-            "Read so; no effect is named for it."
-        ]
+        at, apart = 1e3 * min(delays), f"their row (rows are {1e3 * problem.reach.dt:.3g} ms apart)"
+        early = (
+            f"{-at:.2g} ms before {apart}: they changed between rows, by a faster controller, or were logged that late"
+        )
+        late = f"{at:.2g} ms after {apart}, or angles were logged that late: less than the log resolves"
+        return [f"Commands act {early if at < 0.0 else late}. Read so; no effect is named for it."]
     return [
         "a delay below zero is the log's, not the machine's: commands were logged late, or changed between two rows (of a controller "
         "that runs faster than its log, half of the difference of both intervals)"
