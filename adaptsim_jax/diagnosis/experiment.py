@@ -8,7 +8,7 @@ import numpy as np
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.select import Model, Selection
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise
-from adaptsim_jax.diagnosis.starts import settle, without
+from adaptsim_jax.diagnosis.starts import settle, taken_up, without
 
 TELLING = 3.0  # noises, over a whole stretch, from which on a difference is seen
 
@@ -53,5 +53,5 @@ def _distances(simulator: Simulator, one: Model, other: Model) -> dict[str, floa
     off = (simulator.predict(rows(one), starts, which) - simulator.predict(rows(other), starts, which)) / noise
     off = (np.nan_to_num(off) * (s.seen > 0)).reshape(s.count, -1)
     by_start = linearise(simulator, rows(one), starts, which, np.zeros((0, len(one.fit.values))))[0]
-    size = np.sqrt(np.square(without(by_start, off[..., None])[..., 0]).sum(1))
+    size = np.sqrt(np.square(without(taken_up(by_start), off[..., None])[..., 0]).sum(1))
     return {s.names[t]: float(size[s.trial == t].max()) for t in np.unique(s.trial)}

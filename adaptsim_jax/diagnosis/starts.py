@@ -37,11 +37,13 @@ class Slope:
 
 @dataclass(frozen=True)
 class Point:
-    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope; columns: by row of a basis."""
+    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope, what they take up (`taken_up`);
+    columns: by row of a basis."""
 
     values: np.ndarray
     starts: np.ndarray
     slope: Slope
+    taken: np.ndarray
     columns: dict[bytes, np.ndarray] = field(default_factory=dict)
 
 
@@ -135,11 +137,11 @@ class Linearised:
             asked = np.array(fresh).reshape(-1, basis.shape[1])
             by_start, by_value = self._derivatives(rows, starts, asked, None if anew else point.slope)
             if anew:
-                point = Point(values.copy(), starts, slope_of(s, by_start))
+                point = Point(values.copy(), starts, slope_of(s, by_start), taken_up(by_start, pull(s)))
                 self.points.append(point)
                 del self.points[1 : max(1, len(self.points) - KEPT)]
             known = point.columns
-            kept = without(by_start, by_value, pull(s))
+            kept = without(point.taken, by_value)
             known.update({row.tobytes(): kept[..., k] for k, row in enumerate(fresh)})
         return np.stack([known[row.tobytes()] for row in basis], -1) * self.weight[:, None, None]
 
@@ -203,7 +205,7 @@ def anchored(simulator: Simulator, values: np.ndarray) -> Point:
             on, before = on[again], before[again]
         if not len(on):
             break
-    return Point(values, starts, slope_of(s, by_start))
+    return Point(values, starts, slope_of(s, by_start), taken_up(by_start, pull(s)))
 
 
 def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
@@ -248,14 +250,18 @@ def _begun_apart(
     return tuple(out)
 
 
-def without(by_start: np.ndarray, by_value: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
-    """Columns `[W, R, K]` less what a stretch's own start `[W, R, S]` would take up, as far as its prior (`pull [S]`) lets it."""
-    if not by_start.shape[2] or not by_value.shape[2]:
+def taken_up(by_start: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
+    """Orthonormal columns `[W, R, S]` that span what a stretch's own start can take up, from its derivatives `[W, R, S]`; with a prior
+    on starts (`pull [S]`) their upper rows, so that it takes up only as much as that lets it."""
+    if not np.any(weight):
+        return np.linalg.qr(by_start)[0] if by_start.shape[2] else by_start
+    count, rows, size = by_start.shape
+    held = np.broadcast_to(np.diag(weight), (count, size, size))
+    return np.linalg.qr(np.concatenate([by_start, held], 1))[0][:, :rows]
+
+
+def without(taken: np.ndarray, by_value: np.ndarray) -> np.ndarray:
+    """Columns `[W, R, K]` less what starts take up (`taken_up`)."""
+    if not taken.shape[2] or not by_value.shape[2]:
         return by_value
-    if weight is not None and weight.any():
-        rows = by_start.shape[1]
-        own = np.concatenate([by_start, np.broadcast_to(np.diag(weight), (len(by_start), len(weight), len(weight)))], 1)
-        more = np.concatenate([by_value, np.zeros((len(by_start), len(weight), by_value.shape[2]))], 1)
-        return without(own, more)[:, :rows]
-    own, _ = np.linalg.qr(by_start)
-    return by_value - np.einsum("wrs,wqs,wqk->wrk", own, own, by_value, optimize=True)
+    return by_value - np.einsum("wrs,wqs,wqk->wrk", taken, taken, by_value, optimize=True)

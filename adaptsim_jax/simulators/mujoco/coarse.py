@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptsim_jax.diagnosis.simulator import linearise
-from adaptsim_jax.diagnosis.starts import without
+from adaptsim_jax.diagnosis.starts import taken_up, without
 
 if TYPE_CHECKING:
     from adaptsim_jax.simulators.mujoco.diagnosed import MujocoSimulator
@@ -36,7 +36,7 @@ def change(made: MujocoSimulator, values: np.ndarray) -> float:
     off = halved(made).predict(rows, starts, which) - made.predict(rows, starts, which)
     off = np.where(s.seen[which] > 0, np.nan_to_num(off / noise), 0.0).reshape(len(which), -1)
     by_start = linearise(made, rows, starts, which, np.zeros((0, len(values))))[0]
-    left = without(by_start, off[..., None])[..., 0]
+    left = without(taken_up(by_start), off[..., None])[..., 0]
     seen = (s.seen[which] > 0).reshape(len(which), -1).sum(1)
     return float(np.median(np.sqrt(np.square(left).sum(1) / np.maximum(seen, 1))))
 
