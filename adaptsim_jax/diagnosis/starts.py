@@ -16,7 +16,7 @@ SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's la
 DRAWS, LEFT = 12, 2.0  # of starts where fits are caught: those that leave so many times the noise
 FAR = 1.5  # times the usual error, beyond which a stretch counts less
 KEPT = 6  # points that are remembered with all their columns
-NEAR = 0.3  # of a quantity's scale, within which columns are not taken anew
+NEAR, NEAR_STARTS = 0.3, 1.0  # of a quantity's scale, within which columns, and slopes by starts, are not taken anew
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,14 @@ class Slope:
 
 @dataclass(frozen=True)
 class Point:
-    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope, what they take up (`taken_up`);
-    columns: by row of a basis."""
+    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope, what they take up (`taken_up`), the
+    values `[P]` at which that slope was taken; columns: by row of a basis."""
 
     values: np.ndarray
     starts: np.ndarray
     slope: Slope
     taken: np.ndarray
+    sloped: np.ndarray
     columns: dict[bytes, np.ndarray] = field(default_factory=dict)
 
 
@@ -135,21 +136,19 @@ class Linearised:
         fresh = [row for row in basis if row.tobytes() not in known]
         if anew or fresh:
             asked = np.array(fresh).reshape(-1, basis.shape[1])
-            by_start, by_value = self._derivatives(rows, starts, asked, None if anew else point.slope)
+            far = anew and bool(np.any(np.abs(point.sloped - values) > NEAR_STARTS * self.scale))
+            by_start, by_value = linearise(self.simulator, rows, starts, np.arange(count), asked, starts_too=far)
+            if far:
+                point = Point(values.copy(), starts, slope_of(s, by_start), taken_up(by_start, pull(s)), values.copy())
+            elif anew:
+                point = replace(point, values=values.copy(), starts=starts, columns={})
             if anew:
-                point = Point(values.copy(), starts, slope_of(s, by_start), taken_up(by_start, pull(s)))
                 self.points.append(point)
                 del self.points[1 : max(1, len(self.points) - KEPT)]
             known = point.columns
             kept = without(point.taken, by_value)
             known.update({row.tobytes(): kept[..., k] for k, row in enumerate(fresh)})
         return np.stack([known[row.tobytes()] for row in basis], -1) * self.weight[:, None, None]
-
-    def _derivatives(self, rows, starts, basis, slope: Slope | None) -> tuple[np.ndarray, np.ndarray]:
-        which = np.arange(len(rows))
-        if slope is None:
-            return linearise(self.simulator, rows, starts, which, basis)
-        return slope.by_start, linearise(self.simulator, rows, starts, which, basis, starts_too=False)[1]
 
 
 def problem_of(
@@ -205,7 +204,7 @@ def anchored(simulator: Simulator, values: np.ndarray) -> Point:
             on, before = on[again], before[again]
         if not len(on):
             break
-    return Point(values, starts, slope_of(s, by_start), taken_up(by_start, pull(s)))
+    return Point(values, starts, slope_of(s, by_start), taken_up(by_start, pull(s)), values)
 
 
 def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
