@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.models import said
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
-from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.servo import calibrated
 from adaptsim_jax.attribution.stretches import Track
@@ -62,7 +62,10 @@ def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
 
 def test_columns_are_slopes_of_what_is_missing(tmp_path):
     machine, problem, (balance,) = prepared(record(tmp_path / "rub", friction=0.2, trials=2))
-    vector = declared_vector(machine, problem)
+    vector = declared_vector(machine, problem).with_entries([
+        Entry("encoder_offset", "offset", (0,), 0.0, 0.0, -0.8, 0.8, "rad"),
+        Entry("encoder_scale", "scale", (0,), 0.0, 0.0, -0.5, 0.5, "1"),
+    ])  # fmt: skip
     table = Table(problem, balance, vector)
     for k, entry in enumerate(vector.entries):
         step = np.zeros(len(vector))

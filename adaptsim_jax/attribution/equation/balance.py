@@ -131,16 +131,27 @@ def _regressed(tree, q, v, a):
 
 
 @jax.jit
-def _turned(tree, inertial, way, q):
-    force = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
-    return jax.jvp(force, (q,), (way[:, None] + 0.0 * q,))[1]
+def _taken(tree, inertial, offset, scale, q, v, a):
+    size = 1.0 + scale[:, None]
+    force = lambda q, v, a: dynamics.inverse_dynamics(tree, inertial, q, v, a, jnp.asarray(tree.gravity))
+    return force((q - offset[:, None]) / size, v / size, a / size) - force(q, v, a)
 
 
-def turned(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Change of the force of gravity [K, n] as the joints turn by `way` [n]."""
-    return balance.averaged(
-        _by_pieces(partial(_turned, balance.group.model.tree, inertial, np.asarray(way, float)), balance.q)
-    )
+@jax.jit
+def _taken_more(tree, inertial, offset, scale, q, v, a):
+    none = jnp.zeros_like(offset)
+    change = lambda by, of: _taken(tree, inertial, by, of, q, v, a)
+    return jax.jvp(change, (none, none), (offset, scale))[1]
+
+
+def read_wrong(
+    balance: Balance, inertial: np.ndarray, offset: np.ndarray, scale: np.ndarray, slope: bool = False
+) -> np.ndarray:
+    """What a motion takes more [K, n] than the measured one, where encoders read `(1 + scale) q + offset` ([n]); with `slope` to first
+    order."""
+    make = partial(_taken_more if slope else _taken, balance.group.model.tree, inertial, np.asarray(offset, float))
+    at = partial(make, np.asarray(scale, float))
+    return balance.averaged(_by_pieces(at, balance.q, balance.v, balance.a))
 
 
 @jax.jit
@@ -216,11 +227,12 @@ def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
     group = balance.group
     values = values_of(problem, group, vector)
     n = balance.joints
-    offset = values.effects.get("encoder_offset", {}).get("offset", np.zeros((n, 1)))[:, 0]
+    read = lambda effect, name: values.effects.get(effect, {}).get(name, np.zeros((n, 1)))[:, 0]
+    offset, scale = read("encoder_offset", "offset"), read("encoder_scale", "scale")
     inertial = values.inertial[..., 0]
     takes = balance.regressor @ inertial.ravel() - balance.known
-    if np.any(offset):  # the bodies are where their encoders do not say
-        takes = takes + turned(balance, inertial, offset)
+    if np.any(offset) or np.any(scale):  # the bodies are where their encoders do not say
+        takes = takes + read_wrong(balance, inertial, offset, scale)
     gravity = values.gravity[:, 0] - np.asarray(group.model.tree.gravity)
     if np.any(gravity):
         takes = takes - tilting(balance, inertial, gravity)

@@ -11,15 +11,15 @@ from adaptsim_jax.attribution.equation.balance import (
     actuator_force,
     command_force,
     effect_force,
+    read_wrong,
     residual,
     tilting,
-    turned,
 )
 from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.effects.base import Effect
 
-TOLD = ("encoder_offset",)
+TOLD = ("encoder_offset", "encoder_scale")
 """Effects on what is measured of which the balance can tell; the others move time or need a path."""
 NOT_TOLD = ("presliding", "hard_stop", "friction_drift", "periodic_disturbance")
 """Effects on forces that have a state, act in few places, or go with time as much else does."""
@@ -73,8 +73,7 @@ class Table:
             return tilting(self.balance, self.values.inertial[..., 0], way)
         effect = self.problem.effect(entry.owner)
         if effect.place == "measurement":
-            way = np.isin(self.balance.group.joints, entry.joints)
-            return -turned(self.balance, self.values.inertial[..., 0], way)
+            return self._read(effect, entry)
         known = next((p for p in effect.parameters if p.name == entry.name), None)
         curved = known is None or known.off is None or effect.jump or effect.place == "command"
         if curved and shape is None:
@@ -101,6 +100,14 @@ class Table:
             self._made["slope"] = self.balance.group.inertias.at(eta)[1]
         part = self.balance.regressor[:, :, 10 * body : 10 * body + 10]
         return -part @ self._made["slope"][body, :, ETA.index(name)]
+
+    def _read(self, effect: Effect, entry: Entry) -> np.ndarray:
+        key = (effect.name, entry.joints)
+        if key not in self._made:
+            way = 1.0 * np.isin(self.balance.group.joints, entry.joints)
+            of = {"encoder_offset": (way, 0.0 * way), "encoder_scale": (0.0 * way, way)}[effect.name]
+            self._made[key] = -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
+        return self._made[key]
 
     def _at(self, effect: Effect, shape: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Parameters [n] of an effect as they are, those of `shape` laid over its shapes."""
