@@ -218,6 +218,11 @@ def command_force(balance: Balance, values: Values, effect: Effect, p: Mapping[s
     return balance.averaged(actuator_force(balance, values, late)[0] - actuator_force(balance, values)[0])
 
 
+def force_of(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Mean force [K, n] of an effect on forces or commands at parameters p {name: [n]}."""
+    return (command_force if effect.place == "command" else effect_force)(balance, values, effect, p)
+
+
 def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
     """Force that is missing [K, n]: what the motion takes less all that acts, at the values of a vector; of an actuator that does less
     than it was told, in terms of what it was told.
@@ -236,17 +241,21 @@ def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
     gravity = values.gravity[:, 0] - np.asarray(group.model.tree.gravity)
     if np.any(gravity):
         takes = takes - tilting(balance, inertial, gravity)
+    acts, share = acting(balance, values)
+    return (takes - acts) / share
+
+
+def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
+    """Force of actuators and effects [K, n], and what actuators do over what they were told [n]."""
     acts = told = driven = balance.averaged(actuator_force(balance, values)[0])
-    for effect in group.model.effects:
+    for effect in balance.group.model.effects:
         p = {k: z[:, 0] for k, z in values.effects.get(effect.name, {}).items()}
         on = any(np.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p)
-        if on and effect.place == "force":
-            force = effect_force(balance, values, effect, p)
+        if on and effect.place in ("force", "command"):
+            force = force_of(balance, values, effect, p)
             acts = acts + force
             driven = driven + force if effect.name in ON_TORQUE else driven
-        elif on and effect.place == "command":
-            acts = acts + command_force(balance, values, effect, p)
-    return (takes - acts) / in_proportion(told, driven)
+    return acts, in_proportion(told, driven)
 
 
 def in_proportion(told: np.ndarray, driven: np.ndarray) -> np.ndarray:

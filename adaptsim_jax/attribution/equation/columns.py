@@ -1,16 +1,18 @@
 """What each parameter does to the balance of forces: a column of mean force in the windows, linear in amplitudes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import (
     GAIN,
     LEAST_GAIN,
+    ON_TORQUE,
     Balance,
+    acting,
     actuator_force,
-    command_force,
     effect_force,
+    force_of,
     read_wrong,
     residual,
     tilting,
@@ -48,9 +50,7 @@ class Table:
 
     def missing(self) -> np.ndarray:
         """Force that is missing [K, n]."""
-        if "missing" not in self._made:
-            self._made["missing"] = residual(self.problem, self.balance, self.vector)
-        return self._made["missing"]
+        return self._kept("missing", lambda: residual(self.problem, self.balance, self.vector))
 
     def of(self, entry: Entry, shape: Mapping[str, float] | None = None) -> np.ndarray:
         """Column [K, n] of an entry, at the shapes of a candidate where it is one's."""
@@ -60,9 +60,8 @@ class Table:
 
     def _gain(self, entry: Entry) -> np.ndarray:
         """What the motion takes of an actuator, by the model: of what was told the noise would be read as a gain."""
-        if "told" not in self._made:
-            self._made["told"] = self.balance.averaged(actuator_force(self.balance, self.values)[0])
-        needed = self._made["told"] + self.missing() - self.explained
+        told = self._kept("told", lambda: self.balance.averaged(actuator_force(self.balance, self.values)[0]))
+        needed = told + self.missing() - self.explained
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
 
     def _of(self, entry: Entry, shape: Mapping[str, float] | None) -> np.ndarray:
@@ -102,12 +101,10 @@ class Table:
         return -part @ self._made["slope"][body, :, ETA.index(name)]
 
     def _read(self, effect: Effect, entry: Entry) -> np.ndarray:
-        key = (effect.name, entry.joints)
-        if key not in self._made:
-            way = 1.0 * np.isin(self.balance.group.joints, entry.joints)
-            of = {"encoder_offset": (way, 0.0 * way), "encoder_scale": (0.0 * way, way)}[effect.name]
-            self._made[key] = -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
-        return self._made[key]
+        way = 1.0 * np.isin(self.balance.group.joints, entry.joints)
+        of = {"encoder_offset": (way, 0.0 * way), "encoder_scale": (0.0 * way, way)}[effect.name]
+        slope = lambda: -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
+        return self._kept((effect.name, entry.joints), slope)
 
     def _at(self, effect: Effect, shape: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Parameters [n] of an effect as they are, those of `shape` laid over its shapes."""
@@ -129,8 +126,7 @@ class Table:
             here = self._at(effect, given)
             size = given.get(name, 0.01) if effect.jump or effect.place == "command" else 1.0
             away = here | {name: here[name] + size}
-            force = command_force if effect.place == "command" else effect_force
-            act = lambda p: force(self.balance, self.values, effect, p)
+            act = lambda p: force_of(self.balance, self.values, effect, p)
             self._made[key] = (act(away) - act(here)) / size
         return self._made[key]
 
@@ -147,7 +143,22 @@ class Table:
         value = self.vector.values[at]
         size = max(STEP * abs(value), LEAST)
         size = -size if value + size > entry.high else size
-        moved = self.vector.values.copy()
-        moved[at] += size
-        there = residual(self.problem, self.balance, self.vector.at(moved))
-        return (self.missing() - there) / size
+        effect = self.problem.effect(entry.owner)
+        if effect.name in ON_TORQUE or effect.place == "measurement":
+            moved = self.vector.values.copy()
+            moved[at] += size
+            there = residual(self.problem, self.balance, self.vector.at(moved))
+            return (self.missing() - there) / size
+        here = {k: z[:, 0] for k, z in self.values.effects[effect.name].items()}
+        own = np.isin(self.balance.group.joints, entry.joints)
+        act = lambda p: force_of(self.balance, self.values, effect, p)
+        now, share = self._kept((effect.name, "now"), lambda: act(here)), self._kept("share", self._share)
+        return (act(here | {entry.name: here[entry.name] + size * own}) - now) / size / share
+
+    def _share(self) -> np.ndarray:
+        return acting(self.balance, self.values)[1]
+
+    def _kept(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
