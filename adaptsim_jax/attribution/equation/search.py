@@ -7,6 +7,7 @@ of sets are judged in seconds.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -91,6 +92,8 @@ def witness(
             break
         added = [*added, best]
     added, quiet = _backward(state, added, steps)
+    while (simpler := _one_for_two(state, added, every, steps)) is not None:
+        added, quiet = _backward(state, simpler, steps)
     kept = []
     whole = state.set_of(added)
     for c in (c for c in added if c not in quiet and not only_read(state, whole, c)):
@@ -198,20 +201,42 @@ def _backward(
         added = [k for k in added if k is not c]
 
 
+def _one_for_two(state: Searched, added: Sequence[Candidate], every, steps: list[Step]) -> list[Candidate] | None:
+    """The set with one effect in the place of two of a joint, which forward steps took for it; None where none does as well."""
+    whole = state.set_of(added)
+    for one, other in combinations(added, 2):
+        if not set(one.joints) & set(other.joints):
+            continue
+        less = state.set_of(rest := [k for k in added if k is not one and k is not other])
+        for k in _as_good(state, rest, (one, other), less, whole, every):
+            test = compared(state.rows, less, more := state.set_of([*rest, k]), state.own(k))
+            if not why_not(state, more, k, test, state.limits.gain * len(k.entries), state.limits.level):
+                steps.append(Step("replaced", k, test, f"{one.effect} and {other.effect} by one"))
+                return [*rest, k]
+    return None
+
+
 def _alike(state: Searched, added, c: Candidate, less: Solved, whole: Solved, every) -> tuple[Candidate, ...]:
     """Effects that do nearly as well in its place."""
-    rest = [k for k in added if k is not c]
-    others = [k for k in _open(state, rest, every) if k.effect != c.effect and set(k.joints) & set(c.joints)]
+    return tuple(_as_good(state, [k for k in added if k is not c], (c,), less, whole, every))
+
+
+def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, whole: Solved, every) -> list[Candidate]:
+    """Single effects that do nearly as well beside `rest` as those that are gone from it. less, whole: without them, and with."""
+    names, joints = {c.effect for c in gone}, sorted({j for c in gone for j in c.joints})
+    others = [k for k in _open(state, rest, every) if k.effect not in names and set(k.joints) & set(joints)]
     others = [k for k in others if not state.problem.effect(k.effect).describes]
-    gained = compared(state.rows, less, whole, state.own(c)).gain
-    gap = max(state.criteria.gap, 1.0 - (1.0 - gained) ** state.criteria.alike)
+    own = [state.local[j] for j in joints]
+    gap = max(
+        state.criteria.gap,
+        1.0 - (1.0 - compared(state.rows, less, whole, own).gain) ** state.criteria.alike,
+    )
     out = []
     for k in ranked(state, less, others)[:3]:
         other = state.set_of([*rest, k])
-        test = compared(state.rows, other, whole, state.own(c))
-        if test.gain < gap and not at_bound(other, k):
+        if compared(state.rows, other, whole, own).gain < gap and not at_bound(other, k):
             out.append(k)
-    return tuple(out)
+    return out
 
 
 def _exact(state: Searched, added: Sequence[Candidate], whole: Solved) -> tuple[Vector, np.ndarray]:
