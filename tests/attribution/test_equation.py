@@ -5,16 +5,17 @@ import mujoco
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution import servo
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.equation.models import said
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.servo import calibrated
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
@@ -145,15 +146,28 @@ def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_pa
         assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(friction, rel=0.1)
 
 
+@pytest.mark.parametrize(("apart", "taken"), [(2.0, False), (4.0, True)])
+def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(apart, taken, tmp_path, monkeypatch):
+    folder = servo_log(tmp_path / "servo", 30.0, 2.0, 0.0)
+    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0))
+    machine = load(folder, None)
+    law = machine.actuator
+    kp = 0.4 * float(-law[2, 0] * machine.gear[0] ** 2)
+    found = Servo(0, kp, 0.1, 0.0, 0.0, 0.0, True, apart, 1.0, 0.1, 1.0, 1e-4)
+    monkeypatch.setattr(servo, "servos", lambda problem, balance: [found])
+    changed, off = servo.calibrated(machine, 0.5)
+    assert bool(off) is taken and np.array_equal(changed.actuator, law) is not taken
+
+
 def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(tmp_path):
     folder = servo_log(tmp_path / "servo", 8.0, 0.8, 0.1)
     (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0))
     machine = load(folder, None)
-    found, (servo,) = calibrated(machine, 0.5)
-    assert servo.scale and servo.kp == pytest.approx(8.0, rel=0.15) and servo.damping == pytest.approx(0.8, rel=0.3)
-    assert servo.coulomb == pytest.approx(0.1, rel=0.3) and servo.p < 0.01
+    found, (own,) = servo.calibrated(machine, 0.5)
+    assert own.scale and own.kp == pytest.approx(8.0, rel=0.15) and own.damping == pytest.approx(0.8, rel=0.3)
+    assert own.coulomb == pytest.approx(0.1, rel=0.3) and own.p < 0.01
     assert found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
-    assert calibrated(found, 0.5)[1] == ()  # as they are now, they are right
+    assert servo.calibrated(found, 0.5)[1] == ()  # as they are now, they are right
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.diagnosis.paired import sign_flip
 
-TOLD = 2.5  # 1/kp over its standard error, from which on it is told
+TOLD = 2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
 SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
@@ -27,8 +27,9 @@ LESS = 0.7  # of what the file's gains leave of the command errors, that others 
 class Servo:
     """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp
     itself is told, and
-    not only what is over it; error: rms of the command error [rad] where the joint moves, and what is left of it by these gains and
-    by the file's; p of a test over blocks of the one against the other."""
+    not only what is over it; apart: standard errors between 1/kp and the file's, infinite where other joints give the scale; error:
+    rms of the command error [rad] where the joint moves, and what is left of it by these gains and by the file's; p of a test over
+    blocks of the one against the other."""
 
     joint: int
     kp: float
@@ -37,6 +38,7 @@ class Servo:
     rotor: float
     bias: float
     scale: bool
+    apart: float
     error: float
     left: float
     file: float
@@ -71,13 +73,14 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         p = _better(balance, file, left)
         weight = np.maximum(balance.clear[:, k], LEAST_CLEAR)
         sizes = [float(np.sqrt(np.average(np.square(z), weights=weight))) for z in (error, left, file)]
-        found.append((k, j, x, scale, sizes, p))
+        apart = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
+        found.append((k, j, x, scale, apart, sizes, p))
     like = float(np.median(usual)) if usual else 1.0  # times the file's, where a joint does not tell its own
     made = []
-    for k, j, x, scale, sizes, p in found:
+    for k, j, x, scale, apart, sizes, p in found:
         kp = 1.0 / x[0] if scale else like * -law[2, k] * gear[k] ** 2
         rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
-        made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), *sizes, p))
+        made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), float(apart), *sizes, p))
     return made
 
 
