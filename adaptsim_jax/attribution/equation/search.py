@@ -11,14 +11,15 @@ from itertools import combinations
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import Balance, residual
-from adaptsim_jax.attribution.equation.columns import Table, balanced
+from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.columns import balanced
+from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
-from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, Sums, compared, solved
+from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_read, steadiness, why_not
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate, candidates, shape_entries
+from adaptsim_jax.attribution.score import Candidate, candidates
 from adaptsim_jax.attribution.stays import in_step
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
@@ -29,7 +30,6 @@ ORDER = ("coulomb", "delay", "armature")
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
-ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -94,17 +94,20 @@ def witness(
     added, quiet = _backward(state, added, steps)
     while (simpler := _one_for_two(state, added, every, steps)) is not None:
         added, quiet = _backward(state, simpler, steps)
-    kept = []
+    stay, final, errors = needed(state, added, [c for c in added if c not in quiet])
+    why = "with all shapes fitted its interval includes none of it"
+    steps += [Step("dropped", c, None, why) for c in added if c not in stay]
+    added = stay
     whole = state.set_of(added)
+    kept = []
     for c in (c for c in added if c not in quiet and not only_read(state, whole, c)):
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c)))
-    final, errors = _exact(state, added, whole)
     if state.commanded and in_step(problem, final.entries, final.values, criteria):  # how rows are read
         kept = [k for k in kept if k.candidate.effect != "armature"]
     base = state.set_of(())
-    first = _exact(state, (), base)[0]
+    first = exact(state, (), base)[0]
     return Witness(
         balance, first, final, errors, tuple(added), tuple(kept), tuple(steps), state.rows, base, whole, state
     )
@@ -113,7 +116,7 @@ def witness(
 def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
     """With other effects, fitted as the search fits them; nothing is judged."""
     whole = found.state.set_of(added)
-    final, errors = _exact(found.state, added, whole)
+    final, errors = exact(found.state, added, whole)
     return replace(found, final=final, errors=errors, added=tuple(added), whole=whole)
 
 
@@ -237,49 +240,6 @@ def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, who
         if compared(state.rows, other, whole, own).gain < gap and not at_bound(other, k):
             out.append(k)
     return out
-
-
-def _exact(state: Searched, added: Sequence[Candidate], whole: Solved) -> tuple[Vector, np.ndarray]:
-    """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one; standard errors [P]."""
-    problem, balance = state.problem, state.balance
-    entries, values = list(whole.entries), list(np.array([*state.null.values]) + whole.step[: len(state.null)])
-    values += [e.start + z for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)]
-    vector = Vector(tuple(entries), np.array(values))
-    vector = vector.at(np.clip(vector.values, vector.low, vector.high))
-    for c in added:
-        vector = vector.with_entries(shape_entries(problem, state.reach, c))
-    cost = lambda v: _cost(state.rows, residual(problem, balance, v), v)
-    now = cost(vector)
-    fitted = None
-    for _ in range(ROUNDS):
-        table = Table(problem, balance, vector)
-        free = [i for i, e in enumerate(vector.entries) if e.low < e.high]
-        columns = np.zeros((*table.missing().shape, len(vector)))
-        columns[..., free] = table.stack([vector.entries[i] for i in free])
-        rows = replace(state.rows, missing=table.missing())
-        sums = Sums(rows)
-        sums.add("", columns)
-        fitted = solved(sums, [""], vector.entries, vector.values)
-        for length in (1.0, 0.5, 0.2, 0.05):
-            trial = vector.at(np.clip(vector.values + length * fitted.step, vector.low, vector.high))
-            there = cost(trial)
-            if there < now:
-                break
-        else:
-            break
-        done = there > (1.0 - 1e-4) * now
-        vector, now = trial, there
-        if done:
-            break
-    error = fitted.error if fitted is not None else np.zeros(len(vector))
-    return vector, error
-
-
-def _cost(rows: Rows, missing: np.ndarray, vector: Vector) -> float:
-    off = vector.values - vector.start
-    finite = np.isfinite(vector.precision)
-    prior = float(np.sum((vector.precision * off * off)[finite]))
-    return 0.5 * (float(np.square(missing * rows.weight).sum()) + prior)
 
 
 def within(vector: Vector, factor: float = FACTOR) -> Vector:

@@ -1,0 +1,89 @@
+"""Effects of a set fitted with their shapes, which lie on grids while a search goes on, and which of them are needed then."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.balance import residual
+from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.searched import Searched
+from adaptsim_jax.attribution.equation.solve import Rows, Solved, Sums, solved
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.score import Candidate, shape_entries
+from adaptsim_jax.effects.base import NINETY
+
+ROUNDS = 8
+
+
+def exact(state: Searched, added: Sequence[Candidate], whole: Solved) -> tuple[Vector, np.ndarray]:
+    """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one; standard errors [P]."""
+    problem, balance = state.problem, state.balance
+    entries, values = list(whole.entries), list(np.array([*state.null.values]) + whole.step[: len(state.null)])
+    values += [e.start + z for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)]
+    vector = Vector(tuple(entries), np.array(values))
+    vector = vector.at(np.clip(vector.values, vector.low, vector.high))
+    for c in added:
+        vector = vector.with_entries(shape_entries(problem, state.reach, c))
+    cost = lambda v: _cost(state.rows, residual(problem, balance, v), v)
+    now = cost(vector)
+    fitted = None
+    for _ in range(ROUNDS):
+        table = Table(problem, balance, vector)
+        free = [i for i, e in enumerate(vector.entries) if e.low < e.high]
+        columns = np.zeros((*table.missing().shape, len(vector)))
+        columns[..., free] = table.stack([vector.entries[i] for i in free])
+        rows = replace(state.rows, missing=table.missing())
+        sums = Sums(rows)
+        sums.add("", columns)
+        fitted = solved(sums, [""], vector.entries, vector.values)
+        for length in (1.0, 0.5, 0.2, 0.05):
+            trial = vector.at(np.clip(vector.values + length * fitted.step, vector.low, vector.high))
+            there = cost(trial)
+            if there < now:
+                break
+        else:
+            break
+        done = there > (1.0 - 1e-4) * now
+        vector, now = trial, there
+        if done:
+            break
+    error = fitted.error if fitted is not None else np.zeros(len(vector))
+    return vector, error
+
+
+def needed(
+    state: Searched, added: Sequence[Candidate], asked: Sequence[Candidate]
+) -> tuple[list[Candidate], Vector, np.ndarray]:
+    """Effects without those of `asked` that only made up for a shape on a grid: with all shapes fitted their interval includes none of
+    them, and the rest leaves as little. With the vector of these and its errors, as of `exact`."""
+    added = list(added)
+    final, errors = exact(state, added, state.set_of(added))
+    for c in sorted(asked, key=lambda c: _sure(final, errors, c)):
+        if _sure(final, errors, c) > NINETY:
+            break
+        rest = [k for k in added if k is not c]
+        less = exact(state, rest, state.set_of(rest))
+        left = [_left(state, v)[state.own(c)].sum() for v in (less[0], final)]
+        if left[0] - left[1] < state.limits.gain * len(c.entries) * left[0]:
+            added, (final, errors) = rest, less
+    return added, final, errors
+
+
+def _sure(final: Vector, errors: np.ndarray, c: Candidate) -> float:
+    """Of its amplitudes the farthest from none, in standard errors."""
+    keys = {e.key for e in c.entries}
+    rows = zip(final.entries, final.values, errors, strict=True)
+    return max(abs(value - e.off) / max(error, 1e-300) for e, value, error in rows if e.key in keys)
+
+
+def _left(state: Searched, vector: Vector) -> np.ndarray:
+    """Weighted squares of what is missing [n]."""
+    return np.square(residual(state.problem, state.balance, vector) * state.rows.weight).sum(0)
+
+
+def _cost(rows: Rows, missing: np.ndarray, vector: Vector) -> float:
+    off = vector.values - vector.start
+    finite = np.isfinite(vector.precision)
+    prior = float(np.sum((vector.precision * off * off)[finite]))
+    return 0.5 * (float(np.square(missing * rows.weight).sum()) + prior)
