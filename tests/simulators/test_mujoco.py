@@ -2,6 +2,7 @@
 
 import json
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -122,3 +123,16 @@ def test_names_that_are_none_are_refused(walked, name, says):
     with pytest.raises(BadInput) as error:
         field(made.model, name)
     assert says in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["ground.tilt_x", "ground.tilt_y", "ground.height"])
+def test_ground_that_is_moved_is_where_it_was_moved_to(name):
+    """A geom that lies in its body's frame is taken to lie there still, unless the model is told anew."""
+    model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>')
+    moved = with_values(model, [field(model, name)], [0.1])
+    data = mujoco.MjData(moved)
+    mujoco.mj_forward(moved, data)
+    up, height = data.geom_xmat[0].reshape(3, 3)[:, 2], data.geom_xpos[0, 2]
+    want = {"ground.tilt_x": [0, -np.sin(0.1), np.cos(0.1)], "ground.tilt_y": [np.sin(0.1), 0, np.cos(0.1)]}
+    assert up == pytest.approx(want.get(name, [0, 0, 1]), abs=1e-9)
+    assert height == pytest.approx(0.1 if name == "ground.height" else 0.0)

@@ -1,7 +1,7 @@
 """What only contact and a base that moves show: friction, softness and bounce of what touches the world, ground that is tilted or
 lies at another height, wind."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -13,6 +13,8 @@ from adaptsim_jax.simulators.mujoco.catalogue import Row, row
 from adaptsim_jax.simulators.mujoco.fields import GROUND, Field, field, grounds
 
 WIDE = (0.7, 1.4)  # of what the file has
+SLOPE, WAYS = 0.04, np.arange(8) * np.pi / 4  # rad: of a ground that is not level, and where it may fall
+LEVEL = 0.02  # m: of a ground that lies higher or lower
 PUSH = 1e-3  # of the weight: a wind that shows
 
 
@@ -25,22 +27,22 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         yield from _of_touch(model, (*grounds(model), *touch), _effective(model, touch))
         if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
-            yield row(
-                "tilted",
-                "ground",
-                turned,
-                ("what it stands on is not level", "standing, walking"),
-                ("a log's frame turned",),
-            )
-            yield row(
-                "height", "ground", field(model, GROUND[2]), ("what it stands on lies higher or lower", "every step")
-            )
+            told = ("what it stands on is not level", "standing, walking")
+            slopes = [dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True)) for w in WAYS]
+            yield _tried_at(row("tilted", "ground", turned, told, ("a log's frame turned",)), slopes)
+            told = ("what it stands on lies higher or lower", "every step")
+            levels = [{GROUND[2]: z} for z in (-LEVEL, LEVEL)]
+            yield _tried_at(row("height", "ground", field(model, GROUND[2]), told), levels)
     if made.free >= 0:
         k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
         first = int(model.jnt_dofadr[k])
         wind = [Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, PUSH * weight) for i, a in enumerate("xyz")]
         yield row("wind", "base", wind, ("a steady force on the base", "flight, slipping, long runs"), ("a tether",))
+
+
+def _tried_at(made: Row, sizes: Sequence[dict[str, float]]) -> Row:
+    return replace(made, candidate=replace(made.candidate, shapes=({}, *sizes)))
 
 
 def _effective(model: mujoco.MjModel, touch: list[int]) -> list[int]:
@@ -67,9 +69,8 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
 
     def of_wide(effect: str, f: Field, told: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
         """Tried at sizes, too: where contacts chatter a derivative says little."""
-        made = row(effect, "all contacts", f, told, same)
-        sizes = tuple({f.name: float(np.clip(share * f.neutral, f.low, f.high))} for share in WIDE)
-        return replace(made, candidate=replace(made.candidate, shapes=({}, *sizes)))
+        sizes = [{f.name: float(np.clip(share * f.neutral, f.low, f.high))} for share in WIDE]
+        return _tried_at(row(effect, "all contacts", f, told, same), sizes)
 
     dims = int(model.geom_condim[list(every)].max())
     yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))

@@ -175,6 +175,7 @@ def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence
             continue
         if made.name in GROUND:
             _move_ground(out, made.name, value)
+            anew = True  # else a geom that lay in its body's frame is taken to lie there still
             continue
         for element in made.elements:
             if made.field == "body.mass" and out.body_mass[element] > 0:
