@@ -143,7 +143,7 @@ def _polished(
 def tells(machine: Machine) -> bool:
     """Whether the torque along the motion is known, up to a gain: that of a servo by its command error, where its gains are the
     file's."""
-    return not machine.servo_times and not machine.tree.linear
+    return not machine.servo_times
 
 
 def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from adaptsim_jax.attribution.pendulum import (
     own_catalogue,
     pendulum_machine,
 )
+from adaptsim_jax.attribution.yardsticks import STRETCHES
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -96,8 +97,8 @@ def diagnose_pendulum(
             machine = pendulum_machine(recording, recording.model_file, effects or ())
         report, evidence, whole = examined(
             machine, criteria or Criteria(), HORIZON, tuple(exclude), say,
-            in_the_plane, effects, None if folder is None else lambda so_far: write_partial(folder, so_far),
-            torques=False,
+            in_the_plane, effects, None if folder is None else lambda so_far: write_partial(folder, so_far), STRETCHES,
+            torques=recording.model == LINEAR,
         )  # fmt: skip
         problem, found = whole.problem, whole.found
         report |= {"task": recording.task, "model": recording.model}

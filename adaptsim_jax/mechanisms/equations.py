@@ -45,6 +45,14 @@ def gravity_force(tree: Tree, inertial: Array, q: Array, gravity: Array) -> jax.
     return at_zero + slope
 
 
+def inverse_dynamics(tree: Tree, inertial: Array, q: Array, v: Array, a: Array, gravity: Array) -> jax.Array:
+    """See `dynamics.inverse_dynamics`."""
+    if not tree.linear:
+        return dynamics.inverse_dynamics(tree, inertial, q, v, a, gravity)
+    moving = dynamics.inverse_dynamics(_full(tree), inertial, 0.0 * q, None, a, 0.0 * gravity)
+    return moving - gravity_force(tree, inertial, q, gravity)
+
+
 def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: Array) -> jax.Array:
     """See `dynamics.regressor`."""
     if not tree.linear:

@@ -133,7 +133,7 @@ def _regressed(tree, q, v, a):
 @jax.jit
 def _taken(tree, inertial, offset, scale, q, v, a):
     size = 1.0 + scale[:, None]
-    force = lambda q, v, a: dynamics.inverse_dynamics(tree, inertial, q, v, a, jnp.asarray(tree.gravity))
+    force = lambda q, v, a: equations.inverse_dynamics(tree, inertial, q, v, a, jnp.asarray(tree.gravity))
     return force((q - offset[:, None]) / size, v / size, a / size) - force(q, v, a)
 
 
