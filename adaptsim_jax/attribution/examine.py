@@ -74,11 +74,8 @@ def examine(
         found = by_simulation(problem, null, criteria, say, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         commanded = np.any(machine.actuator[2] != 0.0)
-        why = (
-            f"it follows commands; over {horizon:g} s a straight line says less"
-            if commanded
-            else "no torque is known along the motion"
-        )
+        why = "no torque is known along the motion" if factor is not None else "stretches are this task's yardstick"
+        why = f"it follows commands; over {horizon:g} s a straight line says less" if commanded else why
         return Examined(problem, found, None, before, after, STRETCHES, why)
     say("balance of torques")
     reach = scaled_reach(problem, *own_inertia(problem, null))
