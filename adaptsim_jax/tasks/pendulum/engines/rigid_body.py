@@ -14,7 +14,7 @@ from adaptsim_jax.tasks.pendulum.engines.scene import finished
 def make_rigid_body(dt: float):
     def one(params, commands, initial):
         pair = lambda k: params[k : k + 2]
-        p = rigid.RigidPendulum(pair(0), pair(2), pair(4), pair(6), pair(8), jnp.zeros(2), jnp.ones(2), scene.GRAVITY)
+        p = rigid.RigidPendulum(pair(0), pair(2), pair(4), pair(6), pair(8), scene.GRAVITY)
         out = rigid.simulate(p, initial[:2], initial[2:], commands, dt)
         return jnp.concatenate([out.q[1:], out.v[1:]], -1)
 
