@@ -145,12 +145,6 @@ class Space:
             )
         return value
 
-    def with_range(self, name: str, low: float, high: float) -> "Space":
-        """The same box with another range for one parameter."""
-        if name not in self.names:
-            raise BadInput(f"unknown parameter {name!r}; {suggest(name, self.names)}")
-        return Space(tuple(replace(p, low=low, high=high) if p.name == name else p for p in self.parameters))
-
 
 class Gaussian(NamedTuple):
     """A simulation parameter distribution E: mean within Omega, fixed spread; both in unit coordinates.

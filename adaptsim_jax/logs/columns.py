@@ -22,7 +22,6 @@ BASE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit quaternion."""
 CHANNEL = "channel:"
 """What opens our name of a column that `[channels]` gives to a sensor of the model."""
-INPUT_STEMS = ("tau", "target", "ctrl", "u", "i", "tau_commanded")
 NOT_JOINTS = (
     "d", "des", "desired", "cmd", "command", "commanded", "ref", "reference", "target", "goal", "error", "err", "raw",
     "filtered", "std", "min", "max", "limit", "s", "rad", "deg", "m", "ff", "measured",

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log_meta import LogMeta
 
 InputKind = Literal["torque", "command", "voltage", "current", "none"]
-
-GAP = 0.5
-"""s without a row beyond which one recording is two blocks."""
 
 
 @dataclass(frozen=True)
@@ -159,29 +154,3 @@ class Log:
 
         by_name = {trial.name: trial for trial in self.trials}
         return replace(self, trials=tuple(by_name[pick(f"trial of {self.path}:", n, by_name)] for n in names))
-
-
-def blocks(log: Log, seconds: float) -> Log:
-    """`log` with every trial cut into equal blocks of about `seconds`, and wherever `GAP` seconds have no row.
-
-    Rates and lengths stay as they are, no row is lost but for pieces of fewer than 3 rows, each row is in one block. A
-    trial shorter than 1.5 blocks without a gap keeps its name; others get `name#1`, `name#2`, ...
-    """
-    if not seconds > 0:
-        raise BadInput(f"blocks of {seconds:g} s: give a length above 0")
-    return replace(log, trials=tuple(block for trial in log.trials for block in _cut(trial, seconds)))
-
-
-def _cut(trial: LogTrial, seconds: float) -> list[LogTrial]:
-    gaps = np.flatnonzero(np.diff(trial.time) > max(GAP, 20 * trial.dt)) + 1
-    edges = [0, *gaps.tolist(), len(trial.time)]
-    pieces: list[tuple[int, int]] = []
-    for start, stop in itertools.pairwise(edges):
-        time = trial.time[start:stop]
-        count = max(1, round((time[-1] - time[0]) / seconds))
-        inner = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1]) + start
-        bounds = [start, *inner.tolist(), stop]
-        pieces += [(a, b) for a, b in itertools.pairwise(bounds) if b - a >= 3]
-    if len(pieces) == 1:
-        return [trial.rows(*pieces[0])]
-    return [replace(trial.rows(a, b), name=f"{trial.name}#{i}") for i, (a, b) in enumerate(pieces, start=1)]

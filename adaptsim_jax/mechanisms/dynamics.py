@@ -35,7 +35,6 @@ from adaptsim_jax.mechanisms.lanes import (
     minus,
     mul,
     plus,
-    stacked,
     sub,
     symmetric,
     times,
@@ -146,19 +145,6 @@ def inverse_mass(tree: Tree, inertial: Array, q: Array, armature: Array) -> jax.
     return _inverse_mass(tree, inertial, wide(q), wide(armature))
 
 
-def derivatives(
-    tree: Tree, inertial: Array, q: Array, v: Array, a: Array, gravity: Array
-) -> tuple[jax.Array, jax.Array]:
-    """Of the generalized forces of `inverse_dynamics` by `q` and by `v`: `[n, n, ...]` each, the force first."""
-    q = jnp.asarray(q)
-    whole, rows = _wholly(tree, inertial)
-    still = _still(whole, rows, _angles(tree, q))
-    by_q, by_v = _derivatives(
-        whole, still, q, _rates(tree, v), _rates(tree, a), gravity, _like(tree, inertial, q, v, a, gravity)
-    )
-    return _on_both(tree, by_q), _on_both(tree, by_v)
-
-
 def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: Array) -> jax.Array:
     """`[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()` (Atkeson, An and Hollerbach, 1986)."""
     q = jnp.asarray(q)
@@ -199,35 +185,6 @@ def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
     drag = of(tree.damping) + of(tree.damping_poly[:, 0]) * fast + of(tree.damping_poly[:, 1]) * fast**2
     pull = of(tree.stiffness) + of(tree.stiffness_poly[:, 0]) * far + of(tree.stiffness_poly[:, 1]) * far**2
     return -drag * v - pull * x
-
-
-def body_position(tree: Tree, q: Array, body: int, point: Array = (0.0, 0.0, 0.0)) -> jax.Array:
-    """`[3, ...]` m, in the world: a point given in the frame of joint `body`, which sits on the body that it moves."""
-    q = _angles(tree, jnp.asarray(q))
-    if tree.whole is not None:
-        tree, body = tree.whole.tree, tree.whole.own[body]
-    poses = chain(tree, q)
-    root = (body, *ancestors(tree, body))[-1]
-    base = tuple(lifted(tree.place, 2, q.ndim - 1, q.dtype)[root])
-    out = plus(
-        plus(base, poses[body].origin), apply(poses[body].rotation, tuple(lifted(point, 1, q.ndim - 1, q.dtype)))
-    )
-    return stacked(out, _like(tree, None, q))
-
-
-def energy(tree: Tree, inertial: Array, q: Array, v: Array, armature: Array, gravity: Array) -> jax.Array:
-    """`[...]` J: kinetic (with armature) and potential (zero where all centres of mass are at their branch's first joint)."""
-    q, v = jnp.asarray(q), jnp.asarray(v)
-    like = _like(tree, inertial, q, v, armature, gravity)
-    whole, rows = _wholly(tree, inertial)
-    still = _still(whole, rows, _angles(tree, q))
-    mass = _on_both(tree, _mass(whole, still, _up(whole, still.body), like))
-    down = tuple(x[None] for x in lifted(gravity, 1, q.ndim - 1, q.dtype))
-    height = _filled(dot(down, still.body.moment), whole.n, like)
-    moving = jnp.sum(mass * v[:, None] * v[None], axis=(0, 1)) + jnp.sum(
-        lifted(armature, 1, q.ndim - 1, q.dtype) * v**2, 0
-    )
-    return 0.5 * moving - jnp.sum(height, axis=0)
 
 
 def _wholly(tree: Tree, inertial: Any, change: bool = False) -> tuple[Tree, Any]:

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -61,17 +60,6 @@ class Mechanism:
     drives_beyond: tuple[str, ...] = ()
     idle: tuple[str, ...] = ()
     roles: Roles | None = None
-
-    def point(self, body: str, at: Any = (0.0, 0.0, 0.0)) -> tuple[int, np.ndarray]:
-        """Joint and point as `dynamics.body_position` takes them, of a point in the frame of a body of the file.
-
-        Raises BadInput where no moving body has that name.
-        """
-        joint = self.frames.carrier.get(body, -1)
-        if joint < 0:
-            names = ", ".join(sorted(name for name, c in self.frames.carrier.items() if c >= 0))
-            raise BadInput(f"{self.path}: no moving body is named {body!r}; it has {names}")
-        return joint, self.frames.place[body] + self.frames.rotation[body] @ np.asarray(at, float)
 
 
 def read_mechanism(path: str | os.PathLike) -> Mechanism:

@@ -2,13 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inertial_about, inverse
 from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_source, read_spec, rotation_of, without_shapes
 
@@ -80,11 +78,6 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
                 _put_actuator(actuator, key, float(table[actuator.name]), step)
     compiled(mechanism.path, spec)
     return commented(spec.to_xml(), changes.comments)
-
-
-def write_mjcf(mechanism: Mechanism, path: str | Path, changes: Changes) -> None:
-    """`mended_mjcf` into a file, whole or not at all."""
-    write_bytes(Path(path), mended_mjcf(mechanism, changes).encode())
 
 
 def _put(element, key: str, value: float) -> None:

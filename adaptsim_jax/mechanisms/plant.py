@@ -89,15 +89,6 @@ class Plant:
         rows = self.mass(self.constants, theta, q)
         return jnp.stack([jnp.stack([m + jnp.zeros_like(q[0]) for m in row]) for row in rows])
 
-    def inertia_at(self, theta: jax.Array, q: jax.Array) -> jax.Array:
-        """What each joint feels when pushed alone: 1 / diag(M^-1) `[n, ...]` kg m^2."""
-        mass = self.mass_matrix(theta, q)
-        n = self.joint_dim
-        eye = jnp.eye(n, dtype=mass.dtype).reshape((n, n) + (1,) * (mass.ndim - 2))
-        zero = jnp.zeros_like(mass[0])
-        columns = [solve_mass(mass, zero, eye[i] + zero)[i] for i in range(n)]
-        return 1.0 / jnp.stack(columns)
-
     def initial_theta(
         self, motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], interval: float = 0.1
     ):
@@ -107,12 +98,6 @@ class Plant:
         acceleration, which noise would drown.
         """
         return self._regressed([_balances(self, *m, interval) for m in motions])
-
-    def averaged_theta(
-        self, motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], interval: float = 0.7
-    ):
-        """The same from balances averaged under a bump of `interval` s: slow motion counts, vibrations do not."""
-        return self._regressed([_averaged_balances(self, *m, interval) for m in motions])
 
     def _regressed(self, balances: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         design, target = (np.concatenate(z) for z in zip(*balances, strict=True))
@@ -219,27 +204,6 @@ def _balances(plant: Plant, time, q, v, torque, interval: float):
     cut = np.arange(0, len(time), stride)
     design = np.diff((momentum - pushed)[:, cut], axis=1)
     return design.reshape(-1, design.shape[-1]), np.diff(impulse[:, cut], axis=1).reshape(-1)
-
-
-def _averaged_balances(plant: Plant, time, q, v, torque, interval: float):
-    """Momentum balances times a bump, integrated by parts over overlapping intervals (the weak form: Messenger and Bortz,
-    2021): no end points, so that noise and vibrations average out. `[R * n, P]` and `[R * n]` (N m s)."""
-    momentum, push = _columns(plant, q, v)
-    length = int(np.clip(round(interval / float(np.median(np.diff(time)))), 8, len(time) - 1))
-    design, target = [], []
-    for first in range(0, len(time) - length, max(1, length // 2)):
-        rows = slice(first, first + length + 1)
-        t = time[rows]
-        dt, at = np.diff(t), np.pi * (t - t[0]) / (t[-1] - t[0])
-        bump = np.sin(at) ** 4
-        slope = 4.0 * np.sin(at) ** 3 * np.cos(at) * np.pi / (t[-1] - t[0])
-        weight = 0.5 * (np.append(dt, 0.0) + np.append(0.0, dt))
-        design.append(
-            -np.einsum("ntp,t->np", momentum[:, rows], slope * weight)
-            - np.einsum("ntp,t->np", push[:, rows], bump * weight)
-        )
-        target.append(torque[rows][:-1].T @ (0.5 * (bump[1:] + bump[:-1]) * dt))
-    return np.concatenate(design), np.concatenate(target)
 
 
 def _columns(plant: Plant, q, v) -> tuple[np.ndarray, np.ndarray]:

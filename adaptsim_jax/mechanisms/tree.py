@@ -26,7 +26,6 @@ import numpy as np
 
 Array = Any
 
-INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 MOST_JOINTS = 64
 EXACT = 1e-14  # rotations by quarter turns come out of a quaternion this close to -1, 0 and 1
 
@@ -112,9 +111,6 @@ class Tree:
     def unit(self, joint: int) -> str:
         """Of the joint's coordinate."""
         return "rad" if self.kinds[joint] == "hinge" else "m"
-
-    def force_unit(self, joint: int) -> str:
-        return "N m" if self.kinds[joint] == "hinge" else "N"
 
 
 _OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")

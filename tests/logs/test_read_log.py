@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.log import ActuatorName, ModelNames, blocks
+from adaptsim_jax.logs.log import ActuatorName, ModelNames
 from adaptsim_jax.logs.read import read_log
 from tests.logs.log_files import folder, motion, named, numbered, write_csv
 
@@ -185,20 +185,6 @@ def test_groups_payloads_and_excluded_trials(tmp_path):
         ("light", "", 0.0),
     ]
     assert [t.name for t in log.pick(["light"]).trials] == ["light"]
-
-
-def test_rates_and_lengths_may_differ_and_blocks_keep_every_row(tmp_path):
-    slow, fast = motion(2, rows=100, dt=0.05), motion(2, rows=400, dt=0.002)
-    gap = {k: np.delete(v, slice(40, 60), axis=0) for k, v in slow.items()}
-    log = read_log(
-        folder(tmp_path, "", fast=numbered(fast, "q"), gap=numbered(gap, "q"), slow=numbered(slow, "q")), ARM
-    )
-    cut = blocks(log, 2.0)
-    assert [t.name for t in cut.trials] == ["fast", "gap#1", "gap#2", "slow#1", "slow#2"]
-    assert sum(len(t.time) for t in cut.trials) == log.samples
-    assert cut.trials[0].dt == pytest.approx(0.002) and cut.trials[3].dt == pytest.approx(0.05)
-    first, second = cut.trials[1:3]
-    assert first.time[-1] == pytest.approx(39 * 0.05) and second.time[0] == pytest.approx(60 * 0.05)
 
 
 def test_an_encoder_that_counts_from_minus_pi_to_pi(tmp_path):

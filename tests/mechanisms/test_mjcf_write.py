@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
-from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf, write_mjcf
+from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
@@ -29,7 +29,7 @@ def test_what_is_written_is_read_back(tmp_path):
         comments=("not held: cogging at elbow",),
     )
     out = tmp_path / "model.xml"
-    write_mjcf(arm, out, changes)
+    out.write_text(mended_mjcf(arm, changes))
     new = read_mechanism(out)
     np.testing.assert_allclose(new.tree.inertial, inertial, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(new.tree.damping, [0.2, 0.3])
@@ -56,7 +56,7 @@ def test_a_joint_without_an_actuator_gets_a_motor_with_a_limit_and_a_servo_loses
     path, out = tmp_path / "arm.xml", tmp_path / "model.xml"
     path.write_text(ARM)
     changes = Changes(actuators={"limit": {"elbow": 0.2}, "kv": {"drive": 0.0}}, motors={"elbow": 0.05})
-    write_mjcf(read_mechanism(path), out, changes)
+    out.write_text(mended_mjcf(read_mechanism(path), changes))
     drive, motor = read_mechanism(out).actuators
     assert (drive.kp, drive.kv) == (20.0, 0.0)
     assert (motor.joint, motor.kind, motor.gear) == (1, "motor", pytest.approx(0.05))
@@ -78,5 +78,5 @@ def test_a_rest_angle_is_in_rad_whatever_the_file_has_its_angles_in(tmp_path, an
     path, out = tmp_path / "arm.xml", tmp_path / "model.xml"
     path.write_text(ARM.replace('<compiler angle="radian"/>', angle))
     table = {"stiffness": {"elbow": 0.12}, "springref": {"elbow": 0.25}}
-    write_mjcf(read_mechanism(path), out, Changes(joints=table))
+    out.write_text(mended_mjcf(read_mechanism(path), Changes(joints=table)))
     np.testing.assert_allclose(mujoco.MjModel.from_xml_path(str(out)).qpos_spring, [0.0, 0.25], atol=1e-6)
