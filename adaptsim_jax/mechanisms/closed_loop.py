@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.mechanisms.stepping import Model, Push, row_step
+from adaptsim_jax.mechanisms.stepping import Model, row_step
 
 Law = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]  # (measured [S], past [H, U], t []) -> torque [U] N m
 LONGEST = 40  # rows that a sensor or actuator is taken to remember at most
@@ -45,8 +45,6 @@ def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, hi
     n = model.plant.joint_dim
     start = jnp.asarray(start)
     memory = tuple(jnp.zeros((n, 1), start.dtype) for e in model.layout.placed("force") if e.memory)
-    zero = jnp.zeros((n, 1), start.dtype)
-    push = Push(zero, zero)
     step = jnp.full((1,), dt, start.dtype)
 
     def row(carry, k):
@@ -58,7 +56,7 @@ def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, hi
         u = law(y, past, t)
         past = jnp.concatenate([past[1:], u[None]])
         applied = arrived(model, eff, past, dt)
-        new, memory = row_step(model, theta, eff, x[:, None], memory, applied[:, None], t[None], step, push, 1)
+        new, memory = row_step(model, theta, eff, x[:, None], memory, applied[:, None], t[None], step)
         return (jnp.concatenate(new), memory, past, seen, said), Loop(x, y, u)
 
     past = jnp.zeros((history, model.plant.command_dim), start.dtype)

@@ -4,9 +4,7 @@ Any axes of a batch lie last. Effects are evaluated once for all joints and the 
 the graph stays small and vectorises.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +16,6 @@ from adaptsim_jax.mechanisms.dry_friction import mean_friction, sharp_friction, 
 from adaptsim_jax.mechanisms.plant import Plant, solve_mass
 
 Sum = Any  # an array `[n, ...]`, or None
-TOGETHER = 5  # effects that are asked about at once
 
 
 @dataclass(frozen=True)
@@ -32,23 +29,14 @@ class Model:
 jax.tree_util.register_dataclass(Model, data_fields=["plant"], meta_fields=["layout"])
 
 
-class Push(NamedTuple):
-    """Constant additions over a row, for sensitivities: `force [n, ...]` N m, `inertia [n, ...]` kg m^2."""
-
-    force: jax.Array
-    inertia: jax.Array
-
-
 def make_model(plant: Plant, effects: tuple) -> Model:
     """A model with all instances of `effects` on the plant's joints."""
     return Model(plant, Layout(tuple(effects), plant.joints))
 
 
 def motion_of(model: Model, theta, q, v, u, t, memory) -> Motion:
-    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar; or `[2, ...]`, time and `Motion.clock`."""
-    t = _lift(t, q)
-    time, clock = (t[:1], t[1:]) if t.ndim == q.ndim > 1 and t.shape[0] == 2 else (t, t)
-    return Motion(q, v, u, time, memory, lambda q: model.plant.gravity_force(theta, q), clock)
+    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar."""
+    return Motion(q, v, u, _lift(t, q), memory, lambda q: model.plant.gravity_force(theta, q))
 
 
 def relax(answer: Relaxation, w, h):
@@ -60,12 +48,6 @@ def _lift(z, like):
     """A number per lane with a first axis to broadcast over joints or states; a scalar stays one."""
     z = jnp.asarray(z)
     return z[None] if 0 < z.ndim < like.ndim else z
-
-
-def _later(t, h):
-    """Time `t: [...]`, or time and clock `[2, ...]`, after `h: [...]` s."""
-    t, h = jnp.asarray(t), jnp.asarray(h)
-    return t + (h[None] if t.ndim > h.ndim > 0 else h)
 
 
 class Acting(NamedTuple):
@@ -83,127 +65,65 @@ RUBBING = ("level", "blur")
 
 
 def acting(
-    model: Model,
-    theta,
-    eff,
-    memory,
-    x,
-    u,
-    t,
-    on=None,
-    effects: list | None = None,
-    only: tuple[str, ...] = Acting._fields,
+    model: Model, theta, eff, memory, x, u, t, effects: list | None = None, only: tuple[str, ...] = Acting._fields
 ) -> Acting:
-    """What the force effects do at `x`, `[S, ...]` or as many `[...]`. on `[effects]`: those that are False are skipped, at no
-    cost but the question, which is put to several of them at once first; all count where None. effects: others are left out.
-    only: fields that are wanted, as each is carried through every question."""
+    """What the force effects do at `x`, `[S, ...]` or as many `[...]`. effects: others are left out, none where None; only: fields
+    that are wanted."""
     n = model.plant.joint_dim
     every = list(model.layout.placed("force"))
     memories = dict(zip((e.name for e in every if e.memory), memory, strict=True))
     effects = every if effects is None else effects
-
-    def one(total: Acting, effect, p, w) -> Acting:
-        answer = effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
-        said = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
-        if isinstance(answer, Dry):
-            said |= {"level": answer.level, "blur": answer.level * answer.width}
-        return total._replace(**{field: getattr(total, field) + said[field] for field in said if field in only})
-
-    def add(total: Acting, group) -> Acting:
-        for effect in group:
-            p = model.layout.params(effect, eff, jnp.ndim(x[0]))
-            w = memories.get(effect.name, zero)
-            total = _where_on(model, effect, on, one, total, effect, p, w)
-        return total
-
     x = [jnp.asarray(z) for z in x]
     zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
     total = Acting(*(zero if field in only else None for field in Acting._fields))
+    params = lambda effect: model.layout.params(effect, eff, jnp.ndim(x[0]))
     if "inertia" in only:  # numbers that no state changes: zero where the effect is off
-        inert = [effect.apply(model.layout.params(effect, eff, jnp.ndim(x[0]))) for effect in effects if effect.inertia]
-        total = total._replace(inertia=sum(inert, total.inertia))
-    effects = [effect for effect in effects if not effect.inertia]
-    if on is None:
-        return add(total, effects)
-    for at in range(0, len(effects), TOGETHER):
-        group = effects[at : at + TOGETHER]
-        total = jax.lax.cond(_any_on(model, group, on), partial(add, group=group), lambda total: total, total)
+        total = total._replace(inertia=sum([e.apply(params(e)) for e in effects if e.inertia], total.inertia))
+    for effect in (e for e in effects if not e.inertia):
+        w = memories.get(effect.name, zero)
+        answer = effect.apply(params(effect), motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w))
+        said = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
+        if isinstance(answer, Dry):
+            said |= {"level": answer.level, "blur": answer.level * answer.width}
+        total = total._replace(**{field: getattr(total, field) + said[field] for field in said if field in only})
     return total
 
 
-def remember(model: Model, theta, eff, memory, x, u, t, h, on=None) -> tuple[jax.Array, ...]:
-    """The effects' memories after `h` s at a constant state (S times `[W]`); those that are off stay as they are."""
+def remember(model: Model, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
+    """The effects' memories after `h` s at a constant state (S times `[W]`)."""
     n = model.plant.joint_dim
-    effects = [e for e in model.layout.placed("force") if e.memory]
     out = []
-    for effect, w in zip(effects, memory, strict=True):
-        p = model.layout.params(effect, eff, 1)
-
-        def later(w, p, theta, x, u, t, h, effect=effect):
-            return relax(effect.apply(p, motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)), w, h)
-
-        out.append(_where_on(model, effect, on, later, w, p, theta, x, u, t, h))
+    for effect, w in zip((e for e in model.layout.placed("force") if e.memory), memory, strict=True):
+        motion = motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)
+        out.append(relax(effect.apply(model.layout.params(effect, eff, 1), motion), w, h))
     return tuple(out)
 
 
-def _where_on(model: Model, effect, on, change: Callable, value, *args):
-    """`change(value, *args)` if `effect` is on, else `value`."""
-    if on is None:
-        return change(value, *args)
-    return jax.lax.cond(_any_on(model, [effect], on), lambda value: change(value, *args), lambda value: value, value)
-
-
-def _any_on(model: Model, effects: list, on) -> jax.Array:
-    return jnp.stack([on[model.layout.effects.index(e)] for e in effects]).any()
-
-
-def row_step(model: Model, theta, eff, x, memory, u, t, dt, push: Push, substeps, on=None, ramp=None):
-    """States and memories after a row of `dt: [W]` s from `x`, S times `[W]`: Runge-Kutta 4, memories relaxed exactly by half a
-    substep on each side of it (Strang splitting). A state at a time, since stacking them costs more than the dynamics do.
-
-    substeps: how many; as an array, one program does for any number. on `[effects]`: as of `acting`; ramp `[U, W]` N m: how much
-    the command rises over the row, `u` being its mean.
-    """
-    h = dt / substeps
+def row_step(model: Model, theta, eff, x, memory, u, t, h):
+    """States and memories after a row of `h: [W]` s from `x`, S times `[W]`: Runge-Kutta 4, memories relaxed exactly by half a
+    row on each side of it (Strang splitting). A state at a time, since stacking them costs more than the dynamics do."""
     kind = jnp.result_type(x[0])
     stages = (jnp.array([0.0, 0.5, 0.5, 1.0], kind), jnp.array([1.0, 2.0, 2.0, 1.0], kind) / 6.0)
-
-    def substep(carry, i):
-        x, memory = carry
-        now = _later(t, i * h)
-        memory = remember(model, theta, eff, memory, x, u, now, 0.5 * h, on)
-
-        rub = rise = jnp.zeros_like(push.force)
-        if dry:
-            rubbing = lambda: _dry_force(
-                model, theta, eff, memory, jnp.stack(x), u, now, h, push, on, smooth, dry, sharp
-            )
-            still = lambda: (rub, rise)
-            rub, rise = rubbing() if on is None else jax.lax.cond(_any_on(model, dry, on), rubbing, still)
-
-        def stage(inner, ab):
-            slope, total = inner
-            a, b = ab
-            at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
-            act = acting(model, theta, eff, memory, at, u, _later(now, a * h), on, smooth, PUSHING)
-            here = u if ramp is None else u + ((i + a) / substeps - 0.5) * ramp
-            rubs = rub + (a - 0.5) * rise
-            force = [f + r + p for f, r, p in zip(act.force, rubs, push.force, strict=True)]
-            inertia = [m + p for m, p in zip(act.inertia, push.inertia, strict=True)]
-            slope = model.plant.rates(theta, at, here, force, inertia)
-            return (slope, [t + b * d for t, d in zip(total, slope, strict=True)]), None
-
-        zero = [jnp.zeros_like(z) for z in x]
-        (_, total), _ = jax.lax.scan(stage, (zero, zero), stages)
-        x = [z + h * t for z, t in zip(x, total, strict=True)]
-        memory = remember(model, theta, eff, memory, x, u, _later(now, h), 0.5 * h, on)
-        return (x, memory), None
-
     x = list(x)
     smooth, dry, sharp = _sorted(model, theta, eff, x, u, t)
-    if isinstance(substeps, int) and substeps == 1:
-        return substep((x, memory), 0.0)[0]
-    return jax.lax.fori_loop(0, substeps, lambda i, carry: substep(carry, jnp.asarray(i, kind))[0], (x, memory))
+    memory = remember(model, theta, eff, memory, x, u, t, 0.5 * h)
+    rub = rise = jnp.zeros((model.plant.joint_dim, *x[0].shape), kind)
+    if dry:
+        rub, rise = _dry_force(model, theta, eff, memory, jnp.stack(x), u, t, h, smooth, dry, sharp)
+
+    def stage(inner, ab):
+        slope, total = inner
+        a, b = ab
+        at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
+        act = acting(model, theta, eff, memory, at, u, t + a * h, smooth, PUSHING)
+        force = act.force + (rub + (a - 0.5) * rise)
+        slope = model.plant.rates(theta, at, u, force, act.inertia)
+        return (slope, [t + b * d for t, d in zip(total, slope, strict=True)]), None
+
+    zero = [jnp.zeros_like(z) for z in x]
+    (_, total), _ = jax.lax.scan(stage, (zero, zero), stages)
+    x = [z + h * t for z, t in zip(x, total, strict=True)]
+    return x, remember(model, theta, eff, memory, x, u, t + h, 0.5 * h)
 
 
 def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
@@ -226,7 +146,7 @@ def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
     return smooth, dry, not wide
 
 
-def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smooth: list, dry: list, sharp: bool):
+def _dry_force(model: Model, theta, eff, memory, x, u, t, h, smooth: list, dry: list, sharp: bool):
     """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]` both.
 
     Each joint moves as under constant torque: it slides, or slides and turns round, or slides until it stops and is
@@ -244,12 +164,12 @@ def _dry_force(model: Model, theta, eff, memory, x, u, t, h, push: Push, on, smo
         """Friction as at a state of the step and its level as at a speed; the state in the middle of the step under it, and the
         speed that is typical of the step."""
         z, speed, force = at
-        now = _later(t, late * h)
-        act = acting(model, theta, eff, memory, z, u, now, on, smooth, PUSHING)
-        rough = acting(model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, on, dry, RUBBING)
-        inertia, level = act.inertia + push.inertia, rough.level
+        now = t + late * h
+        act = acting(model, theta, eff, memory, z, u, now, smooth, PUSHING)
+        rough = acting(model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, dry, RUBBING)
+        inertia, level = act.inertia, rough.level
         width = jnp.where(late > 0, rough.blur / jnp.maximum(level, 1e-9), 0.0)  # only once: it is most of the work
-        free = plant.deriv(theta, z, u, act.force + push.force, inertia)[n:]
+        free = plant.deriv(theta, z, u, act.force, inertia)[n:]
         mass = plant.mass_matrix(theta, z[:n])
         answer = jnp.stack([jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)])  # [force, acceleration]
         stop = free + v / jnp.where(wide > 0, wide, 1.0)

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.mechanisms.dry_friction import mean_friction
 from adaptsim_jax.mechanisms.registry import make_plant
-from adaptsim_jax.mechanisms.stepping import Push, make_model, row_step
+from adaptsim_jax.mechanisms.stepping import make_model, row_step
 
 INERTIA, LEVEL, STEP = 0.01, 0.1, 5e-3
 
@@ -82,8 +82,8 @@ def test_slopes_are_those_of_differences(argument):
         np.testing.assert_allclose(jnp.where(width > 0, back, 0.0), slope.sum(0), rtol=1e-9, atol=1e-12)
 
 
-def _slide(substeps: int, x64: bool):
-    """Both joints slide for 0.15 s, joint 2 with Stribeck's friction; the states after each row of 5 ms."""
+def _slide(parts: int, x64: bool):
+    """Both joints slide for 0.15 s, joint 2 with Stribeck's friction; the states after each 5 ms, in so many rows."""
     with jax.enable_x64(x64):
         plant = make_plant("rigid_body", "hanging", {"l1": 0.2, "l2": 0.2, "g": 9.81}, {})
         model = make_model(plant, tuple(e for e in catalogue() if e.name == "stribeck"))
@@ -92,11 +92,12 @@ def _slide(substeps: int, x64: bool):
         eff[model.layout.instances[model.layout.index("stribeck", "joint2")].at] = FRICTION
         zero, x = jnp.zeros((2, 1)), [jnp.array([z]) for z in START]
         step = jax.jit(lambda x: row_step(
-            model, theta, jnp.asarray(eff), x, (), zero, jnp.zeros((1,)), jnp.full((1,), STEP), Push(zero, zero), substeps
+            model, theta, jnp.asarray(eff), x, (), zero, jnp.zeros((1,)), jnp.full((1,), STEP / parts)
         )[0])  # fmt: skip
         seen = []
         for _ in range(30):
-            x = step(x)
+            for _ in range(parts):
+                x = step(x)
             seen.append(np.concatenate([np.asarray(z) for z in x]))
         return np.array(seen), plant, np.asarray(theta)
 
