@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from phase1_pendulum import ITERATIONS, load, with_policies
+from reachable import ceiling
 
 from adaptsim_jax.adaptation.sweep import adapt_many
 from adaptsim_jax.baselines.best_in_omega import best_in_omega
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
-from adaptsim_jax.baselines.reachable import ceiling
 from adaptsim_jax.baselines.udr import udr
 
 

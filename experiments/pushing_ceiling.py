@@ -12,8 +12,8 @@ from itertools import product
 import jax
 import jax.numpy as jnp
 import numpy as np
+from reachable import reachable_values
 
-from adaptsim_jax.baselines.reachable import reachable_values
 from adaptsim_jax.tasks.one_shot import action_grid
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing

@@ -13,11 +13,11 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+import pushing_fit
 
 from adaptsim_jax import BadInput
 from adaptsim_jax.core import config, files
 from adaptsim_jax.core.progress import progress
-from adaptsim_jax.tasks.pushing import model_fit as pushing_fit
 from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
 from adaptsim_jax.tasks.pushing.engines.registry import BACKENDS, make_backend
 from adaptsim_jax.tasks.pushing.model import PushOptions, check_options

@@ -8,11 +8,11 @@ import pytest
 from adaptsim_jax.baselines import gradient
 from adaptsim_jax.baselines.best_in_omega import best_in_omega
 from adaptsim_jax.baselines.problem import costs, discrepancy, pendulum_problem
-from adaptsim_jax.baselines.reachable import ceiling, reachable_values
 from adaptsim_jax.baselines.reward_map import reward_map
 from adaptsim_jax.baselines.udr import udr
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, PendulumConfig, pendulum_space
+from experiments.reachable import ceiling, reachable_values
 from tests.baselines.probe import SPACE, probe_problem
 
 TARGETS = np.array([[1.25, 26.0], [0.5, 40.0]])

@@ -7,9 +7,9 @@ import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig
-from adaptsim_jax.baselines.ranges import adaptsim_run, shiftable_pendulum
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
+from experiments.ranges import adaptsim_run, shiftable_pendulum
 
 PLAIN = {"scaling": "paper", "reference": "optimum", "targets": "omega"}
 OFFSET = np.array([0.0, 0.3, 0.0, 0.0], np.float32)

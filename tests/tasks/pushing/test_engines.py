@@ -15,10 +15,10 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing import model_fit as pushing_fit
 from adaptsim_jax.tasks.pushing import planar as pushing_planar
 from adaptsim_jax.tasks.pushing.engines.registry import make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER
+from experiments import pushing_fit
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from adaptsim_jax.tasks.registry import make_task
 from adaptsim_jax.tasks.scooping import bank as scooping_bank
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
-from adaptsim_jax.tasks.scooping.bank_fit import fit
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
@@ -134,7 +133,7 @@ def test_a_fit_learns_what_decides_a_trial():
     params, actions = scooping_bank.points(4096, 5, "wide")
     wins = np.where(params[:, 2] == 0, actions[:, 0] < 0.1, actions[:, 0] > 0.1)
     places = np.linspace(0, 1, 8) * np.where(wins, 0.2, 10 * params[:, 3])[:, None]
-    found = fit({"wide": scooping_bank.Trials(params, actions, wins, places)}, passes=40)
+    found = bank_experiment.fit({"wide": scooping_bank.Trials(params, actions, wins, places)}, passes=40)
     assert found.accuracy["wide"] > 0.93 and found.log_loss["wide"] < 0.2 and found.track_error < 0.02
     one = jnp.array([0.3, 5e4, 2.0, 0.02])
     assert float(found.bank.logit(one, jnp.array([0.15, 0.0, 0.01]))) > 1.0
