@@ -16,8 +16,9 @@ import numpy as np
 from adaptsim_jax.report.diagnosis import write_diagnosis
 from adaptsim_jax.tasks.toss.diagnose import diagnose
 from adaptsim_jax.tasks.toss.flight import free_flight, words
-from adaptsim_jax.tasks.toss.predict import slide_ends, values_of, whole_tosses
-from adaptsim_jax.tasks.toss.read import read
+from adaptsim_jax.tasks.toss.predict import Span, predicted, values_of, whole_tosses
+from adaptsim_jax.tasks.toss.read import Tossed, read
+from adaptsim_jax.tasks.toss.windows import LEAST, slide
 
 HALVES = {"fitted": range(30), "scored": range(30, 60)}
 MASS, SIDE, FRICTION, RESTITUTION, INERTIA = 0.37, 0.1048, 0.18, 0.125, 8.1e-4  # as published with the data
@@ -76,6 +77,23 @@ def models(report: dict) -> dict[str, dict[str, float]]:
         "declared, fitted": fitted["before"],
         "mended": fitted["after"] | added,
     }
+
+
+def slides(tossed: Tossed) -> tuple[list[Span], list[int]]:
+    """The last slide of each toss on a face (`windows.slide`) up to the last row, and the rows that its start is fitted to."""
+    rows = zip(tossed.time, tossed.place, tossed.turn, strict=True)
+    begins = [(t, slide(*z), len(z[0])) for t, z in enumerate(rows)]
+    spans = [(t, a, b) for t, a, b in begins if a is not None]
+    return spans, [LEAST] * len(spans)
+
+
+def slide_ends(tossed: Tossed, values: np.ndarray) -> np.ndarray:
+    """Distance `[S]` m at the end of each slide; values `[P]`."""
+    spans, rows = slides(tossed)
+    if not spans:
+        return np.zeros(0)
+    off = predicted(tossed, np.tile(values, (len(spans), 1)), spans, rows)
+    return np.array([np.linalg.norm(z[-1, :2]) for z in off])
 
 
 def by_slides(fitted, given: dict[str, float]) -> dict[str, float]:

@@ -6,6 +6,7 @@ python experiments/initial_distributions.py
 """
 
 import numpy as np
+from curves import reward_against_trials
 from page import parser, rows_table, scored_row, train_config, write_page
 
 from adaptsim_jax import make_task
@@ -14,7 +15,6 @@ from adaptsim_jax.baselines.compare import find_bounds
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
 
 MOST, ITERATIONS = 4, 10
 
@@ -34,7 +34,7 @@ def main() -> None:
     cost = costs(problem, means[0], targets)
     panels = {name: rows_of(cost[i], bounds.lower[i], bounds.upper[i]) for i, name in enumerate(names)}
     args.out.mkdir(parents=True, exist_ok=True)
-    look.save(draw.reward_against_trials(panels), args.out / "initial_distributions.png")
+    look.save(reward_against_trials(panels), args.out / "initial_distributions.png")
     parts = [f"{args.seeds} seeds. Curves: mean over seeds of the best reward found so far."]
     for name, rows in panels.items():
         parts += [f"## {look.SETTINGS[name]}", rows_table(rows, "N")]

@@ -6,6 +6,7 @@ python experiments/m2_range.py
 """
 
 import numpy as np
+from curves import against
 from page import parser, rows_table, scored_row, sysid_config, train_config, write_page
 from ranges import adaptsim_over_ranges, sysid_over_ranges
 
@@ -15,7 +16,6 @@ from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
 from adaptsim_jax.baselines.sysid_point import make_sysid_point
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, PendulumConfig, pendulum_space
 
 SHIFTS = (0.0, 0.1, 0.2, 0.3)
@@ -40,7 +40,7 @@ def main() -> None:
             cost = costs(problem, means[name][i][None], target[None])[0]
             rows[name].append(scored_row(ticks()[i], cost, bounds.lower[0], bounds.upper[0], TRIALS[name]))
     args.out.mkdir(parents=True, exist_ok=True)
-    figure = draw.against(rows, ticks(), "range of m2 in Ω (kg); target m2 = 0.3 kg")
+    figure = against(rows, ticks(), "range of m2 in Ω (kg); target m2 = 0.3 kg")
     look.save(figure, args.out / "m2_range.png")
     parts = [
         f"{args.seeds} seeds. Each range has its own normalisers: UDR over that Omega is 0, the best policy in it is 1. "

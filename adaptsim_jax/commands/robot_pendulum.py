@@ -17,7 +17,7 @@ HOW = (
 )
 GAIN = "torque = -gain @ [q1, q2, v1, v2];"
 CONTROLLER = """every 5 ms, the torque that this policy's controller says (it is more than its gain):
-  from adaptsim_jax.tasks.pendulum_controller import read_controller
+  from adaptsim_jax.tasks.pendulum.controller import read_controller
   controller = read_controller({folder!r})
   torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""
 

@@ -114,7 +114,7 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
 def make_session(folder: Path, table: dict[str, Any]) -> Session:
     from adaptsim_jax.adaptation.asktell import make_ask_tell
     from adaptsim_jax.adaptation.training import load_run
-    from adaptsim_jax.commands.task_parts import robot_part
+    from adaptsim_jax.commands.task_parts import ROBOT
 
     run = run_of(table["run"])
     trained = load_run(run)
@@ -122,7 +122,7 @@ def make_session(folder: Path, table: dict[str, Any]) -> Session:
     phase1 = trained.phase1
     weights, sizes = trained.state.learner.target, {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")}
     loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
-    return Session(folder, table, trained, loop, run.config.get("task", {}), robot_part(run.task))
+    return Session(folder, table, trained, loop, run.config.get("task", {}), ROBOT[run.task])
 
 
 def keep(session: Session, state: Any, history: list[dict[str, Any]]) -> None:

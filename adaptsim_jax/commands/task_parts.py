@@ -71,8 +71,3 @@ class RobotPart:
 def adapt_part(task: str) -> AdaptPart:
     """What `adapt` knows of the task called `task`."""
     return ADAPT[task] if task in ADAPT else AdaptPart()
-
-
-def robot_part(task: str) -> RobotPart:
-    """What `robot` knows of the task called `task`, one of `ROBOT`."""
-    return ROBOT[task]

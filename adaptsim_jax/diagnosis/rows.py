@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -320,8 +321,10 @@ def finished(
     model: dict[str, Any],
     columns: tuple[str, ...],
     page: Page | None,
+    more: Mapping[str, Callable[[], str]] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """The checked report; where there is a folder, it, its page, `model.toml` and `next_experiment.csv` with `columns` are written."""
+    """The checked report; where there is a folder, it, its page, `model.toml` and `next_experiment.csv` with `columns` are written,
+    and the files `more` (name -> what makes its text)."""
     if plan is not None:
         report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
             {"csv": NEXT} if plan["rows"] else {}
@@ -332,6 +335,8 @@ def finished(
         for name in (*OTHERS, MODEL, NEXT):
             (folder / name).unlink(missing_ok=True)
         write_bytes(folder / MODEL, config.dumps(model).encode())
+        for name, text in more.items():
+            write_bytes(folder / name, text().encode())
         if plan is not None and plan["rows"]:
             rows = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
             write_bytes(folder / NEXT, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())

@@ -103,9 +103,7 @@ def scored(problem: Problem, base: Model) -> list[Score]:
     for e in open_:
         best = None
         for shape in e.shapes:
-            values = fit.values.copy()
-            for name, value in shape.items():
-                values[problem.index[name]] = value
+            values = begun_at(problem, fit.values, shape)
             names = [q for q in e.quantities if q not in shape and q not in fit.free]
             if set(e.quantities) <= set(fit.free):
                 continue
@@ -134,10 +132,6 @@ def _whole(problem: Problem, fit: Fit, values: np.ndarray) -> np.ndarray:
     return (fit.residual - problem.residuals(np.tile(values, (len(problem.trials), 1)))).reshape(-1, 1)
 
 
-def begun(problem: Problem, values: np.ndarray, score: Score) -> np.ndarray:
-    return begun_at(problem, values, score.shape)
-
-
 def begun_at(problem: Problem, values: np.ndarray, shape: Mapping[str, float]) -> np.ndarray:
     """Values `[P]` with those of a shape put in."""
     values = values.copy()
@@ -149,7 +143,7 @@ def begun_at(problem: Problem, values: np.ndarray, shape: Mapping[str, float]) -
 def added(problem: Problem, base: Model, score: Score, rounds: int) -> tuple[np.ndarray, float]:
     """The base with a candidate, fitted for so many rounds."""
     names = (*base.fit.free, *[q for q in score.effect.quantities if q not in base.fit.free])
-    return fitted(problem, names, begun(problem, base.fit.values, score), rounds)
+    return fitted(problem, names, begun_at(problem, base.fit.values, score.shape), rounds)
 
 
 def finished(problem: Problem, effects, values, rounds: int) -> Model:

@@ -9,6 +9,7 @@ from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.adaptation_page import adaptation_section, headline, write_adaptation_page
 from adaptsim_jax.report.comparison import table, write_comparison
+from experiments.curves import against, reward_against_trials
 
 METHODS = ("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_point", "gradient")
 
@@ -134,10 +135,10 @@ def test_sweep_figures_draw_what_they_are_given(results):
     rows = [r for r in results["rows"] if r["method"] == "adaptsim"]
     curves = draw.curves_by(rows, ["a", "b"], "title").axes[0]
     assert [t.get_text() for t in curves.get_legend().get_texts()] == ["a", "b"]
-    against = draw.against({"adaptsim": rows}, ["left", "right"], "range").axes[0]
-    np.testing.assert_allclose(against.lines[0].get_ydata(), [r["mean"] for r in rows])
+    panel = against({"adaptsim": rows}, ["left", "right"], "range").axes[0]
+    np.testing.assert_allclose(panel.lines[0].get_ydata(), [r["mean"] for r in rows])
     panels = {"wd": [{"trials": [1, 2], "so_far": [0.1, 0.4], "method": "N = 1"}]}
-    np.testing.assert_allclose(draw.reward_against_trials(panels).axes[0].lines[0].get_ydata(), [0.1, 0.4])
+    np.testing.assert_allclose(reward_against_trials(panels).axes[0].lines[0].get_ydata(), [0.1, 0.4])
 
 
 def test_every_method_has_its_own_colour_and_name():

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core import config
-from adaptsim_jax.core.files import output_folder, write_bytes
+from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows as parts
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
-from adaptsim_jax.diagnosis.schema import check, new_report
+from adaptsim_jax.diagnosis.run import Page, Run, command_of
+from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -23,8 +22,7 @@ from adaptsim_jax.tasks.toss.predict import whole_tosses
 from adaptsim_jax.tasks.toss.problem import Follow, prepare
 from adaptsim_jax.tasks.toss.read import Tossed, read
 
-TOML, XML = "model.toml", "model.xml"
-OTHERS = ("next_experiment.csv", "leading.toml")  # of an earlier run of another kind into the same folder
+XML = "model.xml"
 CRITERIA = Criteria(rounds=3, glance=1)  # a simulation of strikes is rough: fits gain little after a few rounds
 LOGS = {"log_time": ("contact_time", "s")}
 HELD = ("body_size", "inertia", "centre_of_mass", "tilt")
@@ -69,16 +67,11 @@ def diagnose(
     found = select(problem, criteria, step)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     command = command_of(named if isinstance(data, Tossed) else data, out=out, exclude=exclude)
-    report["run"] = evidence["run"] = Run(command, began).told()
-    report = check(report)
-    if folder is not None:
-        for name in (*OTHERS, TOML, XML):
-            (folder / name).unlink(missing_ok=True)
-        values = fitted(problem, found.final)
-        write_bytes(folder / TOML, config.dumps(model_table(found, values)).encode())
-        write_bytes(folder / XML, mended_xml(tossed.body, values, beside(found, values)).encode())
-        (page or plain)(folder, report, evidence)
-    return report
+    values = fitted(problem, found.final)
+    xml = {XML: lambda: mended_xml(tossed.body, values, beside(found, values))}
+    return parts.finished(
+        report, evidence, Run(command, began), None, folder, model_table(found, values), (), page, xml
+    )
 
 
 def fitted(problem: Problem, model: Model) -> dict[str, float]:

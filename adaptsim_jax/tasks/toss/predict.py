@@ -1,4 +1,4 @@
-"""Stretches of tosses simulated from starts that are fitted to their first rows alone: whole tosses from their flight, slides."""
+"""Stretches of tosses simulated from starts that are fitted to their first rows alone: whole tosses from their flight."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,7 @@ from adaptsim_jax.tasks.toss.catalogue import quantities
 from adaptsim_jax.tasks.toss.problem import anchored, seen_less
 from adaptsim_jax.tasks.toss.read import Tossed
 from adaptsim_jax.tasks.toss.simulate import poses
-from adaptsim_jax.tasks.toss.windows import CLEAR, LEAST, flight, gathered, slide
+from adaptsim_jax.tasks.toss.windows import CLEAR, LEAST, flight, gathered
 
 Span = tuple[int, int, int]
 
@@ -41,14 +41,6 @@ def flights(tossed: Tossed) -> tuple[list[Span], list[int]]:
     return spans, rows
 
 
-def slides(tossed: Tossed) -> tuple[list[Span], list[int]]:
-    """The last slide of each toss on a face (`windows.slide`) up to the last row, and the rows that its start is fitted to."""
-    rows = zip(tossed.time, tossed.place, tossed.turn, strict=True)
-    begins = [(t, slide(*z), len(z[0])) for t, z in enumerate(rows)]
-    spans = [(t, a, b) for t, a, b in begins if a is not None]
-    return spans, [LEAST] * len(spans)
-
-
 def whole_tosses(tossed: Tossed, vectors: np.ndarray) -> np.ndarray:
     """RMS `[F]` m of the place's distance over each whole toss from its flight; vectors `[T, P]`: values for each toss."""
     spans, rows = flights(tossed)
@@ -56,12 +48,3 @@ def whole_tosses(tossed: Tossed, vectors: np.ndarray) -> np.ndarray:
         return np.zeros(0)
     off = predicted(tossed, vectors[[t for t, _, _ in spans]], spans, rows)
     return np.array([np.sqrt(np.square(z).sum(1).mean()) for z in off])
-
-
-def slide_ends(tossed: Tossed, values: np.ndarray) -> np.ndarray:
-    """Distance `[S]` m at the end of each slide; values `[P]`."""
-    spans, rows = slides(tossed)
-    if not spans:
-        return np.zeros(0)
-    off = predicted(tossed, np.tile(values, (len(spans), 1)), spans, rows)
-    return np.array([np.linalg.norm(z[-1, :2]) for z in off])
