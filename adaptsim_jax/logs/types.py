@@ -48,7 +48,6 @@ class Recording:
     notes: tuple[str, ...] = ()
     model_file: str | None = None
     left_out: tuple[str, ...] = ()  # trials whose files were not read
-    smoothing: float = 0.0  # s^2 of a filter whose curvature was taken off the angles (`nuisance/prefilter.py`)
 
     @property
     def samples(self) -> int:
