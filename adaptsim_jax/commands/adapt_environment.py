@@ -7,6 +7,8 @@ from typing import Any
 
 from adaptsim_jax.commands.task_parts import AdaptPart
 
+NOMINAL = "told the file's own values, mean of 8 episodes"
+
 
 def show(
     trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
@@ -18,17 +20,40 @@ def show(
 
     scores = np.asarray(result.history.score)
     figure, (ax,) = look.new_figure(4.6, 2.9)
-    for row in scores:
-        ax.plot(range(len(row)), row, marker="o", markersize=3, linewidth=1.4)
+    for start, row in enumerate(scores, 1):
+        ax.plot(range(len(row)), row, marker="o", markersize=3, linewidth=1.4, label=f"AdaptSim, start {start}")
+    ax.axhline(at_nominal(trained.phase1.task, options), color=look.INK, linestyle="--", linewidth=1.0, label=NOMINAL)
     look.quiet(ax)
     ax.xaxis.get_major_locator().set_params(integer=True)
     ax.set_xlabel("iteration")
     ax.set_ylabel(f"return in {found['target']['name']}")
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=7)
     lines = [f"written: {look.save(figure, out / 'returns.png')}"]
     if video:
         path, how = filmed(options, found, result, out)
         lines.append(f"written: {path}, {how}")
     return lines
+
+
+def at_nominal(task: Any, options: dict[str, Any], episodes: int = 8) -> float:
+    """Mean return of the policy for the file's own values where `task` rolls out, of as many `episodes`."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from adaptsim_jax.core import config
+    from adaptsim_jax.environments.config import EnvironmentConfig
+    from adaptsim_jax.environments.kind import environment_setting
+    from adaptsim_jax.space import Gaussian
+
+    setting = environment_setting(config.from_table(EnvironmentConfig, options, "env.toml"))
+    values = jnp.asarray([f.nominal for f in setting.fields[: task.space.dim]], jnp.float32)
+    mean = jnp.clip(task.space.unit(values), 0.0, 1.0)
+    init_key, train_key, key = jax.random.split(jax.random.key(0), 3)
+    told = Gaussian(mean, jnp.full(mean.shape, setting.config.spread))
+    policy = jax.jit(task.train)(train_key, told, task.init_policy(init_key))
+    score = jax.jit(jax.vmap(lambda k: task.rollout(k, policy, values).score))
+    return float(np.nanmean(score(jax.random.split(key, episodes))))
 
 
 def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Path) -> tuple[Path, str]:

@@ -2,15 +2,21 @@
 
 import json
 import tomllib
+from dataclasses import replace
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import mujoco
 import pytest
 
 from adaptsim_jax.adaptation.sweep_spec import read_sweep
 from adaptsim_jax.cli import main
-from adaptsim_jax.environments.config import read_env
+from adaptsim_jax.commands.adapt_environment import at_nominal
+from adaptsim_jax.core.config import from_table
+from adaptsim_jax.environments.config import EnvironmentConfig, read_env
 from adaptsim_jax.environments.kind import environment_setting
 from adaptsim_jax.environments.simulated import load
+from adaptsim_jax.environments.task import task_of
 from tests.commands.test_examples import ROOT
 
 SMALL = [
@@ -19,6 +25,10 @@ SMALL = [
     "phase1.capacity=8", "phase1.archive=8", "task.length=20",
 ]  # fmt: skip
 SETS = [word for one in SMALL for word in ("--set", one)]
+
+
+class Told(NamedTuple):
+    score: Any
 
 
 def test_a_new_environment_is_three_files_that_fit(tmp_path, capsys):
@@ -62,6 +72,14 @@ def test_it_trains_adapts_is_filmed_and_compared(tmp_path, monkeypatch, capsys):
     assert "runs/hopper" not in capsys.readouterr().err
 
 
+def test_what_the_file_says_is_a_line_of_the_figure():
+    options = {"env": "tests.environments.cart:Cart", "length": 5}
+    setting = environment_setting(from_table(EnvironmentConfig, options, "env.toml"))
+    task = replace(task_of(setting), rollout=lambda key, policy, params: Told(policy.mean @ jnp.array([10.0, 1.0])))
+    # nominal: 1 kg of 0.5 to 2 (log), 0.4 N s/m of 0.1 to 2
+    assert at_nominal(task, options) == pytest.approx(10 * 0.5 + 0.3 / 1.9, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("text", "tells"),
     [
@@ -98,9 +116,6 @@ def test_a_sweep_goes_over_an_environment(tmp_path):
 
 @pytest.mark.parametrize("name", ["env.toml"])
 def test_examples_are_read(name):
-    from adaptsim_jax.core.config import from_table
-    from adaptsim_jax.environments.config import EnvironmentConfig
-
     table = read_env(ROOT / "examples" / name)
     setting = environment_setting(from_table(EnvironmentConfig, table["task"], name))
     assert set(setting.targets) == set(tomllib.loads((ROOT / "examples" / name).read_text())["targets"])
