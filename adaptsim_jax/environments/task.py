@@ -194,15 +194,25 @@ def network_acting(setting: Setting) -> Acting:
 
 
 def trained_in(
-    trainer: Trainer, key: jax.Array, learned: Any, worlds: Worlds, rounds: int, report: Callable = silent
+    trainer: Trainer,
+    key: jax.Array,
+    learned: Any,
+    worlds: Worlds,
+    rounds: int,
+    report: Callable = silent,
+    blind: float = 0.0,
 ) -> Any:
-    """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that progress shows."""
+    """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that progress shows.
+
+    blind: for this share of the rounds, the first, no world is told.
+    """
     begin_key, key = jax.random.split(key)
     state = trainer.begin(begin_key, learned)
     size = max(n for n in range(1, min(CHUNK, rounds) + 1) if rounds % n == 0)  # one compiled program serves all of it
     last = float("nan")
     for done in range(size, rounds + 1, size):
-        state, info = trainer.train(key, state, worlds, size)
+        known = worlds.known if done > blind * rounds else jnp.zeros(())
+        state, info = trainer.train(key, state, worlds._replace(known=known), size)
         episodes = np.asarray(info.episode)
         last = float(np.nanmean(episodes)) if np.isfinite(episodes).any() else last
         report(done, rounds, f"training the policy, return {last:.4g}")

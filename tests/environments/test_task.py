@@ -17,8 +17,8 @@ from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.rollout import Steps, look
-from adaptsim_jax.environments.task import Law, environment_task, everywhere, setting_of, task_of
-from adaptsim_jax.environments.trainer import PPOTraining
+from adaptsim_jax.environments.task import Law, environment_task, everywhere, setting_of, task_of, trained_in
+from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo, Worlds
 from adaptsim_jax.learners.ppo import PPOHyper
 from tests.environments.cart import Cart, State
 
@@ -50,6 +50,22 @@ def test_training_makes_the_policy_better_and_says_how_far_it_is(made):
     # standing still 0.5 m off earns exp(-2.5) a step; at the middle a step is worth 1
     assert before < 4.0 and after > 10.0
     assert said[-1][0] == said[-1][1] == SMALL.training.rounds
+
+
+def test_worlds_are_not_told_while_training_is_blind():
+    told = []
+
+    def train(key, state, worlds, rounds):
+        told.extend([float(worlds.known)] * rounds)
+        return state, TrainerInfo(*[jnp.zeros(rounds)] * 4)
+
+    trainer = Trainer(None, lambda key, learned: learned, train, lambda state: state, None, None)  # type: ignore[arg-type]
+    worlds = Worlds(jnp.zeros(1), jnp.ones(1), jnp.ones(()), jnp.zeros(0))
+    trained_in(trainer, jax.random.key(0), (), worlds, 40, blind=0.5)
+    assert told == [0.0] * 20 + [1.0] * 20
+    told.clear()
+    trained_in(trainer, jax.random.key(0), (), worlds, 40)
+    assert told == [1.0] * 40
 
 
 def test_one_program_trains_at_all_rates_and_lengths():
