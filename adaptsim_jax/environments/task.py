@@ -29,6 +29,7 @@ from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Preparation, Task
 
 PAIRS, CHUNK = 512, 10
+BLIND = 0.5  # of training, at its start: told E at once, a policy stops at worse ways to swing up than one that is told nothing
 LEAST_SPREAD = 0.02  # of a target's best return: policies that differ by less are told apart by luck alone
 
 
@@ -145,7 +146,15 @@ def task_of(setting: Setting) -> Task:
 def _digest(setting: Setting) -> str:
     """Of all that what is learned depends on: the model, the environment's own code, Omega, how it is trained and shown."""
     config, space = setting.config, setting.space
-    told = (space, setting.sim.length, config.training, config.policy == "planned", config.planner, config.components)
+    told = (
+        space,
+        setting.sim.length,
+        config.training,
+        config.policy == "planned",
+        config.planner,
+        config.components,
+        BLIND,
+    )
     found = hashlib.sha256(repr((*told, config.env, config.options)).encode())
     if setting.sim.native is not None:
         size = mujoco.mj_sizeModel(setting.sim.native)
@@ -234,7 +243,7 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
     if setting.config.policy != "planned":
         learned = setting.trainer.init(init_key)
         rounds = setting.config.training.rounds
-        learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), rounds, report)
+        learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND)
     acting = acting_of(setting, learned)
     policy_of = policies_of(setting, learned)
 

@@ -49,7 +49,7 @@ class PPOHyper:
     discount: float = 0.99
     trace: float = 0.95
     clip: float = 0.2
-    entropy: float = 1e-3
+    entropy: float = 1e-2
     value: float = 0.5
     max_grad_norm: float = 1.0
 
