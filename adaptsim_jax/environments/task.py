@@ -231,7 +231,7 @@ def trained_in(
 def everywhere(setting: Setting, known: bool = True) -> Worlds:
     """All of Omega, told to the policy or not (UDR)."""
     D = setting.space.dim
-    return Worlds(jnp.zeros(D), jnp.ones(D), jnp.asarray(float(known)), jnp.zeros(0))
+    return Worlds(jnp.zeros(D), jnp.ones(D), jnp.asarray(known, jnp.float32), jnp.zeros(0))
 
 
 def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> Prepared:

@@ -18,7 +18,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.rollout import Steps, look
 from adaptsim_jax.environments.task import Law, environment_task, everywhere, setting_of, task_of, trained_in
-from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo, Worlds
+from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper
 from tests.environments.cart import Cart, State
 
@@ -53,16 +53,18 @@ def test_training_makes_the_policy_better_and_says_how_far_it_is(made):
 
 
 def test_worlds_are_not_told_while_training_is_blind():
-    told = []
+    told, kinds = [], set()
 
     def train(key, state, worlds, rounds):
         told.extend([float(worlds.known)] * rounds)
+        kinds.add(tuple(map(jax.typeof, worlds)))
         return state, TrainerInfo(*[jnp.zeros(rounds)] * 4)
 
     trainer = Trainer(None, lambda key, learned: learned, train, lambda state: state, None, None)  # type: ignore[arg-type]
-    worlds = Worlds(jnp.zeros(1), jnp.ones(1), jnp.ones(()), jnp.zeros(0))
+    worlds = everywhere(setting_of(Cart(), SMALL))
     trained_in(trainer, jax.random.key(0), (), worlds, 40, blind=0.5)
     assert told == [0.0] * 20 + [1.0] * 20
+    assert len(kinds) == 1  # a program for each would be compiled
     told.clear()
     trained_in(trainer, jax.random.key(0), (), worlds, 40)
     assert told == [1.0] * 40
