@@ -61,6 +61,8 @@ REWARD = "normalized reward (0 UDR, 1 best in Ω)"
 
 def reward_of(results, long: bool = False) -> str:
     """What the rewards of `results` are: in the task's own unit, or normalised as the pendulum's."""
+    if "trials_axis" in results and not long:
+        return "normalized return (0 UDR, 1 oracle or best in Ω)"
     if "reward" in results:
         return f"Reward ({results['reward']}; oracle: {results['oracle']})" if long else "reward"
     return "Normalized reward (0 UDR, 1 best in Omega, not clipped)" if long else REWARD
@@ -68,7 +70,7 @@ def reward_of(results, long: bool = False) -> str:
 
 def least(results) -> float:
     """Where axes of rewards begin: normalised ones go below 0, a task's own do not."""
-    return -0.02 if "reward" in results else -0.4
+    return -0.02 if "reward" in results and "trials_axis" not in results else -0.4
 
 
 def one_seed(rows) -> bool:

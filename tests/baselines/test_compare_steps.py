@@ -10,6 +10,7 @@ from adaptsim_jax.baselines.compare import stamped
 from adaptsim_jax.baselines.compare_steps import Deployed, bounds_of, deployed_of, rows_of
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import Trip
+from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.comparison import write_comparison
 
 
@@ -64,6 +65,7 @@ def test_returns_are_normalised_between_udr_and_the_oracle_and_written(tmp_path)
     paths = write_comparison(results, tmp_path)
     assert {p.name for p in paths} >= {"results.json", "table.md", "reward_over_iterations.png", "report.html"}
     assert "AdaptSim" in (tmp_path / "table.md").read_text()
+    assert look.least(results) < -0.2 and "0 UDR" in look.reward_of(results)  # what is below UDR is seen to be
 
 
 def test_where_udr_is_as_good_as_the_oracle_nothing_is_blown_up():
