@@ -99,6 +99,7 @@ TASKS: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 STEPS = {"cartpole": 6_000_000, "pendulum": 3_000_000, "arm": 6_000_000}  # of PPO; Playground's tasks 20 million
+LEAST = -2.0  # of the figure's axis: what is worse than UDR by more is in the table alone
 SMALL = {"steps": 4_096_000}  # of 1 million a policy for the own cart-pole earns half of what more steps do
 
 
@@ -185,7 +186,7 @@ def show(out: Path) -> list[Path]:
     write_json(out / "results.json", {"budgets": BUDGETS, "rows": table})
     tasks = list(dict.fromkeys(r["task"] for r in table))
     figure, axes = look.new_figure(max(3.0 * len(tasks) + 1.2, 5.4), 3.6, 1, max(len(tasks), 1), sharey=True)
-    text = []
+    text, lowest = [], 0.0
     for ax, task in zip(axes, tasks, strict=False):
         text += [f"\n{task}\n\n| method | {' | '.join(map(str, BUDGETS))} |", f"| --- |{' --- |' * len(BUDGETS)}"]
         for method in METHODS:
@@ -197,13 +198,14 @@ def show(out: Path) -> list[Path]:
             if any(m is not None for m in means):
                 text.append(f"| {look.label(method)} | {' | '.join('' if m is None else f'{m:.2f}' for m in means)} |")
                 drawn = [(b, m) for b, m in zip(BUDGETS, means, strict=True) if m is not None]
+                lowest = min([lowest, *[m for _, m in drawn]])
                 ax.plot(
                     *zip(*drawn, strict=True), marker="o", markersize=3, label=look.label(method), **look.style(method)
                 )
         look.quiet(ax)
         ax.set_title(task, fontsize=9)
         ax.set_xlabel("target trials")
-        ax.set_ylim(-0.5, 1.1)
+    axes[0].set_ylim(max(lowest - 0.1, LEAST), 1.1)
     axes[0].set_ylabel("return (0 UDR, 1 oracle)")
     handles, labels = axes[0].get_legend_handles_labels()
     columns = 3 if len(tasks) < 2 else 4
