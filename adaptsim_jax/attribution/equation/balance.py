@@ -223,7 +223,9 @@ def force_of(balance: Balance, values: Values, effect: Effect, p: Mapping[str, n
     return (command_force if effect.place == "command" else effect_force)(balance, values, effect, p)
 
 
-def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
+def residual(
+    problem: Problem, balance: Balance, vector: Vector, acts: tuple[np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
     """Force that is missing [K, n]: what the motion takes less all that acts, at the values of a vector; of an actuator that does less
     than it was told, in terms of what it was told.
 
@@ -241,8 +243,8 @@ def residual(problem: Problem, balance: Balance, vector: Vector) -> np.ndarray:
     gravity = values.gravity[:, 0] - np.asarray(group.model.tree.gravity)
     if np.any(gravity):
         takes = takes - tilting(balance, inertial, gravity)
-    acts, share = acting(balance, values)
-    return (takes - acts) / share
+    force, share = acting(balance, values) if acts is None else acts
+    return (takes - force) / share
 
 
 def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:

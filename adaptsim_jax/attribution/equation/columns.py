@@ -1,6 +1,7 @@
 """What each parameter does to the balance of forces: a column of mean force in the windows, linear in amplitudes."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class Table:
 
     def missing(self) -> np.ndarray:
         """Force that is missing [K, n]."""
-        return self._kept("missing", lambda: residual(self.problem, self.balance, self.vector))
+        return self._kept("missing", lambda: residual(self.problem, self.balance, self.vector, self._acting()))
 
     def of(self, entry: Entry, shape: Mapping[str, float] | None = None) -> np.ndarray:
         """Column [K, n] of an entry, at the shapes of a candidate where it is one's."""
@@ -152,13 +153,13 @@ class Table:
         here = {k: z[:, 0] for k, z in self.values.effects[effect.name].items()}
         own = np.isin(self.balance.group.joints, entry.joints)
         act = lambda p: force_of(self.balance, self.values, effect, p)
-        now, share = self._kept((effect.name, "now"), lambda: act(here)), self._kept("share", self._share)
+        now, share = self._kept((effect.name, "now"), lambda: act(here)), self._acting()[1]
         return (act(here | {entry.name: here[entry.name] + size * own}) - now) / size / share
 
-    def _share(self) -> np.ndarray:
-        return acting(self.balance, self.values)[1]
+    def _acting(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._kept("acting", lambda: acting(self.balance, self.values))
 
-    def _kept(self, key: Hashable, make: Callable[[], np.ndarray]) -> np.ndarray:
+    def _kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
