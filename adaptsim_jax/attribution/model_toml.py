@@ -95,7 +95,8 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             continue
         if name not in known:
             raise BadInput(
-                f"{path}: effects[{k}].name = {name!r} is no effect of a mechanism; {config.suggest(str(name), known)}"
+                f"{path}: effects[{k}].name = {name!r} is no effect of a mechanism; {config.suggest(str(name), known)}, "
+                "or install the package whose effect it is"
             )
         if joint not in joints:
             raise BadInput(

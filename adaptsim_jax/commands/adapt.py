@@ -71,8 +71,10 @@ def run(args: argparse.Namespace) -> int:
     if folder.task in ROBOT:
         next_step(f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot")
     else:
-        word = "env.toml" if folder.task == "environment" else folder.task
-        next_step(f"compare {word} --out compared    against other methods")
+        word, which = (
+            ("FILE.toml", ", FILE.toml the one that was trained") if folder.task == "environment" else (folder.task, "")
+        )
+        next_step(f"compare {word} --out compared    against other methods{which}")
     return 0
 
 

@@ -134,7 +134,7 @@ def _brief(effects: list[dict[str, Any]]) -> None:
 
 
 def _show(effect: dict[str, Any]) -> None:
-    from adaptsim_jax.effects.base import UNITS
+    from adaptsim_jax.effects.base import exponents
 
     where = "at each joint" if effect["scope"] == "joint" else f"at the {effect['scope']}"
     print(
@@ -146,7 +146,7 @@ def _show(effect: dict[str, Any]) -> None:
     if effect["formula"]:
         print(f"  formula      {effect['formula']}")
     for p in effect["parameters"]:
-        torques, times = UNITS[p["unit"]]
+        torques, times = exponents(p["unit"]) or (0, 0)
         scaled = " times the torque scale" if torques else ""
         slow = ", wider for joints slower than 1 rad/s" if torques and times > 0 else ""
         bounds = f"{p['low']:g} to {p['high']:g}{scaled}{slow}"

@@ -62,7 +62,9 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
             thing = point.load()
         except Exception as error:
             why = " ".join(f"{error.__class__.__name__}: {error}".split())
-            raise BadInput(f"entry point {point.name} = {point.value} of {self.group} does not load: {why}") from error
+            raise BadInput(
+                f"entry point {point.name} = {point.value} of {self.group} does not load: {why}; mend or uninstall it"
+            ) from error
         if self.type and self.type not in {c.__name__ for c in thing.__class__.__mro__}:
             raise BadInput(
                 f"entry point {point.name} = {point.value} of {self.group} is a {thing.__class__.__name__}, not a {self.type}; "

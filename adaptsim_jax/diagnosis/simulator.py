@@ -100,6 +100,11 @@ def check_simulator(simulator: Simulator) -> None:
     one, two = (np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2))
     if one.shape != shape:
         raise BadInput(f"simulator: predict gives shape {one.shape}; {shape} is wanted (stretches, rows, channels)")
+    gone = np.flatnonzero(~np.isfinite(np.where(s.seen > 0, one, 0.0)).all((1, 2)))
+    if len(gone) == s.count:
+        raise BadInput(
+            "simulator: predict gives no finite numbers of any stretch at neutral values; is a start or a unit wrong?"
+        )
     if not np.array_equal(one, two, equal_nan=True):
         raise BadInput(
             "simulator: predict gives two answers to one question; fix its seed, or pass its state as a start"

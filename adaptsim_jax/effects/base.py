@@ -5,6 +5,7 @@ one pure function is written elementwise on arrays, so the same lines serve one 
 frees parameters of the *model* itself (which way gravity pulls, a body's inertia) and has no function.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -27,12 +28,21 @@ OF_A_SLIDE = {
     "N m s^2/rad^2": "N s^2/m^2", "kg m^2": "kg", "N m s": "N s", "rad/(N m)": "m/N",
 }  # fmt: skip
 """The units of a joint that slides, where those of one that turns are written."""
+OF_SPEED = re.compile(r"N m s\^([1-9])/rad\^\1")  # a torque by a power of the speed
 SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motion could do
 
 
 def unit_at(unit: str, kind: str) -> str:
     """A parameter's unit at a joint of that kind, `hinge` or `slide`."""
+    if power := OF_SPEED.fullmatch(unit):
+        return f"N s^{power[1]}/m^{power[1]}" if kind == "slide" else unit
     return OF_A_SLIDE.get(unit, unit) if kind == "slide" else unit
+
+
+def exponents(unit: str) -> tuple[int, int] | None:
+    """Exponents (torque, time) of a unit (`UNITS`); None where it is unknown."""
+    power = OF_SPEED.fullmatch(unit)
+    return (1, int(power[1])) if power else UNITS.get(unit)
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,7 @@ class Parameter:
     def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s, `speed` rad/s, those of what makes
         a torque of its motion (a drag) are as much wider as it takes for the same torque."""
-        torques, times = UNITS[self.unit]
+        torques, times = exponents(self.unit) or (0, 0)
         slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0) if torques else 1.0
         return self.low * torque**torques * slow, self.high * torque**torques * slow
 
@@ -189,8 +199,9 @@ class Effect:
         if self.scope not in ("joint", "base"):
             raise BadInput(f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'")
         for p in self.parameters:
-            if p.unit not in UNITS:
-                raise BadInput(f"effect {self.name}: unit {p.unit!r} is unknown; use one of {', '.join(UNITS)}")
+            if exponents(p.unit) is None:
+                known = f"{', '.join(UNITS)}, N m s^K/rad^K"
+                raise BadInput(f"effect {self.name}: unit {p.unit!r} is unknown; use one of {known}")
         if not any(p.off is not None for p in self.parameters):
             raise BadInput(f"effect {self.name}: no parameter turns it off; give one an off value")
 

@@ -100,6 +100,9 @@ def test_what_is_no_simulator_is_refused_in_one_line():
         "a name twice": {"quantities": (*tanks.quantities, tanks.quantities[0])},
         "too few": {"stretches": tanks.stretches.of(np.arange(2))},
         "row 3, channel level_2 is not finite": {"stretches": replace(tanks.stretches, measured=hole)},
+        "no finite numbers": {
+            "predict": lambda v, s, w: np.full((len(w), *tanks.stretches.measured.shape[1:]), np.nan)
+        },
         "two answers": {"predict": lambda v, s, w: np.random.default_rng().normal(size=(len(w), 30, 2))},
     }
     for words, change in spoilt.items():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.effects.base import UNITS, Dry, Effect, Motion, Parameter, Reach, Relaxation
+from adaptsim_jax.effects.base import UNITS, Dry, Effect, Motion, Parameter, Reach, Relaxation, exponents, unit_at
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue
 
@@ -210,3 +210,10 @@ def test_what_was_commanded_before_the_recording_fades():
             np.testing.assert_allclose(held, u, rtol=1e-9)
             assert abs(float((held - fresh)[:-1].sum() * 5e-3) - 2.0 * size) < 1e-9  # the impulse that is missing
             np.testing.assert_allclose(fresh[60:], u[60:], rtol=1e-9)
+
+
+def test_a_torque_by_any_power_of_the_speed_has_a_unit():
+    cubic = Parameter("c", "N m s^3/rad^3", 0.0, 2.0, 0.0)
+    assert exponents(cubic.unit) == (1, 3) and unit_at(cubic.unit, "slide") == "N s^3/m^3"
+    assert cubic.bounds(10.0, 0.5) == (0.0, 2.0 * 10.0 * 8.0)
+    assert exponents("N m s^3/rad^2") is None and exponents("lbf") is None
