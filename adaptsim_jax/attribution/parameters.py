@@ -51,6 +51,11 @@ class Entry:
     def key(self) -> tuple[str, str, tuple[int, ...]]:
         return self.owner, self.name, self.joints
 
+    def at_bound(self, value: float, share: float) -> bool:
+        """Whether a value lies at an end of the range (within a share of it) that is neither where it is off nor where it began."""
+        near = lambda end: bool(np.isfinite(end)) and abs(value - end) <= share * abs(end)
+        return near(self.high) or (self.low < min(self.off, self.start) and near(self.low))
+
 
 @dataclass(frozen=True)
 class Vector:

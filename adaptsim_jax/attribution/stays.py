@@ -28,6 +28,8 @@ def why_not(
         return f"takes less than {100 * least:.0f} % off the squared error"
     if steady < criteria.steady:
         return f"its size differs between trials: {steady:.1f} times its scatter"
+    if _at_bound(problem, model, c, criteria):
+        return "its value is at the end of what such a machine may have"
     if _too_short(problem, model, c, criteria):
         return f"a shift in time of less than {criteria.least_shift:g} sampling intervals: how rows are read, not an effect"
     if _trifling(model, c, criteria):
@@ -91,6 +93,15 @@ def in_step(problem: Problem, entries: Sequence[Entry], values: np.ndarray, crit
     shift = criteria.least_shift * problem.reach.dt
     rotors = [(abs(at[e.key] - e.off), min(damping[j] for j in e.joints)) for e in entries if e.owner == "armature"]
     return len(rotors) > 1 and all(heavier < shift * damps for heavier, damps in rotors)
+
+
+def _at_bound(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+    """Whether an amplitude of it lies at an end of its range."""
+    keys = {e.key for e in c.entries if e.name in {a.name for a in problem.effect(c.effect).amplitudes}}
+    vector = model.fit.vector
+    return any(
+        e.key in keys and e.at_bound(z, criteria.bound) for e, z in zip(vector.entries, vector.values, strict=True)
+    )
 
 
 def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:

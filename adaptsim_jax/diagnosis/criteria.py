@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 TELLS = (
     0.35  # skill against what needs no model, from which on a model tells one thing from another, and is worth using
 )
@@ -51,6 +53,7 @@ class Criteria:
         parameters then has the name.
     alike: share of what an effect gains (in logarithms) by which an alternative may be worse all the same.
     steady: an effect's size over its scatter between folds, of mechanisms with all else held.
+    bound: share of the end of a value's range within which it lies at it; an effect there is not named: it wants what no machine has.
     least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
     within_row: of the log's sampling interval; commands that act this much early at most, at all joints, changed between two rows
         (of a controller faster than its log): read so, not an effect.
@@ -58,6 +61,8 @@ class Criteria:
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they gain); the best is fitted whole.
+    behind: share of the loss by which a candidate may be worse at a glance than the best one and still be fitted.
+    matters: of the size that matters of a quantity (its scale); an effect that changes all of its quantities by less is no name.
     apart: share of the held-out loss by which a model that is only compared must be worse for its fit to end early.
     explained: held-out error over the noise floor up to which nothing is left to explain.
     quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0: always goes on.
@@ -81,6 +86,7 @@ class Criteria:
     gap: float = 0.02
     alike: float = 0.1
     steady: float = 3.0
+    bound: float = 1e-6
     least_shift: float = 0.25
     within_row: float = 0.6
     least_change: float = 0.1
@@ -88,6 +94,8 @@ class Criteria:
     tried: int = 4
     rounds: int = 12
     glance: int = 2
+    behind: float = np.inf
+    matters: float = 0.0
     apart: float = 0.3
     explained: float = 1.5
     quiet: float = 0.0

@@ -48,7 +48,9 @@ class Problem:
     values a fit is begun again where it leaves structure, for there are minima close by. What each trial has of its own (where it
     started) is the task's: it fits it
     inside of `residuals`, and takes out of `columns` what it would take up. fold `[T]`: trials that are left out together (each by
-    itself where None); block `[T]`: trials that stand together in a paired test (likewise).
+    itself where None); block `[T]`: trials that stand together in a paired test (likewise). anew: told of values `[P]` that a search
+    takes, so that starts which were found by other values are found anew. weight `[T]`: what `residuals` and `columns` are multiplied
+    by (1 where None).
     """
 
     quantities: tuple[Quantity, ...]
@@ -68,6 +70,8 @@ class Problem:
     again: tuple[str, ...] = ()
     fold: np.ndarray | None = None
     block: np.ndarray | None = None
+    anew: Callable[[np.ndarray], None] | None = None
+    weight: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "index", {q.name: i for i, q in enumerate(self.quantities)})

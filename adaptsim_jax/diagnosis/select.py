@@ -172,6 +172,23 @@ def steadiness(problem: Problem, model: Model, e: Candidate) -> float:
     return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))
 
 
+def at_bound(problem: Problem, model: Model, e: Candidate, criteria: Criteria) -> bool:
+    """Whether a quantity of an effect that is not a place lies at an end of its range that is not where it is neutral."""
+    for i in problem.at([q for q in e.quantities if all(q not in s for s in e.shapes)]):
+        q, value = problem.quantities[i], model.fit.values[i]
+        ends = [z for z in (q.low, q.high) if np.isfinite(z) and z != q.neutral]
+        if any(abs(value - z) <= criteria.bound * abs(z) for z in ends):
+            return True
+    return False
+
+
+def trifling(problem: Problem, model: Model, e: Candidate, criteria: Criteria) -> bool:
+    """Whether all that an effect does is to change numbers of the model by less than what matters of them."""
+    at = problem.at(e.quantities)
+    scale = np.array([problem.quantities[i].scale for i in at])
+    return bool(np.all(np.abs(model.fit.values[at] - problem.neutral[at]) < criteria.matters * scale))
+
+
 def select(
     problem: Problem, criteria: Criteria, say: Callable[[str], None] = lambda note: None, alike: bool = True
 ) -> Selection:
@@ -184,12 +201,25 @@ def select(
         better = _forward(problem, base, scores, criteria, refused, say)
         if better is None:
             break
-        base = better
+        base, null = _anew(problem, better, criteria), _again(problem, null)
         scores = scored(problem, base)
     final, named, bare = _judged(problem, base, criteria, refused, say, alike)
     # a declared fit reached by way of an effect may lie in a better minimum than the first
     null = min((null, *bare), key=lambda m: m.fit.loss)
     return Selection(null, final, named, tuple(opening), refused)
+
+
+def _anew(problem: Problem, model: Model, criteria: Criteria) -> Model:
+    """A model that was taken, fitted on with starts found anew."""
+    if problem.anew is None:
+        return model
+    problem.anew(model.fit.values)
+    return finished(problem, model.added, model.fit.values, criteria.rounds)
+
+
+def _again(problem: Problem, model: Model) -> Model:
+    """A model as it is, with starts and weights as they are now."""
+    return model if problem.anew is None else Model(model.added, completed(problem, model.fit.free, model.fit.values))
 
 
 def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> Model | None:
@@ -202,7 +232,7 @@ def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> 
     tries.sort(key=lambda t: t[1])
     best = None
     for values, loss, s in tries[: criteria.tried // 2]:
-        if best is not None and loss > (1.0 + criteria.apart) * tries[0][1]:
+        if best is not None and loss > (1.0 + criteria.behind) * tries[0][1]:
             break
         model = finished(problem, (*base.added, s.effect), values, criteria.rounds)
         test = paired(base.fit.held, model.fit.held, problem)
@@ -264,6 +294,8 @@ def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool
                 test.p > _level(criteria, test.parts, len(tests) - rank)
                 or test.gain < criteria.size
                 or steady < criteria.steady
+                or at_bound(problem, model, e, criteria)
+                or trifling(problem, model, e, criteria)
                 or quiet(problem, less, criteria)
                 or beyond(problem, less, model, criteria) < criteria.beyond
             ):
@@ -274,6 +306,8 @@ def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool
         refused[e.name] = (
             f"dropped: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}, size over scatter {steady:.1f}, "
             f"{100 * beyond(problem, less, model, criteria):.0f} % of what is beyond the noise"
+            f"{', its value is at its bound: widen the range' * at_bound(problem, model, e, criteria)}"
+            f"{', it changes less than what matters' * trifling(problem, model, e, criteria)}"
         )
         model = less
     named = tuple(

@@ -159,7 +159,8 @@ def predictions(simulator: Simulator, problem: Problem, model: Model) -> np.ndar
     """Outputs `[W, R, C]` of stretches that are predicted with what the others say, each from its best start."""
     noise = np.array([c.noise for c in simulator.channels])
     measured = np.nan_to_num(simulator.stretches.measured)
-    return measured - problem.residuals(model.fit.vectors).reshape(measured.shape) * noise
+    left = problem.residuals(model.fit.vectors).reshape(measured.shape)
+    return measured - (left if problem.weight is None else left / problem.weight[:, None, None]) * noise
 
 
 def _error(simulator: Simulator, both: Mapping[str, Model], tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:

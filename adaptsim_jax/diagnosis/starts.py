@@ -13,8 +13,11 @@ ROUNDS = 3  # of a start's fit from its anchor
 FRESH = 8  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
 SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
-DRAWS, LEFT = 12, 2.0  # of starts where fits are caught: those that leave so many times the noise
-FAR = 1.5  # times the usual error, beyond which a stretch counts less
+DRAWS, LEFT = 12, 1.3  # of starts where fits are caught: those that leave so many times the noise
+FAR, CAUGHT = (
+    (1.5, 1),
+    (1.25, 4),
+)  # times the usual error, beyond which a stretch counts less, by which power; of a model with names
 KEPT = 6  # points that are remembered with all their columns
 NEAR, NEAR_STARTS = 0.3, 1.0  # of a quantity's scale, within which columns, and slopes by starts, are not taken anew
 
@@ -113,6 +116,13 @@ class Linearised:
         away = [np.square((p.values - values) / self.scale).sum() for p in self.points]
         return self.points[int(np.argmin(away))]
 
+    def anew(self, values: np.ndarray) -> None:
+        """Find starts anew at values `[P]` from those of the nearest point: with what a model lacked others were caught at."""
+        if self.simulator.stretches.start.shape[1]:
+            self.points.append(anchored(self.simulator, values, self.near(values).starts))
+            del self.points[1 : max(1, len(self.points) - KEPT)]
+            self.weight[:] = weights(self.simulator, values, self.points[-1].starts, *CAUGHT)
+
     def residual(self, values: np.ndarray) -> np.ndarray:
         """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from there or from their first guess."""
         point, s = self.near(values.mean(0)), self.simulator.stretches
@@ -169,9 +179,7 @@ def problem_of(
     s, quantities = simulator.stretches, simulator.quantities
     neutral = np.array([q.neutral for q in quantities])
     anchor = anchored(simulator, neutral)
-    left = np.square(residuals(simulator, np.tile(neutral, (s.count, 1)), anchor.starts, np.arange(s.count)))
-    size = np.sqrt(left.sum(1) / np.maximum((s.seen > 0).sum((1, 2)), 1))
-    weight = 1.0 / np.maximum(size / max(FAR * float(np.median(size)), 1.0), 1.0)
+    weight = weights(simulator, neutral, anchor.starts, *FAR)
     around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
     fold, block, _ = folds_of(s.trial, s.names)
     wanted = tuple(simulator.candidates if candidates is None else candidates)
@@ -180,14 +188,26 @@ def problem_of(
     return Problem(
         quantities, tuple(simulator.declared), wanted, around.residual, around.columns,
         free, tuple(s.names[t] for t in s.trial), neutral[None] if begun is None else begun, channels=len(simulator.channels),
-        fold=fold, block=block,
+        fold=fold, block=block, anew=around.anew, weight=weight,
     )  # fmt: skip
 
 
-def anchored(simulator: Simulator, values: np.ndarray) -> Point:
-    """Starts fitted from their first guesses with values `[P]`: each slope is used for a few steps before it is taken anew."""
+def weights(simulator: Simulator, values: np.ndarray, starts: np.ndarray, far: float, power: float) -> np.ndarray:
+    """Weights `[W]` of stretches by what they leave: less than 1 for those that leave more than `far` times the usual."""
     s = simulator.stretches
-    starts, by_start = s.start.copy(), np.zeros((s.count, s.measured[0].size, s.start.shape[1]))
+    left = np.square(residuals(simulator, np.tile(values, (s.count, 1)), starts, np.arange(s.count)))
+    size = np.sqrt(left.sum(1) / np.maximum((s.seen > 0).sum((1, 2)), 1))
+    return np.maximum(size / max(far * float(np.median(size)), 1.0), 1.0) ** -power
+
+
+def anchored(simulator: Simulator, values: np.ndarray, begun: np.ndarray | None = None) -> Point:
+    """Starts fitted from `begun [W, S]` (their first guesses where None) with values `[P]`: each slope is used for a few steps before
+    it is taken anew."""
+    s = simulator.stretches
+    starts, by_start = (
+        (s.start if begun is None else begun).copy(),
+        np.zeros((s.count, s.measured[0].size, s.start.shape[1])),
+    )
     on, rows, none = np.arange(s.count), np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
     before = np.square(residuals(simulator, rows, starts, on)).sum(1)
     draw, shaken = np.random.default_rng(0).standard_normal, False

@@ -30,7 +30,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
         joints=1,
         floor=np.full(2, floor),
         least=least,
-        effect=lambda name: SimpleNamespace(describes=describes),
+        effect=lambda name: SimpleNamespace(describes=describes, amplitudes=(SimpleNamespace(name="delay"),)),
     )
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
@@ -46,6 +46,8 @@ def test_what_holds_out_stays():
         ({"test": Paired(0.4, 0.2, 4, 6, 24)}, "do not confirm"),
         ({"test": Paired(0.005, 0.0001, 6, 6, 24)}, "less than 1 %"),
         ({"steady": 1.2}, "1.2 times its scatter"),
+        ({"delay": 0.1}, "at the end of what such a machine may have"),
+        ({"delay": -0.1}, "at the end of what such a machine may have"),
         ({"angles": 1.1}, "do not come nearer"),
         ({"angles": 0.97}, "less than 10 % off the squared error of any joint"),
         ({"angles": 0.9, "floor": 1.5}, "less than 10 % off the squared error of any joint"),
@@ -68,7 +70,7 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
     )
     problem: Any = SimpleNamespace(
         reach=SimpleNamespace(dt=DT, torque=np.array([1.0])), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor), least=0.0,
-        effect=lambda name: SimpleNamespace(describes=False),
+        effect=lambda name: SimpleNamespace(describes=False, amplitudes=()),
     )  # fmt: skip
     candidate = Candidate("presliding", (0,), "joint", (entry,))
     why = why_not(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())

@@ -56,6 +56,32 @@ def test_five_trials_can_show_an_effect_at_any_level_if_all_are_better():
     assert 0.01 < named.test.p < 0.05
 
 
+def test_an_effect_at_its_bound_is_not_named_and_says_so():
+    lacks = problem((0.7, 0.0, 0.8, 0.0))
+    narrow = replace(
+        lacks, quantities=(*lacks.quantities[:2], replace(lacks.quantities[2], high=0.5), lacks.quantities[3])
+    )
+    found = select(narrow, Criteria())
+    assert not found.named and "at its bound" in found.refused["c"]
+    endless = replace(lacks, quantities=tuple(replace(q, low=-np.inf, high=np.inf) for q in lacks.quantities))
+    assert [n.effect.name for n in select(endless, Criteria()).named] == ["c"]
+
+
+@pytest.mark.parametrize(("matters", "names"), [(0.5, ["c"]), (9.0, [])])
+def test_what_changes_less_than_matters_is_not_named(matters, names):
+    """0.8 is eight times the scale of 0.1."""
+    found = select(problem((0.7, 0.0, 0.8, 0.0)), Criteria(matters=matters))
+    assert [n.effect.name for n in found.named] == names
+    assert names or "less than what matters" in found.refused["c"]
+
+
+def test_a_model_that_is_taken_is_fitted_on_with_starts_found_anew():
+    told = []
+    lacks = replace(problem((0.7, 0.0, 0.8, 0.0)), anew=told.append)
+    (named,) = select(lacks, Criteria()).named
+    assert named.effect.name == "c" and len(told) == 1 and abs(told[0][2] - 0.8) < 0.2
+
+
 def test_two_effects_that_do_the_same_are_told_as_a_class():
     found = select(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
     (named,) = found.named

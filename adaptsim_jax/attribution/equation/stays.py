@@ -7,7 +7,7 @@ import numpy as np
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import Compared, Solved
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.diagnosis.criteria import TorqueCriteria
+from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 
 
 def level_of(p: Sequence[float], own: TorqueCriteria) -> float:
@@ -62,11 +62,6 @@ def steadiness(whole: Solved, c: Candidate) -> float:
     return float(np.max(np.abs(whole.step[at]) / np.maximum(whole.error[at], 1e-300)))
 
 
-def at_bound(whole: Solved, c: Candidate) -> bool:
-    at = _numbers(whole, c)
-    value = np.array([whole.entries[i].start for i in at]) + whole.step[at]
-    ends = lambda i, z: (
-        abs(z - (e := whole.entries[i]).high) < 1e-6 * abs(e.high)
-        or (e.low < min(e.off, e.start) and abs(z - e.low) < 1e-6 * abs(e.low))
-    )
-    return any(ends(i, z) for i, z in zip(at, value, strict=True))
+def at_bound(whole: Solved, c: Candidate, share: float = Criteria.bound) -> bool:
+    entries = [(whole.entries[i], whole.step[i]) for i in _numbers(whole, c)]
+    return any(e.at_bound(e.start + step, share) for e, step in entries)

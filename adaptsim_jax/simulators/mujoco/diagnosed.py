@@ -38,8 +38,9 @@ DIFF = 0.1  # of a quantity's scale, by which its derivative is taken
 WILD = 1e9  # of a derivative over the noise: what runs away
 FLOOR = 1e-6  # rad, m: least noise, of a log without any
 TURNED, SPED = 1e-2, 0.1  # rad (m) and rad/s (m/s) of a start
-SHORT = Criteria(rounds=4, glance=1, confidence=0.025)
-"""Where a base moves a round is dear: fits are short; and what they leave of single contacts is not to be named."""
+SHORT = Criteria(rounds=4, glance=1, confidence=0.025, behind=0.3, matters=0.5)
+"""Where a base moves a round is dear: fits are short; and what they leave of single contacts is not to be named: a gain had friction
+of 1.03 times the file's beside it, for another number frees starts that are caught."""
 ONE_AT_A_TIME = Lock()  # MuJoCo's pool of threads is one for all
 
 
