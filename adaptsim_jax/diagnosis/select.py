@@ -206,6 +206,8 @@ def select(
     final, named, bare = _judged(problem, base, criteria, refused, say, alike)
     # a declared fit reached by way of an effect may lie in a better minimum than the first
     null = min((null, *bare), key=lambda m: m.fit.loss)
+    if named:
+        final, null = _anew(problem, final, criteria), _again(problem, null)
     return Selection(null, final, named, tuple(opening), refused)
 
 

@@ -40,7 +40,7 @@ def diagnose_simulator(
 
     Args:
         simulator: what predicts, and what was measured (`diagnosis.simulator.Simulator`).
-        out: folder for `report.json`, its page and `model.toml`; None: nothing is written.
+        out: folder for `report.json`, its page, `model.toml` and what the simulator writes of its own; None: nothing is written.
         criteria: what counts as an effect. exclude: names of candidates that are not considered.
         progress: told of `(done, total, note)`; page: writes the report and its page, a plain `report.json` where None.
         proposals: by name, the same simulator over stretches that could be run (what is measured in them does not matter): the report
@@ -65,7 +65,9 @@ def diagnose_simulator(
     report = check(report)
     if folder is not None:
         model = lambda: config.dumps(model_table(problem, found, name))
-        write_all(folder, report, evidence, page or plain, {rows.MODEL: model})
+        values = {q.name: float(z) for q, z in zip(problem.quantities, found.final.fit.values, strict=True)}
+        mended = getattr(simulator, "mended", lambda values: {})
+        write_all(folder, report, evidence, page or plain, {rows.MODEL: model, **mended(values)})
     return report
 
 

@@ -56,7 +56,11 @@ class Stretches:
 
 
 class Simulator(Protocol):
-    """What is asked of a simulator. declared: names of quantities that are fitted whatever is found."""
+    """What is asked of a simulator. declared: names of quantities that are fitted whatever is found.
+
+    Optional: `linearise` (see the function of that name), and `mended(values) -> {file name: what makes its text}` of quantities by
+    name: files of the simulator's own that a diagnosis leaves beside `model.toml`.
+    """
 
     @property
     def quantities(self) -> tuple[Quantity, ...]: ...

@@ -124,13 +124,17 @@ class Linearised:
             self.weight[:] = weights(self.simulator, values, self.points[-1].starts, *CAUGHT)
 
     def residual(self, values: np.ndarray) -> np.ndarray:
-        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from there or from their first guess."""
+        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from the best of its own, those of the
+        last point, and their first guess: else a model is better than another by where its starts were sought."""
         point, s = self.near(values.mean(0)), self.simulator.stretches
         starts = point.starts.copy()
         if starts.shape[1]:
             loss = lambda x: np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
-            other = loss(s.start) < loss(starts)
-            starts[other] = s.start[other]
+            least = loss(starts)
+            for begun in (s.start, self.points[-1].starts):
+                now = loss(begun)
+                other = now < least
+                starts[other], least = begun[other], np.minimum(least, now)
         return settle(self.simulator, values, starts, ROUNDS, None, point.slope).residual * self.weight[:, None]
 
     def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
+from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.coarse import change, halved, told
@@ -28,6 +29,11 @@ def noisy(folder, size: float, columns: slice):
     return folder
 
 
+def replay_error(model, data) -> float:
+    """rad: of a model file over a recording, the worst joint."""
+    return float(np.max(np.median(replay_files(str(model), str(data), simulator="mujoco").error, 0)))
+
+
 def swung(folder, **truth):
     own = {"damping": 0.1, "mass": 0.5, "kp": 30}
     texts = ARM.format(**own), ARM.format(**own | truth)
@@ -43,9 +49,12 @@ def test_a_payload_is_named_and_its_size_found(tmp_path):
     (effect,) = report["effects"]
     assert effect["name"] == "payload at lower" and report["error"]["after"] < 1.2
     assert effect["parameters"]["body:lower.mass"]["value"] == pytest.approx(0.6, rel=0.02)
-    assert (tmp_path / "out" / "report.html").exists() and "payload at lower" in (
-        tmp_path / "out" / "model.toml"
-    ).read_text()
+    out = tmp_path / "out"
+    assert (out / "report.html").exists() and "payload at lower" in (out / "model.toml").read_text()
+    mended = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
+    assert mended.body("lower").mass[0] == pytest.approx(0.6, rel=0.02)
+    before, after = (replay_error(path, data) for path in (data / "model.xml", out / "model.xml"))
+    assert after < 0.2 * before
 
 
 def test_an_arm_that_is_as_its_file_has_it_lacks_nothing(tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.simulators.mujoco.acting import WIND
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.catalogue import Row, row
-from adaptsim_jax.simulators.mujoco.fields import GROUND, Field, field, grounds
+from adaptsim_jax.simulators.mujoco.fields import CONTACT, GROUND, Field, field, grounds
 
 WIDE = (0.7, 1.4)  # of what the file has
 SLOPE, WAYS = 0.04, np.arange(8) * np.pi / 4  # rad: of a ground that is not level, and where it may fall
@@ -46,18 +46,20 @@ def _tried_at(made: Row, sizes: Sequence[dict[str, float]]) -> Row:
 
 
 def _effective(model: mujoco.MjModel, touch: list[int]) -> list[int]:
-    """Geoms of the bodies furthest out, which touch the ground first: where a model has feet, these."""
-    ends = [g for g in touch if not np.any(model.body_parentid == model.geom_bodyid[g])]
-    return ends or touch
+    """Geoms of the bodies furthest out, which touch the ground first: where a model has feet, these; of them those whose numbers go
+    before others' (`priority`)."""
+    ends = [g for g in touch if not np.any(model.body_parentid == model.geom_bodyid[g])] or touch
+    first = model.geom_priority[ends].max()
+    return [g for g in ends if model.geom_priority[g] == first]
 
 
 def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) -> Iterable[Row]:
-    """One number for all that touches; its neutral value is that of the feet."""
+    """One number for all that touches, in proportion; its neutral value is that of the feet."""
 
     def of(what: str, column: int, high: float) -> Field:
         value = float(getattr(model, f"geom_{what}")[feet, column].mean())
         return Field(
-            f"contact.{what}[{column}]",
+            f"{CONTACT}{what}[{column}]",
             f"geom.{what}",
             every,
             column,

@@ -1,6 +1,6 @@
 """MuJoCo over a recording as a `Simulator` of the core: a model file that a tree of joints cannot simulate, diagnosed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -24,6 +24,7 @@ from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantit
 from adaptsim_jax.simulators.mujoco.coarse import told as coarse_step
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
+from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
 from adaptsim_jax.simulators.mujoco.starts import fitted
 from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
@@ -41,6 +42,7 @@ TURNED, SPED = 1e-2, 0.1  # rad (m) and rad/s (m/s) of a start
 SHORT = Criteria(rounds=4, glance=1, confidence=0.025, behind=0.3, matters=0.5)
 """Where a base moves a round is dear: fits are short; and what they leave of single contacts is not to be named: a gain had friction
 of 1.03 times the file's beside it, for another number frees starts that are caught."""
+MENDED = "model.xml"
 ONE_AT_A_TIME = Lock()  # MuJoCo's pool of threads is one for all
 
 
@@ -68,6 +70,10 @@ class MujocoSimulator:
             path = rollouts.predict(self.made, self.own, starts, which, [models[k] for k in kind.reshape(-1)], by)
         read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
         return as_read(self.fields, values, read, self.stretches.time[which])
+
+    def mended(self, values: Mapping[str, float]) -> dict[str, Callable[[], str]]:
+        """The file with what was found in it. See `diagnosis.simulator.Simulator`."""
+        return {MENDED: lambda: mended_mjcf(self.made, self.fields, values)}
 
     def linearise(
         self, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray, starts_too: bool = True

@@ -21,6 +21,8 @@ TILTS = ("world.tilt_x", "world.tilt_y")
 """rad: gravity turned about the world's x and y."""
 GROUND = ("ground.tilt_x", "ground.tilt_y", "ground.height")
 """rad, m: all that the world touches with, turned about the world's x and y, and lifted."""
+CONTACT = "contact."
+"""Of all that touches: by as many times as what decides (its `neutral`), so that nothing jumps where it hardly changes."""
 STRENGTH = "strength"
 """Of an actuator: what it gives of what it should, all its gains alike, but for the damping of a position servo."""
 LATEST = 0.05  # s
@@ -180,7 +182,10 @@ def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence
         for element in made.elements:
             if made.field == "body.mass" and out.body_mass[element] > 0:
                 out.body_inertia[element] *= value / out.body_mass[element]
-            _set(out, made, element, float(value))
+            own = float(value)
+            if made.name.startswith(CONTACT):
+                own = min(_get(model, made, element) * value / made.neutral, made.high)
+            _set(out, made, element, own)
         anew |= made.field.split(".")[-1] in CONSTANTS
     if anew:
         mujoco.mj_setConst(out, mujoco.MjData(out))
