@@ -60,7 +60,8 @@ def left_out(rig: str, trial: str) -> dict:
     theta = first_parameters(rest, checked)
     with tempfile.TemporaryDirectory() as folder:
         machine = declared_machine(rest, theta, Path(folder) / DECLARED)
-        report, _, _, found = examined(machine, Criteria(), HORIZON, narrow=in_the_plane)
+        report, _, whole_run = examined(machine, Criteria(), HORIZON, narrow=in_the_plane)
+        found = whole_run.found
         one = whole.replace(trials=tuple(t for t in whole.trials if t.name == trial))
         test = declared_machine(usable(one, audit(one)), theta, Path(folder) / "one.xml")
         scores = {
