@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from adaptsim_jax.commands.diagnose import diagnose
+from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose as diagnose_pushes
 from experiments.pushing_worlds import write
 from tests.generators import Spec, make_datasets, write_dataset
 
@@ -46,7 +47,8 @@ def folder_of(case: str, into: Path) -> Path:
 
 def said(case: str, into: Path) -> dict[str, Any]:
     """Verdict, names with their sizes, and errors, of which three digits count."""
-    report = diagnose(folder_of(case, into))
+    judge = diagnose_pushes if case.startswith("pushes") else diagnose
+    report = judge(folder_of(case, into))
     digits = lambda x: float(f"{x:.3g}")
     named = [
         {"name": e["name"], "where": e["where"], "alternatives": sorted(map(str, e["alternatives"]))}
@@ -74,4 +76,4 @@ if __name__ == "__main__":
     for case in sys.argv[1:] or CASES:
         with tempfile.TemporaryDirectory() as folder:
             found[case] = said(case, Path(folder))
-    GOLDEN.write_text(json.dumps(found, indent=1) + "\n")
+        GOLDEN.write_text(json.dumps(found, indent=1) + "\n")
