@@ -29,6 +29,10 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
             return _joined(data, model)
         given = config.read(Path(model))
         beside = given.get("model")
+        if given.get("task") == "simulator":
+            raise BadInput(
+                f"{model}: holds numbers of a simulator, which it does not bring; give the model.xml beside it"
+            )
         if given.get("task") != "mechanism" or not isinstance(beside, str):
             raise BadInput(
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"

@@ -1,11 +1,13 @@
 """A model file gets the numbers that were found, compiles to the model that was simulated, and says what it cannot hold."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE
@@ -65,3 +67,14 @@ def test_a_number_of_what_is_not_written_is_told(walked):
     rope = replace(damping, name="tendon:rope.damping", field="tendon.damping", neutral=0.0)
     with pytest.raises(BadInput, match="numbers of a tendon are not written"):
         _put(mujoco.MjSpec.from_file(walked.made.path), walked.made.model, rope)
+
+
+def test_a_table_of_numbers_is_refused_with_the_file_that_holds_them(walked, tmp_path):
+    table = tmp_path / "model.toml"
+    table.write_text('schema = 1\ntask = "simulator"\nmodel = "model.xml"\n')
+    data = Path(walked.made.path).parent
+    with pytest.raises(BadInput, match="give the model.xml beside it"):
+        replay_files(str(table), str(data))
+    (tmp_path / "model.xml").write_text(mended_mjcf(walked.made, walked.fields, {}))
+    found = replay_files(str(tmp_path / "model.xml"), str(data), horizon=0.24)
+    assert np.median(found.error) < 1e-3
