@@ -73,7 +73,7 @@ def test_a_table_of_numbers_is_refused_with_the_file_that_holds_them(walked, tmp
     table = tmp_path / "model.toml"
     table.write_text('schema = 1\ntask = "simulator"\nmodel = "model.xml"\n')
     data = Path(walked.made.path).parent
-    with pytest.raises(BadInput, match="give the model.xml beside it"):
+    with pytest.raises(BadInput, match=r"give the model\.xml beside it"):
         replay_files(str(table), str(data))
     (tmp_path / "model.xml").write_text(mended_mjcf(walked.made, walked.fields, {}))
     found = replay_files(str(tmp_path / "model.xml"), str(data), horizon=0.24)
