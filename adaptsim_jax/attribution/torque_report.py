@@ -50,7 +50,8 @@ def judged_by_torque(
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
     some = bool(found.named)
-    remains = over > criteria.explained
+    worth = np.maximum(floor, criteria.torque.worth * after.still)  # below it nothing would be named
+    remains = float(np.median(after.error / np.maximum(worth, 1e-12))) > criteria.explained
     report["verdict"] = (
         ("partly_explained" if remains else "explained") if some
         else "structured_unattributed" if remains else "within_noise"

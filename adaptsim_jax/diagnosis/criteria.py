@@ -18,7 +18,7 @@ class TorqueCriteria:
     level: of the paired test over blocks.
     steady: an amplitude over its standard error.
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
-    worth: of a joint's torque, root mean square: an effect of less is not worth a name.
+    worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much may be left of what is explained.
     discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
     paired: of the log's sampling interval; measured torques of all joints that are late or early by less are how a logger pairs them
         with angles (of the cycle before, filtered), not an effect.
