@@ -181,7 +181,7 @@ OWN: tuple[Effect, ...] = (
         formula="what dry friction there is builds up as deflection / compliance",
     ),
     Effect(
-        "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1),), load_friction,
+        "load_friction", "force", (Parameter("share", "1", 0.0, 3.0, 0.0, sign=1),), load_friction,
         "dry friction that grows with the torque that the joint carries", "high and low torque at like speeds",
         ("coulomb", "stribeck", "torque_gain"), formula="-share |torque| sign(v), beside what is there without load",
     ),
