@@ -68,7 +68,9 @@ def test_two_things_of_one_name_are_refused(installed, name, task):
 
 @pytest.mark.slow
 def test_the_page_runs(installed):
-    first, second, third, fourth, fifth = output(installed, "use.py").splitlines()
+    lines = output(installed, "use.py").splitlines()
+    mine = [line for line in lines if not line.startswith("Failed to import")]  # MJX says so of what is not installed
+    first, second, third, fourth, fifth = mine
     assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
     assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
     assert re.fullmatch(r"random search earns -?\d+\.\d+ of 1", fourth)

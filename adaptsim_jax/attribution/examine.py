@@ -104,7 +104,7 @@ def examine(
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
-        good = over_floor(problem, found.final) < criteria.near if follows else after[STRETCHES].skill > 0.0
+        good = over_floor(problem, found.final) < (criteria.near if follows else criteria.explained)
         if asked or good or (not follows and problem.joints > criteria.torque.simulated):
             return by_torque
         judge, why = STRETCHES, f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches"
