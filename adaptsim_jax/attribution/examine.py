@@ -100,7 +100,7 @@ def examine(
         if follows and (fewer := confirmed(problem, words, found.final, criteria)) is not words:
             words, found = fewer, selection(problem, fewer, declared, reach)
         if follows and (found.named or over_floor(problem, found.final) > criteria.explained):
-            found = _polished(problem, found, reach, criteria, say)
+            found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
@@ -122,16 +122,19 @@ def examine(
 
 
 def _polished(
-    problem: Problem, found: Selection, reach: Reach, criteria: Criteria, say: Callable[[str], None]
+    problem: Problem, found: Selection, reach: Reach, criteria: Criteria, say: Callable[[str], None], asked: bool
 ) -> Selection:
     """With the final values fitted by simulation, since along the motion a time or a gain is only so exact, and each name held against
     the others and its look-alikes there. What else was fitted along the motion stays in the model, and so do its values where
-    all names stay and it simulates to within the noise already."""
+    all names stay and it simulates to within the noise already. Where it leaves so much that stretches will be searched (unless this
+    yardstick was asked for), nothing more is asked."""
     say("fit by simulation")
     names = tuple(n.candidate for n in found.named)
     again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS)
-    trace = list(found.trace)
-    final, named = judged(problem, modelled(problem, names, again), reach, criteria, trace, say)
+    trace, whole = list(found.trace), modelled(problem, names, again)
+    if not asked and over_floor(problem, whole) >= criteria.near:
+        return replace(found, final=whole)
+    final, named = judged(problem, whole, reach, criteria, trace, say)
     as_it_was = {n.candidate.key for n in named} == {c.key for c in names}
     enough = as_it_was and over_floor(problem, found.final) <= criteria.explained
     return replace(found, final=found.final if enough else final, named=named, trace=tuple(trace))

@@ -22,8 +22,8 @@ class TorqueCriteria:
     discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
     paired: of the log's sampling interval; measured torques of all joints that are late or early by less are how a logger pairs them
         with angles (of the cycle before, filtered), not an effect.
-    simulated: joints up to which the search goes on by simulation where what the torque shows simulates to more than the noise (of more
-        it takes minutes); of both results the one with more skill by both yardsticks together is taken.
+    simulated: joints up to which the search goes on by simulation where what the torque shows simulates to more than the noise (of
+        more it takes minutes); of both results the one with more skill by both yardsticks together is taken.
     """
 
     tried: int = 6
