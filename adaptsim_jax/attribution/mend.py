@@ -26,6 +26,7 @@ ACTUATED = {
 }
 """Those that it holds where an actuator is told what to do, with the name of the change."""
 COMMANDED = ("command", "voltage", "current")
+GAINS = ("torque_gain", "position_gain")
 
 
 DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
@@ -78,7 +79,9 @@ def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
     values = [v for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
               if e.owner == c.effect and set(e.joints) <= set(c.joints)]  # fmt: skip
     late = c.effect in ("delay", "actuator_lag")
-    return c.effect in ACTUATED and set(c.joints) <= driven and not (late and min(values) < 0.0)
+    # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF clips both
+    bent = c.effect == "saturation" and any(k.effect in GAINS and set(k.joints) & set(c.joints) for k in model.added)
+    return c.effect in ACTUATED and set(c.joints) <= driven and not bent and not (late and min(values) < 0.0)
 
 
 def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
