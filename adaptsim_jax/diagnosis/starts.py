@@ -14,10 +14,8 @@ FRESH = 8  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
 SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
 DRAWS, LEFT = 12, 1.3  # of starts where fits are caught: those that leave so many times the noise
-FAR, CAUGHT = (
-    (1.5, 1),
-    (1.25, 4),
-)  # times the usual error, beyond which a stretch counts less, by which power; of a model with names
+FAR = 1.5, 1  # times the usual error, beyond which a stretch counts less, and by which power
+CAUGHT = 1.25, 4  # the same of a model with names
 KEPT = 6  # points that are remembered with all their columns
 NEAR, NEAR_STARTS = 0.3, 1.0  # of a quantity's scale, within which columns, and slopes by starts, are not taken anew
 
@@ -131,7 +129,8 @@ class Linearised:
         if starts.shape[1]:
             loss = lambda x: np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
             least = loss(starts)
-            for begun in (s.start, self.points[-1].starts):
+            last = self.points[-1]
+            for begun in (s.start, *([] if last is point else [last.starts])):
                 now = loss(begun)
                 other = now < least
                 starts[other], least = begun[other], np.minimum(least, now)

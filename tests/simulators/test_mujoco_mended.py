@@ -54,6 +54,13 @@ def test_contact_changes_in_proportion_so_that_nothing_jumps_where_it_hardly_cha
     np.testing.assert_allclose(near.geom_friction[:, 0], 1.001 * file.geom_friction[:, 0])
 
 
+def test_feet_without_friction_have_no_share_of_it_to_change(tmp_path):
+    bare = quadruped().replace('friction="0.5 0.01 0.001"', 'friction="0 0 0" priority="1"')
+    made = simulator(*read_source_and_log(record(tmp_path / "bare", bare, told=walk, trials=3, seconds=0.4, base=True)))
+    assert all(q.scale > 0 for q in made.quantities)
+    assert not any("friction" in c.name for c in made.candidates)
+
+
 def test_what_was_not_found_stays_as_it_was(walked):
     text = mended_mjcf(walked.made, walked.fields, {f.name: f.neutral for f in walked.fields})
     got, file = mujoco.MjModel.from_xml_string(text), mujoco.MjModel.from_xml_path(walked.made.path)

@@ -75,7 +75,8 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
         return _tried_at(row(effect, "all contacts", f, told, same), sizes)
 
     dims = int(model.geom_condim[list(every)].max())
-    yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
+    if model.geom_friction[feet, 0].any():  # of none there is no share
+        yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
     if dims >= 4 and model.geom_friction[feet, 1].any():
         yield of_wide(
             "torsional friction", of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot")
