@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +67,8 @@ def diagnose_simulator(
     if folder is not None:
         model = lambda: config.dumps(model_table(problem, found, name))
         values = {q.name: float(z) for q, z in zip(problem.quantities, found.final.fit.values, strict=True)}
-        mended = getattr(simulator, "mended", lambda values: {})
-        write_all(folder, report, evidence, page or plain, {rows.MODEL: model, **mended(values)})
+        mended = {file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()}
+        write_all(folder, report, evidence, page or plain, {rows.MODEL: model, **mended})
     return report
 
 

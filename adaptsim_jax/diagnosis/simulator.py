@@ -58,8 +58,8 @@ class Stretches:
 class Simulator(Protocol):
     """What is asked of a simulator. declared: names of quantities that are fitted whatever is found.
 
-    Optional: `linearise` (see the function of that name), and `mended(values) -> {file name: what makes its text}` of quantities by
-    name: files of the simulator's own that a diagnosis leaves beside `model.toml`.
+    Optional: `linearise` (see that function), and `mended`: {file name: what makes its text of quantities by name}: files of
+    the simulator's own that a diagnosis leaves beside `model.toml`; one that fails is a line of the report, which is written before.
     """
 
     @property

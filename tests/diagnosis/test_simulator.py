@@ -155,3 +155,15 @@ def test_the_protocol_is_what_is_asked_for():
     some = np.array([5, 2])
     np.testing.assert_array_equal(tanks.predict(np.tile(values, (2, 1)), s.start[some], some), whole[some])
     np.testing.assert_array_equal(s.of(some).measured, s.measured[some])
+
+
+def test_a_file_of_its_own_that_fails_is_a_line_and_loses_nothing(tmp_path):
+    tanks = recorded({"leak": 0.004}, seed=9)
+
+    def fails(values):
+        raise OSError("the disk is full")
+
+    object.__setattr__(tanks, "mended", {"own.txt": lambda values: f"leak {values['leak']:.3f}", "bad.txt": fails})
+    report = diagnose_simulator(tanks, out=tmp_path)
+    assert (tmp_path / "own.txt").read_text() == "leak 0.004" and (tmp_path / "report.json").exists()
+    assert any("bad.txt could not be written: OSError: the disk is full" in line for line in report["warnings"])

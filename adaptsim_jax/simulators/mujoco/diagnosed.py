@@ -71,9 +71,10 @@ class MujocoSimulator:
         read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
         return as_read(self.fields, values, read, self.stretches.time[which])
 
-    def mended(self, values: Mapping[str, float]) -> dict[str, Callable[[], str]]:
+    @property
+    def mended(self) -> dict[str, Callable[[Mapping[str, float]], str]]:
         """The file with what was found in it. See `diagnosis.simulator.Simulator`."""
-        return {MENDED: lambda: mended_mjcf(self.made, self.fields, values)}
+        return {MENDED: lambda values: mended_mjcf(self.made, self.fields, values)}
 
     def linearise(
         self, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray, starts_too: bool = True
