@@ -3,8 +3,9 @@
     python experiments/robot_worlds.py ROBOTS OUT --robots panda__panda go2 --worlds null friction gain --seed 0
 
 ROBOTS: a folder of MJCF files. Each world is a log made by MuJoCo in steps of 0.5 ms, base welded, without contact: 6 trials of 5 s at
-200 Hz, commands of the file's own actuators (sums of sines about `home`), angles with noise of 1e-4 rad. A line of JSON a world:
-what was hidden, what was named, seconds.
+200 Hz, commands of the file's own actuators (sums of sines about `home`), angles with noise of 1e-4 rad. A joint and a size are drawn anew until what is hidden
+moves the angles by five times the noise. A line of JSON a world: what was hidden, how much it moves, what was named, whether that is
+right, seconds.
 """
 
 import argparse
@@ -17,7 +18,13 @@ import numpy as np
 
 FINE = 5e-4  # s
 NOISE = 1e-4  # rad, m
-WORLDS = ("null", "friction", "delay", "gain", "armature", "payload")
+WORLDS = ("null", "friction", "delay", "gain", "armature", "payload", "offset")
+SHOWS = 5.0  # times the noise, rms over a trial and over the joint that it moves most
+DRAWS = 20
+NAMES = {
+    "friction": ("coulomb",), "delay": ("delay",), "gain": ("torque_gain", "position_gain"), "armature": ("armature",),
+    "offset": ("encoder_offset",), "payload": (), "null": (),
+}  # fmt: skip
 
 
 def welded(path: Path) -> tuple[mujoco.MjModel, np.ndarray]:
@@ -52,7 +59,7 @@ def hidden(model: mujoco.MjModel, pose: np.ndarray, world: str, rng: np.random.G
     j = int(rng.choice(heavy))
     k = next(k for k in range(model.nu) if model.actuator_trntype[k] == 0 and model.actuator_trnid[k, 0] == j)
     dof, body = int(model.jnt_dofadr[j]), int(model.jnt_bodyid[j])
-    out = {"world": world, "joint": model.joint(j).name, "delay": 0.0}
+    out = {"world": world, "joint": model.joint(j).name, "delay": 0.0, "offset": 0.0}
     inertia = 1.0 / max(float(model.dof_invweight0[dof]), 1e-9)
     if world == "friction":
         model.dof_frictionloss[dof] += (size := 3.0 * inertia + 0.5 * abs(weight(model, pose)[dof]))
@@ -73,6 +80,8 @@ def hidden(model: mujoco.MjModel, pose: np.ndarray, world: str, rng: np.random.G
         model.body_mass[last] *= 1.0 + share
         model.body_inertia[last] *= 1.0 + share
         out |= {"joint": model.joint(heavy[-1]).name, "body": model.body(last).name, "size": share}
+    elif world == "offset":
+        out["offset"] = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 0.05))
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return out | {"body": out.get("body", model.body(body).name)}
 
@@ -98,27 +107,76 @@ def commands(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generato
     return lambda t: middle + size / 2 * np.sin(2 * np.pi * speed * t + phase).sum(0)
 
 
+def drawn(path: Path, world: str, rng: np.random.Generator) -> tuple[mujoco.MjModel, np.ndarray, dict]:
+    """A model with something hidden in it that shows, its pose, and what it is."""
+    for _ in range(DRAWS):
+        plain, pose = welded(path)
+        hidden(plain, pose, "null", np.random.default_rng(0))
+        model, pose = welded(path)
+        truth = hidden(model, pose, world, rng)
+        if world == "null":
+            return model, pose, truth
+        seed = int(rng.integers(2**31))
+        one, other = (
+            simulated(m, pose, delay, np.random.default_rng(seed))[0]
+            for m, delay in ((plain, 0.0), (model, truth["delay"]))
+        )
+        other[:, at_joint(model, truth["joint"])] += truth["offset"]
+        truth["shows"] = round(float(np.sqrt(np.square(other - one).mean(0)).max()) / NOISE, 1)
+        if truth["shows"] >= SHOWS:
+            return model, pose, truth
+    raise SystemExit(f"{path.name}: no {world} of {DRAWS} shows")
+
+
+def at_joint(model: mujoco.MjModel, joint: str) -> int:
+    return int(model.joint(joint).qposadr[0])
+
+
+def simulated(model: mujoco.MjModel, pose: np.ndarray, delay: float, rng: np.random.Generator):
+    """Angles [T, nq] and commands [T, nu] of a trial."""
+    data, every, rate = mujoco.MjData(model), 10, 200
+    data.qpos[:] = pose
+    mujoco.mj_forward(model, data)
+    told = commands(model, data, rng)
+    angles, orders = [], []
+    for row in range(5 * rate):
+        angles.append(data.qpos.copy())
+        orders.append(told(row / rate))
+        for step in range(every):
+            data.ctrl[:] = told(np.floor((row / rate + step * FINE - delay) * rate + 1e-9) / rate)
+            mujoco.mj_step(model, data)
+    return np.array(angles), np.array(orders)
+
+
+def judged(report: dict, truth: dict) -> tuple[bool, list[str]]:
+    """Whether what is hidden is named (a class that holds it counts), and the names that do not hold it."""
+    wanted, where = NAMES[truth["world"]], (truth["joint"], "all joints", "every joint")
+    holds = lambda name, at: name.replace(" ", "_") in wanted and (truth["world"] == "delay" or at in where)
+    rows = [
+        [(row["name"], row["where"]), *(tuple(a.split(" at ", 1)) for a in row["alternatives"] if " at " in a)]
+        for row in report["effects"]
+    ]
+    good = [any(holds(*name) for name in row) for row in rows]
+    wrong = [f"{row[0][0]} at {row[0][1]}" for row, right in zip(rows, good, strict=True) if not right]
+    unlike = [n for n in report["notes"] if n.startswith("Unlike the model file")]
+    payload = truth["world"] == "payload" and any(truth["body"] in n or truth["joint"] in n for n in unlike)
+    return any(good) or payload or (truth["world"] == "null" and not wrong), wrong
+
+
 def record(
-    model: mujoco.MjModel, pose: np.ndarray, folder: Path, path: Path, delay: float, rng: np.random.Generator
+    model: mujoco.MjModel, pose: np.ndarray, folder: Path, path: Path, truth: dict, rng: np.random.Generator
 ) -> None:
     """Six trials into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "meta.toml").write_text(f'task = "mechanism"\nmodel = "{path.resolve()}"\n')
-    data, every, rate = mujoco.MjData(model), 10, 200
     joint_of = lambda k: model.joint(int(model.actuator_trnid[k, 0])).name
     told_by = lambda k: f"ctrl_{model.actuator(k).name}" if model.actuator(k).name else f"target_{joint_of(k)}"
     names = [f"q_{model.joint(k).name}" for k in range(model.njnt)] + [told_by(k) for k in range(model.nu)]
     for trial in range(6):
-        mujoco.mj_resetData(model, data)
-        data.qpos[:] = pose
-        mujoco.mj_forward(model, data)
-        told = commands(model, data, rng)
-        rows = []
-        for row in range(5 * rate):
-            rows.append([row / rate, *(data.qpos + NOISE * rng.standard_normal(model.nq)), *told(row / rate)])
-            for step in range(every):
-                data.ctrl[:] = told(np.floor((row / rate + step * FINE - delay) * rate + 1e-9) / rate)
-                mujoco.mj_step(model, data)
+        angles, orders = simulated(model, pose, truth["delay"], rng)
+        angles = angles + NOISE * rng.standard_normal(angles.shape)
+        angles[:, at_joint(model, truth["joint"])] += truth["offset"]
+        rows = np.column_stack([np.arange(len(angles)) / 200, angles, orders])
         np.savetxt(
             folder / f"run_{trial}.csv", rows, delimiter=",", header=",".join(["time", *names]), comments="", fmt="%.9g"
         )
@@ -140,14 +198,16 @@ def main() -> None:
         (path,) = [p for p in sorted(args.folder.glob("*.xml")) if p.stem == robot or p.stem.endswith(robot)][:1]
         for world in args.worlds:
             rng = np.random.default_rng([args.seed, WORLDS.index(world), sum(map(ord, robot))])
-            model, pose = welded(path)
-            truth = hidden(model, pose, world, rng)
+            model, pose, truth = drawn(path, world, rng)
             data = args.out / f"{robot}_{world}_{args.seed}"
-            record(model, pose, data, path, truth["delay"], rng)
+            record(model, pose, data, path, truth, rng)
             began = time.monotonic()
             try:
                 report = diagnose(data, out=data / "out")
-                found = {"verdict": report["verdict"], "message": report["message"], "error": report["error"]}
+                right, wrong = judged(report, truth)
+                error = {k: report["error"][k] for k in ("before", "after", "noise_floor")}
+                found = {"right": right, "wrong": wrong, "verdict": report["verdict"], "message": report["message"]}
+                found |= {"error": error, "yardsticks": report["yardsticks"]}
             except Exception as error:  # a study goes on, and says so
                 found = {"failed": f"{type(error).__name__}: {error}"}
             print(
