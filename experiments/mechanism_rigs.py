@@ -91,7 +91,7 @@ def trained(rig: str, horizon: float | None = None) -> dict:
         began = time.perf_counter()
         report = diagnose(parts["train"], out=Path(folder) / "out")
         seconds = time.perf_counter() - began
-        bare = diagnose(parts["train"], out=Path(folder) / "bare", criteria=Criteria(most_effects=0))
+        bare = diagnose(parts["train"], out=Path(folder) / "bare", effects=())
         on = parts["validation"]
         error = lambda m: told(replay(load(on, m), horizon))
         scores = {

@@ -3,9 +3,9 @@
     python experiments/robot_worlds.py ROBOTS OUT --robots panda__panda go2 --worlds null friction gain --seed 0
 
 ROBOTS: a folder of MJCF files. Each world is a log made by MuJoCo in steps of 0.5 ms, base welded, without contact: 6 trials of 5 s at
-200 Hz, commands of the file's own actuators (sums of sines about `home`), angles with noise of 1e-4 rad. A joint and a size are drawn anew until what is hidden
-moves the angles by five times the noise. A line of JSON a world: what was hidden, how much it moves, what was named, whether that is
-right, seconds.
+200 Hz, commands of the file's own actuators (sums of sines about `home`), angles with noise of 1e-4 rad. A joint and a size are
+drawn anew until what is hidden moves the angles by five times the noise. A line of JSON a world: what was hidden, how much it moves,
+what was named, whether that is right, seconds.
 """
 
 import argparse

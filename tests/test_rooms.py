@@ -41,7 +41,7 @@ WITHIN = {
     ),
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",
-        "yardstick", "rows", "written", "simulated",
+        "yardstick", "written", "rows", "simulated",
     ),
     "environments": (
         "fields", "randomise", "simulated", "own", "cartpole", "arm", "gymnax", "mended", "interface", "rollout", "slope", "planner",

@@ -10,18 +10,17 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.run import Page, Run, plain
-from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.select import Model, Named, Selection, spread
+from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import NINETY
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
-OTHERS = ("model.xml", "leading.toml")  # of an earlier run of another kind into the same folder
 APART = 4.0  # times the median error of all trials: those beyond it, where they are few, are told
 
 
@@ -312,6 +311,31 @@ def plane_tracks(
     }
 
 
+def keeping(
+    folder: Path | None, task: str, model: str, problem: Problem, logs: Mapping[str, tuple[str, str]] = LOGS
+) -> Callable[[Selection], None]:
+    """What leaves a readable report on disk as a search goes; nothing without a folder. logs: as of `declared_rows`."""
+    count = len(dict.fromkeys(problem.trials))
+    data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
+
+    def keep(found: Selection) -> None:
+        final = found.final
+        values = [
+            f"{words(e.name)} ({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
+            for e in final.added
+        ]
+        held = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
+        so_far = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged" if values else ""
+        write_partial(folder, new_report(
+            task, model, "structured_unattributed", f"{held}{so_far}.", data,
+            error={"metric": "left-out error over the noise", "before": over_floor(found.null), "after": over_floor(final)},
+            candidates=candidate_rows(found),
+            declared={k: declared_rows(problem, m, logs) for k, m in (("before", found.null), ("after", final))},
+        ))  # fmt: skip
+
+    return (lambda found: None) if folder is None else keep
+
+
 def finished(
     report: dict[str, Any],
     evidence: dict[str, Any],
@@ -332,13 +356,9 @@ def finished(
     report["run"] = evidence["run"] = run.told()
     report = check(report)
     if folder is not None:
-        for name in (*OTHERS, MODEL, NEXT):
-            (folder / name).unlink(missing_ok=True)
-        write_bytes(folder / MODEL, config.dumps(model).encode())
-        for name, text in more.items():
-            write_bytes(folder / name, text().encode())
+        files = {MODEL: lambda: config.dumps(model), **more}
         if plan is not None and plan["rows"]:
-            rows = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
-            write_bytes(folder / NEXT, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())
-        (page or plain)(folder, report, evidence)
+            table = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
+            files[NEXT] = lambda: "\n".join([",".join(("trial", *columns)), *table, ""])
+        write_all(cleared(folder), report, evidence, page or plain, files)
     return report

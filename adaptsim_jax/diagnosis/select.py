@@ -190,18 +190,25 @@ def trifling(problem: Problem, model: Model, e: Candidate, criteria: Criteria) -
 
 
 def select(
-    problem: Problem, criteria: Criteria, say: Callable[[str], None] = lambda note: None, alike: bool = True
+    problem: Problem,
+    criteria: Criteria,
+    say: Callable[[str], None] = lambda note: None,
+    alike: bool = True,
+    keep: Callable[[Selection], None] = lambda found: None,
 ) -> Selection:
-    """Forward, then each beside the others, then against its look-alikes (not with `alike` false)."""
+    """Forward, then each beside the others, then against its look-alikes (not with `alike` false). keep: told of what is found, as it
+    goes."""
     say("declared model")
     base = null = Model((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
     opening = scores = scored(problem, base)
     refused: dict[str, str] = {}
+    keep(Selection(null, base, (), tuple(opening), refused))
     while len(base.added) < criteria.most_effects and not quiet(problem, base, criteria):
         better = _forward(problem, base, scores, criteria, refused, say)
         if better is None:
             break
         base, null = _anew(problem, better, criteria), _again(problem, null)
+        keep(Selection(null, base, (), tuple(opening), refused))
         scores = scored(problem, base)
     final, named, bare = _judged(problem, base, criteria, refused, say, alike)
     # a declared fit reached by way of an effect may lie in a better minimum than the first

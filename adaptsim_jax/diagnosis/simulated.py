@@ -59,7 +59,7 @@ def diagnose_simulator(
     step = rows.stepping(progress, 0.02)
     step("starts")
     problem = problem_of(simulator, kept)
-    found = select(problem, criteria, step)
+    found = select(problem, criteria, step, keep=rows.keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     told_of_nothing(report, criteria)
     report["run"] = evidence["run"] = Run(f"diagnose_simulator({name})", began).told()

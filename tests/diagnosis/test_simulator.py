@@ -9,6 +9,7 @@ import pytest
 
 from adaptsim_jax import BadInput, Candidate, Quantity, Simulator, diagnose_simulator
 from adaptsim_jax.diagnosis.fit import completed, jacobian
+from adaptsim_jax.diagnosis.schema import read_report
 from adaptsim_jax.diagnosis.starts import problem_of, settle
 
 TANKS = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "coupled_tanks.py"))
@@ -167,3 +168,15 @@ def test_a_file_of_its_own_that_fails_is_a_line_and_loses_nothing(tmp_path):
     report = diagnose_simulator(tanks, out=tmp_path)
     assert (tmp_path / "own.txt").read_text() == "leak 0.004" and (tmp_path / "report.json").exists()
     assert any("bad.txt could not be written: OSError: the disk is full" in line for line in report["warnings"])
+
+
+def test_a_search_that_is_cut_off_leaves_what_it_had_found(tmp_path):
+    def cut(done: float, total: float, note: str) -> None:
+        if note.startswith("without"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        diagnose_simulator(recorded({"leak": 0.004}, seed=3), out=tmp_path, progress=cut)
+    told = read_report(tmp_path / "report.json")
+    assert told["unfinished"] and "leak" in told["message"] and not told["effects"]
+    assert told["error"]["after"] < 0.7 * told["error"]["before"]

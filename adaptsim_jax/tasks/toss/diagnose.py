@@ -14,6 +14,7 @@ from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
+from adaptsim_jax.diagnosis.written import cleared
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
 from adaptsim_jax.tasks.toss.flight import Flight, free_flight
@@ -60,11 +61,11 @@ def diagnose(
     say = progress or (lambda done, total, note: None)
     tossed = data if isinstance(data, Tossed) else read(data)
     kept = parts.check_exclude(exclude, effects(tossed.body), "toss")
-    folder = None if out is None else output_folder(out)
+    folder = None if out is None else cleared(output_folder(out))
     say(0.01, 1.0, "starts of the windows")
     problem, follow = prepare(tossed, kept)
     step = parts.stepping(progress, 0.05)
-    found = select(problem, criteria, step)
+    found = select(problem, criteria, step, keep=parts.keeping(folder, "toss", _model(tossed), problem, LOGS))
     report, evidence = reported(tossed, problem, follow, found, criteria)
     command = command_of(named if isinstance(data, Tossed) else data, out=out, exclude=exclude)
     values = fitted(problem, found.final)
@@ -122,7 +123,7 @@ def reported(
     classes = [f"{parts.words(n.effect.name)} or {parts.words(s)}" for n in found.named for s in n.effect.same]
     report = new_report(
         "toss",
-        f"a free body over a plane, by MuJoCo ({Path(tossed.body.path).name})",
+        _model(tossed),
         parts.verdict(found.named, float(np.median(over["after"])), criteria),
         message(found, over, error, whole, flown),
         {
@@ -152,6 +153,10 @@ def reported(
         "tracks": _from_above(follow, tracks, bool(found.named)),
     }
     return report, evidence
+
+
+def _model(tossed: Tossed) -> str:
+    return f"a free body over a plane, by MuJoCo ({Path(tossed.body.path).name})"
 
 
 def message(found: Selection, over, error: dict[str, Any], whole, flown: Flight | None) -> str:

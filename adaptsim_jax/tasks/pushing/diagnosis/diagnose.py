@@ -15,12 +15,14 @@ from adaptsim_jax.diagnosis.rows import Seen
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import Named, Selection, select
+from adaptsim_jax.diagnosis.written import cleared
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
 from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import KIND, Pushed, read
 from adaptsim_jax.tasks.pushing.planar import DRAKE
 
+MODEL = "the planar push with lateral motion"
 CRITERIA = Criteria(quiet=1.14, beyond=0.9, tried=6)
 """Of 60 worlds with nothing hidden three had an effect named that took 1 to 4 % off an error of 1.04 to 1.08 times the noise. Pushes
 that Drake makes leave 3 to 16 times the noise with nothing hidden, of which effects take off 30 to 85 %. With four tried, a drag lost
@@ -46,10 +48,10 @@ def diagnose(
     criteria = criteria or CRITERIA
     pushed = data if isinstance(data, Pushed) else read(data)
     effects = trials.check_exclude(exclude, effects_of(pushed.yaw is not None), KIND.trial)
-    folder = None if out is None else output_folder(out)
+    folder = None if out is None else cleared(output_folder(out))
     problem = prepare(pushed, pushed.options, pushed.coefficients, effects)
     step = trials.stepping(progress, 0.05)
-    found = select(problem, criteria, step)
+    found = select(problem, criteria, step, keep=trials.keeping(folder, "pushing", MODEL, problem))
     report, evidence = reported(pushed, problem, found, criteria)
     run = Run(command_of(named if isinstance(data, Pushed) else data, out=out, exclude=exclude), began)
     plan, model = telling(pushed, found), model_table(pushed, problem, found)
@@ -71,7 +73,7 @@ def reported(
     tracks["after"] = simulated(pushed, pushed.options, pushed.coefficients, found.final.fit.vectors)
     report = new_report(
         "pushing",
-        "the planar push with lateral motion",
+        MODEL,
         trials.verdict(found.named, worst, criteria),
         trials.message(seen, found, over, worst) + _mirrored(pushed, problem, found, worst, criteria),
         {"trials": len(pushed.names), "samples": int(pushed.mask.sum()), "held_out_trials": len(pushed.names)},

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,13 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rows import Seen
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
+from adaptsim_jax.diagnosis.written import cleared
 from adaptsim_jax.tasks.scooping.diagnosis.experiment import telling
 from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
 from adaptsim_jax.tasks.scooping.diagnosis.read import KIND, Scooped, read
 from adaptsim_jax.tasks.scooping.model import SHAPES
 
+MODEL = "the hydroelastic scoop"
 COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")
 
 
@@ -38,9 +41,9 @@ def diagnose(
     criteria = criteria or CRITERIA
     scooped = data if isinstance(data, Scooped) else read(data)
     effects = trials.check_exclude(exclude, effects_of(scooped), KIND.trial)
-    folder = None if out is None else output_folder(out)
+    folder = None if out is None else cleared(output_folder(out))
     step = trials.stepping(progress, 0.02)
-    found = diagnosed(scooped, effects, criteria, step)
+    found = diagnosed(scooped, effects, criteria, step, partial(trials.keeping, folder, "scooping", MODEL))
     report, evidence = reported(scooped, found, criteria)
     run = Run(command_of(named if isinstance(data, Scooped) else data, out=out, exclude=exclude), began)
     plan, model = telling(scooped, found), model_table(scooped, found)
@@ -60,7 +63,7 @@ def reported(scooped: Scooped, found: Found, criteria: Criteria) -> tuple[dict[s
     notes = [*s.notes, _told(found, judged, s.mask)]
     report = new_report(
         "scooping",
-        "the hydroelastic scoop",
+        MODEL,
         trials.verdict(selection.named, worst, criteria),
         trials.message(seen, selection, over, worst),
         {"trials": len(s.names), "samples": int(s.mask.sum()), "held_out_trials": len(s.names)},

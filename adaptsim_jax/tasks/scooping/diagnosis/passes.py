@@ -43,6 +43,7 @@ OMEGA = SHAPES[:2]
 """The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in one plane a box moves so much like
 a cylinder that it would take up a pitch or a clearance: it has to be declared."""
 Say = Callable[[str], None]
+Keep = Callable[[Problem], Callable[[Selection], None]]
 Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
 
 
@@ -74,14 +75,15 @@ def effects_of(scooped: Scooped) -> tuple[Candidate, ...]:
     return (*own, *[HEIGHT] * (scooped.height is not None), *[SHAPE] * (scooped.shape is not None))
 
 
-def diagnosed(scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, say: Say) -> Found:
-    """What the selection finds: with the declared shape, or with the likeliest where none was declared or another holds out."""
+def diagnosed(scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, say: Say, keep: Keep) -> Found:
+    """What the selection finds: with the declared shape, or with the likeliest where none was declared or another holds out. keep:
+    makes what is told of it as it goes."""
     quantities = quantities_of(scooped)
     declared = ("mu", "log_e", "h") if scooped.height is None else ("mu", "log_e")
     free = SHAPE in effects
     effects = tuple(e for e in effects if e is not SHAPE)
     bases = _bases(scooped, quantities, declared, free, say)
-    run = lambda base: _passes(scooped, base, effects, declared, quantities, criteria, say)
+    run = lambda base: _passes(scooped, base, effects, declared, quantities, criteria, say, keep)
     fit = lambda shape: (
         next((b for b in bases if b.shape == shape), None) or _fitted(scooped, shape, quantities, declared)
     )
@@ -152,7 +154,9 @@ def _fitted(scooped: Scooped, shape: str, quantities, declared, starts: np.ndarr
     return _Base(shape, fit.values, fit.loss, fit.held)
 
 
-def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criteria: Criteria, say: Say) -> Found:
+def _passes(
+    scooped: Scooped, base: _Base, effects, declared, quantities, criteria: Criteria, say: Say, keep: Keep
+) -> Found:
     """Effects selected about the declared fit, then about what was found, until nothing changes."""
     least, names = widths(base.shape), ()
     centre, width = base.values, widths()
@@ -160,7 +164,7 @@ def _passes(scooped: Scooped, base: _Base, effects, declared, quantities, criter
         say(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
         problem = prepare(scooped, emulator, effects, declared, quantities, centre)
-        found = select(problem, criteria, say, alike=False)
+        found = select(problem, criteria, say, alike=False, keep=keep(problem))
         fit = found.final.fit
         now = tuple(e.name for e in found.final.added)
         moved = np.max(np.abs(fit.values - centre)[OWN] / width)
