@@ -118,11 +118,11 @@ def drawn(path: Path, world: str, rng: np.random.Generator) -> tuple[mujoco.MjMo
             return model, pose, truth
         seed = int(rng.integers(2**31))
         one, other = (
-            simulated(m, pose, delay, np.random.default_rng(seed))[0]
-            for m, delay in ((plain, 0.0), (model, truth["delay"]))
+            simulated(m, pose, how, np.random.default_rng(seed))[0]
+            for m, how in ((plain, truth | {"delay": 0.0, "offset": 0.0}), (model, truth))
         )
-        other[:, at_joint(model, truth["joint"])] += truth["offset"]
-        truth["shows"] = round(float(np.sqrt(np.square(other - one).mean(0)).max()) / NOISE, 1)
+        moved = (other - one) - (other - one).mean(0)  # where an encoder's zero is nobody sees
+        truth["shows"] = round(float(np.sqrt(np.square(moved).mean(0)).max()) / NOISE, 1)
         if truth["shows"] >= SHOWS:
             return model, pose, truth
     raise SystemExit(f"{path.name}: no {world} of {DRAWS} shows")
@@ -132,18 +132,31 @@ def at_joint(model: mujoco.MjModel, joint: str) -> int:
     return int(model.joint(joint).qposadr[0])
 
 
-def simulated(model: mujoco.MjModel, pose: np.ndarray, delay: float, rng: np.random.Generator):
-    """Angles [T, nq] and commands [T, nu] of a trial."""
+def simulated(model: mujoco.MjModel, pose: np.ndarray, truth: dict, rng: np.random.Generator):
+    """Angles [T, nq] as encoders read them and commands [T, nu] of a trial; controllers see what encoders read."""
     data, every, rate = mujoco.MjData(model), 10, 200
     data.qpos[:] = pose
     mujoco.mj_forward(model, data)
     told = commands(model, data, rng)
+    at = at_joint(model, truth["joint"])
+    data.qpos[at] -= truth["offset"]
+    mujoco.mj_forward(model, data)
+    own = [
+        k
+        for k in range(model.nu)
+        if model.actuator_trntype[k] == 0 and model.jnt_qposadr[model.actuator_trnid[k, 0]] == at
+    ]
+    read = np.zeros(model.nu)
+    read[own] = truth["offset"] * (
+        model.actuator_biasprm[own, 1] < 0
+    )  # a servo moves the joint to where its encoder reads right
     angles, orders = [], []
     for row in range(5 * rate):
         angles.append(data.qpos.copy())
+        angles[-1][at] += truth["offset"]
         orders.append(told(row / rate))
         for step in range(every):
-            data.ctrl[:] = told(np.floor((row / rate + step * FINE - delay) * rate + 1e-9) / rate)
+            data.ctrl[:] = told(np.floor((row / rate + step * FINE - truth["delay"]) * rate + 1e-9) / rate) - read
             mujoco.mj_step(model, data)
     return np.array(angles), np.array(orders)
 
@@ -173,9 +186,8 @@ def record(
     told_by = lambda k: f"ctrl_{model.actuator(k).name}" if model.actuator(k).name else f"target_{joint_of(k)}"
     names = [f"q_{model.joint(k).name}" for k in range(model.njnt)] + [told_by(k) for k in range(model.nu)]
     for trial in range(6):
-        angles, orders = simulated(model, pose, truth["delay"], rng)
+        angles, orders = simulated(model, pose, truth, rng)
         angles = angles + NOISE * rng.standard_normal(angles.shape)
-        angles[:, at_joint(model, truth["joint"])] += truth["offset"]
         rows = np.column_stack([np.arange(len(angles)) / 200, angles, orders])
         np.savetxt(
             folder / f"run_{trial}.csv", rows, delimiter=",", header=",".join(["time", *names]), comments="", fmt="%.9g"

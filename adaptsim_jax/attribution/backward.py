@@ -8,11 +8,14 @@ from adaptsim_jax.attribution.held_out import Model, attempted, modelled, paired
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
+from adaptsim_jax.attribution.stays import UNCONFIRMED, between_rows, steadiness, why_not
+from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.paired import Test
 from adaptsim_jax.effects.base import Reach
+
+UNSURE = "not by itself"
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,13 @@ class Named:
     p: float
 
 
-def scored(problem: Problem, model: Model, reach: Reach, laws: bool) -> list[Score]:
-    """Scores of all candidates that are laws, or of those that only describe."""
+def scored(problem: Problem, model: Model, reach: Reach, laws: bool, near: Sequence[int] | None = None) -> list[Score]:
+    """Scores of all candidates that are laws, or of those that only describe. near: of those alone that act at these joints or at the
+    ones beside them."""
     every = candidates(problem, model.fit.vector, reach)
+    if near is not None:
+        beside = {k + d for k in near for d in (-1, 0, 1)}
+        every = [c for c in every if beside & set(c.joints)]
     return table(problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws])
 
 
@@ -137,11 +144,12 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
 
 def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
     """The model whose effects at many joints are at those that show it: each joint is tested beside all else, as if it were an effect
-    of its own, and those that do not hold out go together."""
+    of its own, and those that do not hold out go together; but where left-out stretches alone do not confirm each of several, and
+    together they do, these stay."""
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
-    def weak(part: tuple[Candidate, Candidate]) -> bool:
+    def weak(part: tuple[Candidate, Candidate]) -> str:
         c, one = part
         say(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
@@ -150,12 +158,16 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
         why = why_not(problem, model, less, one, test, steadiness(model, one), criteria)
         if why:
             trace.append(Step("dropped", one, None, test, why))
-        return bool(why)
+        return UNSURE if why == UNCONFIRMED and steadiness(model, one) >= criteria.steady else why
 
     drops = parallel_map(weak, parts)
-    return trimmed(
-        problem, model, [e.key for (_, c), drop in zip(parts, drops, strict=True) if drop for e in c.entries], criteria
-    )
+    keys = lambda some: [e.key for (_, c), drop in zip(parts, drops, strict=True) if drop in some for e in c.entries]
+    less = trimmed(problem, model, keys({*drops} - {"", UNSURE}), criteria)
+    if drops.count(UNSURE) < 2:
+        return trimmed(problem, less, keys({UNSURE}), criteria)
+    bare = trimmed(problem, less, keys({UNSURE}), criteria)
+    test = paired(problem, losses(problem, bare.held.paths, less.fit.weights), less.held.loss)
+    return less if test.p <= criteria.confidence and test.gain > criteria.size else bare
 
 
 def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Criteria) -> Model:
@@ -186,11 +198,11 @@ def look_alikes(
     problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
 ) -> list[tuple[Model, Test]]:
     """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
-    those that gain most without it, and of those that it is mistaken for. What describes without a law is no rival of one: it does
-    nearly as well as most."""
-    scores = scored(problem, less, reach, True)
+    those that gain most without it at its joints or those beside them, and of those that it is mistaken for. What describes without
+    a law is no rival of one: it does nearly as well as most."""
+    scores = scored(problem, less, reach, True, c.joints)
     if problem.effect(c.effect).describes:
-        scores = sorted(scores + scored(problem, less, reach, False), key=lambda s: -s.held_out)
+        scores = sorted(scores + scored(problem, less, reach, False, c.joints), key=lambda s: -s.held_out)
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
     rivals = [

@@ -112,7 +112,11 @@ def examine(
         (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
     ]
     start = null.at(_clipped(null, words.final.values[: len(null)]))
-    hint = (start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added) if words.added else None
+    hint = (
+        (start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added)
+        if words.added and not follows
+        else None
+    )
     found = by_simulation(problem, null, criteria, say, keep, hint)
     before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
     after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}

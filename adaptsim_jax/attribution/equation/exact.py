@@ -16,8 +16,11 @@ from adaptsim_jax.effects.base import NINETY
 ROUNDS = 8
 
 
-def exact(state: Searched, added: Sequence[Candidate], whole: Solved) -> tuple[Vector, np.ndarray]:
-    """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one; standard errors [P]."""
+def exact(
+    state: Searched, added: Sequence[Candidate], whole: Solved, near: Vector | None = None
+) -> tuple[Vector, np.ndarray]:
+    """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one, or from the values of a fit that is
+    `near`, where that is better; standard errors [P]."""
     problem, balance = state.problem, state.balance
     entries, values = list(whole.entries), list(np.array([*state.null.values]) + whole.step[: len(state.null)])
     values += [e.start + z for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)]
@@ -27,6 +30,18 @@ def exact(state: Searched, added: Sequence[Candidate], whole: Solved) -> tuple[V
         vector = vector.with_entries(shape_entries(problem, state.reach, c))
     cost = lambda v: _cost(state.rows, residual(problem, balance, v), v)
     now = cost(vector)
+    if near is not None:
+        known = near.index()
+        close = vector.at(
+            np.array(
+                [
+                    near.values[known[e.key]] if e.key in known else z
+                    for e, z in zip(vector.entries, vector.values, strict=True)
+                ]
+            )
+        )
+        if (there := cost(close)) < now:
+            vector, now = close, there
     fitted = None
     for _ in range(ROUNDS):
         table = Table(problem, balance, vector)
@@ -63,7 +78,7 @@ def needed(
         if _sure(final, errors, c) > NINETY:
             break
         rest = [k for k in added if k is not c]
-        less = exact(state, rest, state.set_of(rest))
+        less = exact(state, rest, state.set_of(rest), final)
         left = [_left(state, v)[state.own(c)].sum() for v in (less[0], final)]
         if left[0] - left[1] < state.limits.gain * len(c.entries) * left[0]:
             added, (final, errors) = rest, less

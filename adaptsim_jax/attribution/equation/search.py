@@ -116,7 +116,7 @@ def witness(
 def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
     """With other effects, fitted as the search fits them; nothing is judged."""
     whole = found.state.set_of(added)
-    final, errors = exact(found.state, added, whole)
+    final, errors = exact(found.state, added, whole, found.final)
     return replace(found, final=final, errors=errors, added=tuple(added), whole=whole)
 
 

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Solved:
     loss: np.ndarray
     hess: np.ndarray = field(repr=False)
 
-    @property
+    @cached_property
     def error(self) -> np.ndarray:
         """Standard errors [P] by the jackknife over folds, at least those of the curvature."""
         folds = len(self.by_fold)
