@@ -8,14 +8,11 @@ from adaptsim_jax.attribution.held_out import Model, attempted, modelled, paired
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import UNCONFIRMED, between_rows, steadiness, why_not
-from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.paired import Test
 from adaptsim_jax.effects.base import Reach
-
-UNSURE = "not by itself"
 
 
 @dataclass(frozen=True)
@@ -144,12 +141,11 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
 
 def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
     """The model whose effects at many joints are at those that show it: each joint is tested beside all else, as if it were an effect
-    of its own, and those that do not hold out go together; but where left-out stretches alone do not confirm each of several, and
-    together they do, these stay."""
+    of its own, and those that do not hold out go together."""
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
-    def weak(part: tuple[Candidate, Candidate]) -> str:
+    def weak(part: tuple[Candidate, Candidate]) -> bool:
         c, one = part
         say(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
@@ -158,16 +154,12 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
         why = why_not(problem, model, less, one, test, steadiness(model, one), criteria)
         if why:
             trace.append(Step("dropped", one, None, test, why))
-        return UNSURE if why == UNCONFIRMED and steadiness(model, one) >= criteria.steady else why
+        return bool(why)
 
     drops = parallel_map(weak, parts)
-    keys = lambda some: [e.key for (_, c), drop in zip(parts, drops, strict=True) if drop in some for e in c.entries]
-    less = trimmed(problem, model, keys({*drops} - {"", UNSURE}), criteria)
-    if drops.count(UNSURE) < 2:
-        return trimmed(problem, less, keys({UNSURE}), criteria)
-    bare = trimmed(problem, less, keys({UNSURE}), criteria)
-    test = paired(problem, losses(problem, bare.held.paths, less.fit.weights), less.held.loss)
-    return less if test.p <= criteria.confidence and test.gain > criteria.size else bare
+    return trimmed(
+        problem, model, [e.key for (_, c), drop in zip(parts, drops, strict=True) if drop for e in c.entries], criteria
+    )
 
 
 def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Criteria) -> Model:

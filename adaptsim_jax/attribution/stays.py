@@ -11,7 +11,6 @@ from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.paired import Test
 
-UNCONFIRMED = "left-out stretches do not confirm it"
 TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
 
 
@@ -23,7 +22,7 @@ def why_not(
     less: the model without it, refitted; test: of the two over left-out blocks; steady: its size over its scatter (`steadiness`).
     """
     if test.p > max(criteria.confidence, 1.01 * 2.0**-test.parts):
-        return UNCONFIRMED
+        return "left-out stretches do not confirm it"
     least = criteria.size * len(c.entries)
     if test.gain < least:
         return f"takes less than {100 * least:.0f} % off the squared error"
