@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution import select as search
 from adaptsim_jax.attribution.backward import more
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import fit
@@ -17,6 +18,7 @@ from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
 from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.diagnosis.criteria import Criteria
 from tests.attribution.pendulum import record
 
 FEW = tuple(e for e in MACHINE if e.name in ("viscous", "coulomb", "bias") or e.place == "model")  # to be quick
@@ -97,3 +99,19 @@ def test_groups_that_a_change_does_not_touch_keep_their_numbers(tmp_path):
         np.testing.assert_allclose(a, b, atol=1e-9 * np.abs(b).max())
     np.testing.assert_allclose(apart.held.vectors, whole.held.vectors, atol=1e-9)
     np.testing.assert_allclose(apart.held.loss, whole.held.loss, rtol=1e-4)
+
+
+def test_where_nothing_is_named_the_final_model_is_the_declared_one(tmp_path, monkeypatch):
+    """An effect that was in the model and went leaves a fit behind it that may lie in another minimum, with heavier bodies."""
+    machine = load(record(tmp_path / "log", friction=0.0, trials=6, seconds=1.5, rate=125))
+    problem = prepare(machine.tree, machine.tracks, FEW, declared=machine.declared)
+    null = nuisances(problem, inertia=False)
+
+    def all_gone(problem, model, *rest):
+        vector = null.at(null.values + 0.01)
+        return modelled(problem, (), fit(problem, vector, rounds=0)), ()
+
+    monkeypatch.setattr(search, "judged", all_gone)
+    found = search.select(problem, null, Criteria(most_effects=1))
+    assert not found.final.added
+    np.testing.assert_array_equal(found.final.fit.vector.values, found.null.fit.vector.values)
