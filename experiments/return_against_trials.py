@@ -196,7 +196,7 @@ def show(out: Path) -> list[Path]:
             ]
             means = [float(np.mean(c)) if c else None for c in cells]
             if any(m is not None for m in means):
-                text.append(f"| {look.label(method)} | {' | '.join('' if m is None else f'{m:.2f}' for m in means)} |")
+                text.append(f"| {look.label(method)} | {' | '.join('' if m is None else f'{round(m, 2) + 0.0:.2f}' for m in means)} |")
                 drawn = [(b, m) for b, m in zip(BUDGETS, means, strict=True) if m is not None]
                 lowest = min([lowest, *[m for _, m in drawn]])
                 ax.plot(
