@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import Model, attempted, modelled, paired, refit
@@ -13,6 +14,8 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.paired import Test
 from adaptsim_jax.effects.base import Reach
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -37,13 +40,11 @@ class Named:
     p: float
 
 
-def scored(problem: Problem, model: Model, reach: Reach, laws: bool, near: Sequence[int] | None = None) -> list[Score]:
-    """Scores of all candidates that are laws, or of those that only describe. near: of those alone that act at these joints or at the
-    ones beside them."""
+def scored(problem: Problem, model: Model, reach: Reach, laws: bool, near: Candidate | None = None) -> list[Score]:
+    """Scores of all candidates that are laws, or of those that only describe. near: of those alone that act beside it."""
     every = candidates(problem, model.fit.vector, reach)
     if near is not None:
-        beside = {k + d for k in near for d in (-1, 0, 1)}
-        every = [c for c in every if beside & set(c.joints)]
+        every = [c for c in every if beside(c, near)]
     return table(problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws])
 
 
@@ -53,10 +54,28 @@ def more(large: Model, small: Model) -> int:
     return fitted(large) - fitted(small)
 
 
+def keys_of(model: Model, c: Candidate) -> list[tuple]:
+    """Keys of an effect's entries in a model, shapes too."""
+    return [e.key for e in model.fit.vector.entries if e.owner == c.effect and set(e.joints) <= set(c.joints)]
+
+
+def beside(c: Candidate, other: Candidate) -> bool:
+    """Whether two effects act at the same joints or at neighbouring ones, where one may stand in for the other."""
+    return any(abs(j - k) < 2 for j in c.joints for k in other.joints)
+
+
+def apart_in_turn(some: Sequence[T], effect: Callable[[T], Candidate]) -> list[T]:
+    """The first, and each later one that is beside none taken before it: these may go at once."""
+    taken: list[T] = []
+    for one in some:
+        if not any(beside(effect(one), effect(other)) for other in taken):
+            taken.append(one)
+    return taken
+
+
 def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria) -> Model:
     """The model without one of its effects, refitted under the same weights."""
-    keys = [e.key for e in model.fit.vector.entries if e.owner == gone.effect and set(e.joints) <= set(gone.joints)]
-    vector = model.fit.vector.without(keys)
+    vector = model.fit.vector.without(keys_of(model, gone))
     less = tuple(c for c in model.added if c is not gone)
     return compared(problem, model, less, model, vector, model.fit.starts, gone.joints, criteria)
 
@@ -88,8 +107,8 @@ def from_afar(problem: Problem, settle: Callable[..., Model], vector: Vector, st
 
 
 def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
-    """Backward: effects that do not hold out beside the others go, the weakest first; the rest against their look-alikes, of which
-    the simplest has the name."""
+    """Backward: effects that do not hold out beside the others go, the weakest first and with it those that are not beside it; the
+    rest against their look-alikes, of which the simplest has the name."""
     model = of_members(problem, model, criteria, trace, say)
     gone: set[tuple] = set()
     sure: set[tuple] = set()  # effects that were far from going: they are tested again once nothing else goes
@@ -111,9 +130,12 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             trace.append(Step("read", c, None, test, "how rows are read, not an effect"))
             model = replace(model, added=tuple(k for k in model.added if k is not c))
             continue
+        also: list[tuple] = []
         if failing:
-            _, c, less, test, why = min(failing, key=lambda f: f[0])
-            trace.append(Step("dropped", c, None, test, why))
+            (_, _, less, _, _), *others = weakest = apart_in_turn(sorted(failing, key=lambda f: f[0]), lambda f: f[1])
+            trace += [Step("dropped", c, None, test, why) for _, c, _, test, why in weakest]
+            less = replace(less, added=tuple(c for c in less.added if all(c is not f[1] for f in others)))
+            also = [key for f in others for key in keys_of(model, f[1])]
         else:
             alike = [look_alikes(problem, model, less, c, reach, criteria, say) for c, less, _, _ in tests]
             simpler = [
@@ -131,7 +153,7 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             trace.append(
                 Step("replaced", c, None, test, f"{less.added[-1].effect} has fewer parameters and does as well")
             )
-        own = fit(problem, less.fit.vector, less.fit.starts, rounds=criteria.rounds)
+        own = fit(problem, less.fit.vector.without(also), less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
     return model, tuple(
         Named(c, test, tuple(other.added[-1] for other, _ in others), steady, test.p)
@@ -192,9 +214,9 @@ def look_alikes(
     """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
     those that gain most without it at its joints or those beside them, and of those that it is mistaken for. What describes without
     a law is no rival of one: it does nearly as well as most."""
-    scores = scored(problem, less, reach, True, c.joints)
+    scores = scored(problem, less, reach, True, c)
     if problem.effect(c.effect).describes:
-        scores = sorted(scores + scored(problem, less, reach, False, c.joints), key=lambda s: -s.held_out)
+        scores = sorted(scores + scored(problem, less, reach, False, c), key=lambda s: -s.held_out)
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
     rivals = [

@@ -92,7 +92,9 @@ def select(
         scores = scored(problem, base, reach, True)
     beside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
     final, named = judged(beside, base, reach, criteria, trace, say)
-    if final.fit.vector.index().keys() == first.fit.vector.index().keys():  # by way of what went a fit may end elsewhere
+    if (
+        final.fit.vector.index().keys() == first.fit.vector.index().keys()
+    ):  # by way of what went a fit may end elsewhere
         final = first = first if hint is None else declared(problem, null, criteria)
     return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
 

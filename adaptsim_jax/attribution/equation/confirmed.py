@@ -6,6 +6,7 @@ therefore also simulate left-out stretches better than the balance refitted with
 
 from dataclasses import replace
 
+from adaptsim_jax.attribution.backward import apart_in_turn
 from adaptsim_jax.attribution.equation.models import Said, model_of, without
 from adaptsim_jax.attribution.held_out import Model, paired
 from adaptsim_jax.attribution.problem import Problem
@@ -17,9 +18,9 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 
 
 def confirmed(problem: Problem, found: Said, whole: Model, criteria: Criteria) -> Said:
-    """Without the effects that simulation does not bear out, the weakest first, each refitted by the balance. One that takes far more
-    than the least off is not asked again; where all together take nothing off, none is asked (closed testing; Marcus, Peritz and
-    Gabriel, 1976). whole: the model of all that is found."""
+    """Without the effects that simulation does not bear out, the weakest first and with it those that are not beside it, refitted by
+    the balance. One that takes far more than the least off is not asked again; where all together take nothing off, none is asked
+    (closed testing; Marcus, Peritz and Gabriel, 1976). whole: the model of all that is found."""
     sure: set[tuple] = set()
     if len(found.named) > 1:
         bare = _gone(without(problem, found, [n.candidate for n in found.named], []))
@@ -39,7 +40,8 @@ def confirmed(problem: Problem, found: Said, whole: Model, criteria: Criteria) -
         if not weak:
             return found
         sure |= {c.key for gain, stays, c, _ in tests if stays and gain > criteria.apart}
-        found = _gone(min(weak, key=lambda w: w[0])[2])
+        gone = apart_in_turn(sorted(weak, key=lambda w: w[0]), lambda w: w[1])
+        found = _gone(gone[0][2] if len(gone) == 1 else without(problem, found, [c for _, c, _ in gone], []))
         whole = model_of(problem, found, found.final, found.added, whole.fit.starts)
     return found
 
