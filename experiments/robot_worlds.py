@@ -147,9 +147,8 @@ def simulated(model: mujoco.MjModel, pose: np.ndarray, truth: dict, rng: np.rand
         if model.actuator_trntype[k] == 0 and model.jnt_qposadr[model.actuator_trnid[k, 0]] == at
     ]
     read = np.zeros(model.nu)
-    read[own] = truth["offset"] * (
-        model.actuator_biasprm[own, 1] < 0
-    )  # a servo moves the joint to where its encoder reads right
+    # a servo moves the joint to where its encoder reads right
+    read[own] = truth["offset"] * (model.actuator_biasprm[own, 1] < 0)
     angles, orders = [], []
     for row in range(5 * rate):
         angles.append(data.qpos.copy())
@@ -166,7 +165,7 @@ def judged(report: dict, truth: dict) -> tuple[bool, list[str]]:
     wanted, where = NAMES[truth["world"]], (truth["joint"], "all joints", "every joint")
     holds = lambda name, at: name.replace(" ", "_") in wanted and (truth["world"] == "delay" or at in where)
     rows = [
-        [(row["name"], row["where"]), *(tuple(a.split(" at ", 1)) for a in row["alternatives"] if " at " in a)]
+        [(row["name"], row["where"]), *(a.partition("@")[::2] for a in row["alternatives"])]
         for row in report["effects"]
     ]
     good = [any(holds(*name) for name in row) for row in rows]

@@ -60,7 +60,7 @@ def keys_of(model: Model, c: Candidate) -> list[tuple]:
 
 
 def beside(c: Candidate, other: Candidate) -> bool:
-    """Whether two effects act at the same joints or at neighbouring ones, where one may stand in for the other."""
+    """Whether two effects act at the same joints or at ones next to each other in number, where one may stand in for the other."""
     return any(abs(j - k) < 2 for j in c.joints for k in other.joints)
 
 

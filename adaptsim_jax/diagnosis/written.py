@@ -1,6 +1,7 @@
 """What a diagnosis leaves on disk: the report before anything that may fail, each other file if it can be written."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ def cleared(folder: Path) -> Path:
 
 
 def write_partial(folder: Path, report: Mapping[str, Any]) -> None:
-    """`report.json` of a search that goes on, which says so."""
+    """`report.json` of a search that goes on, which says so; where it cannot be written the search goes on without it."""
     told = {**report, "message": f"{UNFINISHED} {report['message']}", "unfinished": True}
-    write_json(folder / "report.json", check(told))
+    with suppress(Exception):  # whatever it is, minutes of search must not go with it
+        write_json(folder / "report.json", check(told))
 
 
 def write_all(

@@ -41,3 +41,10 @@ def test_an_unfinished_report_says_so_and_an_earlier_one_is_gone(tmp_path):
     write_partial(tmp_path, _report())
     told = json.loads((tmp_path / "report.json").read_text())
     assert told["unfinished"] and told["message"].startswith(UNFINISHED)
+
+
+def test_a_partial_report_that_cannot_be_written_does_not_end_the_search(tmp_path):
+    (tmp_path / "report.json").mkdir()
+    write_partial(tmp_path, _report())
+    write_partial(tmp_path, {"message": "no report"})
+    assert (tmp_path / "report.json").is_dir()

@@ -31,15 +31,8 @@ def exact(
     cost = lambda v: _cost(state.rows, residual(problem, balance, v), v)
     now = cost(vector)
     if near is not None:
-        known = near.index()
-        close = vector.at(
-            np.array(
-                [
-                    near.values[known[e.key]] if e.key in known else z
-                    for e, z in zip(vector.entries, vector.values, strict=True)
-                ]
-            )
-        )
+        known = {e.key: z for e, z in zip(near.entries, near.values, strict=True)}
+        close = vector.at(np.array([known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]))
         if (there := cost(close)) < now:
             vector, now = close, there
     fitted = None
