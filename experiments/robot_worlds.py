@@ -23,7 +23,7 @@ SHOWS = 5.0  # times the noise, rms over a trial and over the joint that it move
 DRAWS = 20
 NAMES = {
     "friction": ("coulomb",), "delay": ("delay",), "gain": ("torque_gain", "position_gain"), "armature": ("armature",),
-    "offset": ("encoder_offset",), "payload": (), "null": (),
+    "offset": ("encoder_offset",), "payload": ("inertia",), "null": (),
 }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax.attribution.angle_effects import BY_ANGLE
 from adaptsim_jax.attribution.drive_effects import DRIVES
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, WIDEST
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, TILTS, WIDEST
 from adaptsim_jax.effects import disturbance, elastic, friction, grids, inertia
 from adaptsim_jax.effects.actuator import actuator_lag, delay
 from adaptsim_jax.effects.base import Dry, Effect, Parameter, of_the_engine
@@ -17,6 +17,10 @@ from adaptsim_jax.effects.registry import of_other_packages
 from adaptsim_jax.effects.sensor import backlash, encoder_offset, sensor_lag
 
 LATEST = 0.05  # s
+
+
+def damping_step(p):
+    return p["step"] * p["damping"]
 
 
 def viscous(p, m):
@@ -237,6 +241,12 @@ OWN: tuple[Effect, ...] = (
         "armature", "force", (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),), inertia.rotor_inertia,
         "the rotor's inertia times the gear ratio squared, felt at its own joint", "fast motion", ("torque_gain", "inertia"),
         inertia=True, formula="-inertia dv/dt",
+    ),
+    Effect(
+        DAMPING_STEP, "force",
+        (Parameter("step", "s", -1.0, 1.0, 0.0), Parameter("damping", "N m s/rad", 0.0, 1e9, 0.0, None, held=True)),
+        damping_step, "a simulator's step, or a controller's: the declared damping acts by the speed at another time in it",
+        "fast changes of speed", ("armature", "delay"), inertia=True, formula="-step damping dv/dt",
     ),
     Effect(
         "torque_gain", "force", (Parameter("gain", "1", -0.9, 2.0, 0.0),), torque_gain,

@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.inertias_told import otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
-from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
@@ -230,6 +230,10 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             vector = vector.without(
                 [e.key for e in vector.entries if e.owner == owner and of[e.joints[0]] not in wanted]
             )
+    if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0):
+        widest = Criteria.least_shift * problem.reach.dt
+        every = tuple(range(problem.joints))
+        vector = vector.with_entries([Entry(DAMPING_STEP, "step", every, 0.0, 0.0, -widest, widest, "s", widest)])
     if machine.gain_unknown:
         prior = TOLD_GAIN if machine.gain_told else np.inf  # free, gain and inertias shrink together
         gain = [Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior) for j in range(problem.joints)]

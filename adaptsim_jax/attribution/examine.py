@@ -10,6 +10,7 @@ import numpy as np
 from adaptsim_jax.attribution.backward import judged
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
+from adaptsim_jax.attribution.equation.filed import enough, filed
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
@@ -80,7 +81,12 @@ def examine(
     say("balance of torques")
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
-        words = said(problem, told, null, reach, criteria, machine.log.input_kind != "torque", factor)
+        search = lambda vector: said(
+            problem, told, vector, reach, criteria, machine.log.input_kind != "torque", factor
+        )
+        words, bare = search(null), filed(null)
+        if len(bare) < len(null) and enough(held := search(bare), words, criteria.torque):
+            words, null = held, bare
         declared = model_of(problem, words, words.null, ())
     except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
         found = by_simulation(problem, null, criteria, say, keep)

@@ -102,10 +102,10 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             raise BadInput(
                 f"{path}: effects[{k}].joint = {joint!r} is no joint of its model; {config.suggest(str(joint), joints)}"
             )
-        for p in known[name].parameters:
+        for p in (p for p in known[name].parameters if p.name in numbers):
             rest = p.default if p.off is None else p.off
             column = np.array(out.get((name, p.name), np.full(len(joints), rest)), float)
-            column[joints.index(joint)] = numbers.get(p.name, rest)
+            column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column
     mechanism = replace(machine.mechanism, tree=replace(tree, inertial=inertial, gravity=gravity))
     return replace(machine, mechanism=mechanism, declared=out, actuator=law)

@@ -15,6 +15,7 @@ import numpy as np
 
 INERTIA = "inertia"
 TILT = "tilt"
+DAMPING_STEP = "damping_step"
 TILTS = ("about_x", "about_y")
 ETA = (
     "size",

@@ -8,6 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.acting import Model, Values
 from adaptsim_jax.attribution.parameters import (
+    DAMPING_STEP,
     ETA,
     INERTIA,
     TILT,
@@ -105,6 +106,7 @@ def prepare(
         ("armature", "inertia"): np.asarray(tree.armature), ("spring", "stiffness"): np.asarray(tree.stiffness),
         ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
     }  # fmt: skip
+    as_declared[DAMPING_STEP, "damping"] = np.asarray(tree.damping) - actuator[3] * gear**2
     as_declared |= dict(declared or {})
     return Problem(
         tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear, ties), fold, names,

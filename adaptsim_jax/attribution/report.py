@@ -179,8 +179,11 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
 
 def _declared(machine: Machine, problem: Problem, model: Model) -> dict[str, Any]:
     """Fitted inertias, as a person knows them (`inertias_told`), and dampings."""
+    late = Criteria.least_shift * problem.reach.dt  # s, which nobody can tell of commands: so much damping, times kp
+    stiff = {j: -late * k for g in problem.groups for j, k in zip(g.joints, g.actuator[2] * g.gear**2, strict=True)}
+    wider = lambda row, more: row | {"low": row["low"] - more, "high": row["high"] + more}
     dampings = {f"{e.name} of {problem.joint_names[e.joints[0]]}":
-                row | {"identifiable": True, "file": float(machine.tree.damping[e.joints[0]])}
+                wider(row, stiff[e.joints[0]]) | {"identifiable": True, "file": float(machine.tree.damping[e.joints[0]])}
                 for e, row in _numbers_of(model) if e.owner == "viscous"}  # fmt: skip
     return inertias_told.told(machine, problem, model) | dampings
 

@@ -13,7 +13,7 @@ from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS, Entry, Vector, inertia_entries
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, TILTS, Entry, Vector, inertia_entries
 from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 
@@ -125,7 +125,7 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             and (j in driven or effect.name not in PASSIVE)
             and not (effect.pair and j in first)
         ]
-        if effect.name == "viscous":
+        if effect.name == DAMPING_STEP:
             continue
         if effect.place == "model":
             out += _of_model(problem, effect.name, taken)

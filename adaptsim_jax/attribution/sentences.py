@@ -4,12 +4,13 @@ import numpy as np
 
 from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import TILT
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
 
+SURE = 3.0  # times its standard error, from which on the step is told by which damping acts late
 SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
 
 
@@ -60,7 +61,7 @@ def _found(
     worst = int(np.argmax(median))
     many = f", most of it at {problem.joint_names[worst]}" if over > explained and problem.joints > 1 else ""
     if not found.named:
-        told = f"The declared model, fitted, simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
+        told = f"{_model(found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
         if over <= explained:
             return f"{told}." if odd else f"{told}. Nothing need be added."
         at = f"{many} ({median[worst]:.0f} times)" if many else ""
@@ -76,6 +77,11 @@ def _found(
     told = told[:1].upper() + told[1:]
     rest = f"Left-out error {size(before)} to {size(after)} {unit}; what remains is {over:.1f} times the noise floor"
     return f"{told}. {rest}{many}."
+
+
+def _model(found: Selection) -> str:
+    filed = all(e.owner not in (INERTIA, "viscous") for e in found.null.fit.vector.entries)
+    return "The model file as it is" if filed else "The declared model, fitted,"
 
 
 def _closest(problem: Problem, found: Selection) -> str:
@@ -104,16 +110,23 @@ def soft_friction(named: tuple[Named, ...], kind: str, over: float) -> list[str]
 
 
 def read_so(problem: Problem, found: Selection) -> list[str]:
-    """What was fitted as a way in which rows are read."""
-    read = [s.candidate.effect for s in found.trace if s.action == "read" and s.candidate is not None]
-    said = [
-        "All rotors come out heavier by what damps them in a small part of a row: as where a simulator's implicit steps made "
-        "these logs. Read so; no effect is named for it."
+    """What was fitted as a way in which rows are read, or steps made."""
+    return [*_early_commands(problem, found), *_implicit(found)]
+
+
+def _implicit(found: Selection) -> list[str]:
+    """That damping acts by the speed at another time in a step."""
+    model = found.final
+    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
+    steps = [1e3 * z for e, z, spread in rows if e.owner == DAMPING_STEP and abs(z) > SURE * spread > 0.0]
+    return [
+        f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms {'later' if z > 0 else 'earlier'}: "
+        "as the steps of a simulator or of a controller make it. Read so; no effect is named for it."
+        for z in steps
     ]
-    return [*early_commands(problem, found), *(said if "armature" in read else [])]
 
 
-def early_commands(problem: Problem, found: Selection) -> list[str]:
+def _early_commands(problem: Problem, found: Selection) -> list[str]:
     """What a delay below zero means, or one within a row."""
     vector = found.final.fit.vector
     delays = [z for e, z in zip(vector.entries, vector.values, strict=True) if e.owner == "delay"]

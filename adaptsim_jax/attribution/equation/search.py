@@ -17,10 +17,9 @@ from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_read, steadiness, why_not
-from adaptsim_jax.attribution.parameters import INERTIA, Vector
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates
-from adaptsim_jax.attribution.stays import in_step
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
@@ -104,8 +103,6 @@ def witness(
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c)))
-    if state.commanded and in_step(problem, final.entries, final.values, criteria):  # how rows are read
-        kept = [k for k in kept if k.candidate.effect != "armature"]
     base = state.set_of(())
     first = exact(state, (), base)[0]
     return Witness(
@@ -130,7 +127,8 @@ def _friction_first(state: Searched, every: Sequence[Candidate], steps: list[Ste
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
     hides another (a file's damping and rotors that are not there: dry friction that is)."""
     added: list[Candidate] = []
-    for name in ORDER:
+    stepped = any(e.owner == DAMPING_STEP for e in state.null.entries)  # which is nearly rotors at all of them already
+    for name in ORDER[:2] if stepped else ORDER:
         some = [c for c in every if c.effect == name and c.sharing == ("common" if name == "delay" else "joint")]
         if name == "delay":  # of all commands, where there are any, which else looks like rotors
             some = ranked(state, state.set_of(added), some)[:1] if state.commanded else []

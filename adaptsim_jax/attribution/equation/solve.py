@@ -165,7 +165,7 @@ class Sums:
                 b, there, _ = self.blocks[other]
             both = np.intersect1d(live, there)
             a, b = a[:, np.searchsorted(live, both)], b[:, np.searchsorted(there, both)]
-            flat = lambda z, part: z[part].reshape(-1, z.shape[2])
+            flat = lambda z, part: z[part].reshape((part.stop - part.start) * z.shape[1], z.shape[2])
             self.products[key] = np.stack([flat(a, p).T @ flat(b, p) for p in self.parts])
             if other is not None:
                 self.products[other, one] = np.swapaxes(self.products[key], 1, 2)

@@ -1,0 +1,46 @@
+"""Whether the bodies and the damping of the model file need be fitted: two nested models by the torque along the motion.
+
+Fitted bodies take up much of what a stiff servo's friction, rotor or encoder does. Where those of the file, with few
+effects named beside them, tell left-out torques as well, they are the file's: the model with fewer numbers is taken.
+"""
+
+
+import numpy as np
+
+from adaptsim_jax.attribution.equation.models import Said
+from adaptsim_jax.attribution.equation.search import Witness
+from adaptsim_jax.attribution.equation.solve import means
+from adaptsim_jax.attribution.parameters import INERTIA, Vector
+from adaptsim_jax.diagnosis.criteria import TorqueCriteria
+
+FITTED = (INERTIA, "viscous")
+
+
+def filed(null: Vector) -> Vector:
+    """The entries without bodies and damping, which stay as the file has them."""
+    return null.without([e.key for e in null.entries if e.owner in FITTED])
+
+
+def enough(held: Said, free: Said, own: TorqueCriteria) -> bool:
+    """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by a few names more at most."""
+    if len(held.named) > len(free.named) + own.filed:
+        return False
+    d = np.concatenate([_worse(*both) for both in zip(held.witnesses, free.witnesses, strict=True)])
+    return bool(1.0 - np.exp(-d.mean()) < own.gain)
+
+
+def _worse(held: Witness, free: Witness) -> np.ndarray:
+    """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
+    rows = free.rows
+    loss = [means(rows.clear * np.square(left_out(w) / rows.size), rows.block).mean(1) for w in (held, free)]
+    usual = 0.1 * np.median(loss[0])
+    return np.log((loss[0] + usual) / (loss[1] + usual))
+
+
+def left_out(w: Witness) -> np.ndarray:
+    """What is missing [K, n] of windows by the values of the other folds."""
+    left = w.rows.missing.copy()
+    for f, x in enumerate(w.whole.by_fold):
+        mine = w.rows.fold == f
+        left[mine] -= w.whole.columns[mine] @ x
+    return left

@@ -1,0 +1,89 @@
+"""Bodies that are the model file's, and what the steps of a simulator do to damping: by the balance of torques of a stiff arm."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.filed import enough, filed
+from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.windows import runs_of
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA
+from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.diagnosis.criteria import Criteria
+
+KP, KV, STEP = 2000.0, 200.0, 5e-4
+JOINTS = ("turn", "lift", "elbow")
+SERVOS = "".join(f'<position name="{j}" joint="{j}" kp="{KP}" kv="{KV}"/>' for j in JOINTS)
+ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>
+<joint name="turn" axis="0 0 1" armature="0.1"/><inertial pos="0 0 0.1" mass="4.0" diaginertia="0.05 0.05 0.05"/>
+<body pos="0 0 0.2"><joint name="lift" axis="0 1 0" armature="0.1"/>
+<inertial pos="0 0 -0.2" mass="4.0" diaginertia="0.08 0.08 0.01"/>
+<body pos="0 0 -0.4"><joint name="elbow" axis="0 1 0" armature="{{rotor}}"/>
+<inertial pos="0.02 0 -0.15" mass="{{mass}}" diaginertia="0.03 0.03 0.005"/></body></body></body></worldbody>
+<actuator>{SERVOS}</actuator></mujoco>"""
+
+
+def arm_log(folder, rotor=0.1, mass=2.0, trials=3):
+    """A folder whose file has a rotor of 0.1 kg m2 and a forearm of 2 kg; logs of an arm with others."""
+    folder.mkdir()
+    (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0))
+    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
+    model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass)), np.random.default_rng(5)
+    for trial in range(trials):
+        data = mujoco.MjData(model)
+        speed, phase = rng.uniform(0.3, 1.2, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
+        told = lambda t, w=speed, p=phase: 0.3 * np.sin(2 * np.pi * w * t + p).sum(0)
+        data.qpos[:] = told(0.0)
+        rows = []
+        for k in range(800):
+            rows.append([k / 200, *data.qpos + 1e-4 * rng.standard_normal(3), *told(k / 200)])
+            data.ctrl[:] = told(k / 200)
+            mujoco.mj_step(model, data, nstep=10)
+        names = ",".join(["time", *(f"q_{j}" for j in JOINTS), *(f"ctrl_{j}" for j in JOINTS)])
+        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
+    return folder
+
+
+def searched(folder):
+    """What is found with fitted bodies and with those of the file."""
+    machine = load(folder, None)
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    null, told = declared_vector(machine, problem), balances(problem, machine.tracks)
+    reach = scaled_reach(problem, *own_inertia(problem, null))
+    return [said(problem, told, vector, reach, Criteria(), True) for vector in (null, filed(null))]
+
+
+def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
+    time = np.arange(0.0, 8.0, 0.005)
+    q = np.stack([np.sin(2 * np.pi * 1.2 * time)], 1)
+    (run,) = runs_of([Track("a", time, q, None, np.zeros_like(q))], np.full(1, 1e-6))
+    true = 2 * np.pi * 1.2 * np.cos(2 * np.pi * 1.2 * run.time)
+    assert np.abs(run.v[0] - true)[20:-20].max() < 1e-4 * np.abs(true).max()  # 2e-3 by the slope of a local quadratic
+
+
+def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late(tmp_path):
+    free, held = searched(arm_log(tmp_path / "rotor", rotor=0.16))
+    assert enough(held, free, Criteria().torque)
+    assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("armature", (2,))]
+    values = {e.key: z for e, z in zip(held.final.entries, held.final.values, strict=True)}
+    assert values["armature", "inertia", (2,)] == pytest.approx(0.16, abs=0.004)
+    assert values[DAMPING_STEP, "step", (0, 1, 2)] == pytest.approx(0.5 * STEP, abs=0.2 * STEP)
+
+
+def test_a_body_that_is_not_the_files_is_named(tmp_path):
+    free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
+    assert enough(held, free, Criteria().torque)
+    assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("inertia", (2,))]
+
+
+def test_nothing_is_added_to_a_file_that_is_right(tmp_path):
+    report = diagnose(arm_log(tmp_path / "null"), out=tmp_path / "out")
+    assert report["verdict"] == "within_noise" and not report["effects"]
+    assert report["message"].startswith("The model file as it is")
+    assert not any(e.startswith(INERTIA) for e in report["fit_coordinates"]["after"])
+    assert DAMPING_STEP in (tmp_path / "out" / "model.toml").read_text()
