@@ -1,6 +1,5 @@
 """Whether an effect stays in the model, beside all others, and if not, why: the rules of `backward.judged`."""
 
-
 import numpy as np
 
 from adaptsim_jax.attribution.held_out import Model, held_error

@@ -50,12 +50,12 @@ def arm_log(folder, rotor=0.1, mass=2.0, trials=3):
 
 
 def searched(folder):
-    """What is found with fitted bodies and with those of the file."""
+    """The problem, and what is found with fitted bodies and with those of the file."""
     machine = load(folder, None)
     problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
     null, told = declared_vector(machine, problem), balances(problem, machine.tracks)
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    return [said(problem, told, vector, reach, Criteria(), True) for vector in (null, filed(null))]
+    return problem, *(said(problem, told, vector, reach, Criteria(), True) for vector in (null, filed(null)))
 
 
 def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
@@ -67,8 +67,8 @@ def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
 
 
 def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late(tmp_path):
-    free, held = searched(arm_log(tmp_path / "rotor", rotor=0.16))
-    assert enough(held, free, Criteria().torque)
+    problem, free, held = searched(arm_log(tmp_path / "rotor", rotor=0.16))
+    assert enough(problem, held, free, Criteria(), False)
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("armature", (2,))]
     values = {e.key: z for e, z in zip(held.final.entries, held.final.values, strict=True)}
     assert values["armature", "inertia", (2,)] == pytest.approx(0.16, abs=0.004)
@@ -76,8 +76,8 @@ def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late
 
 
 def test_a_body_that_is_not_the_files_is_named(tmp_path):
-    free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
-    assert enough(held, free, Criteria().torque)
+    problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
+    assert enough(problem, held, free, Criteria(), False)
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("inertia", (2,))]
 
 

@@ -4,14 +4,16 @@ Fitted bodies take up much of what a stiff servo's friction, rotor or encoder do
 effects named beside them, tell left-out torques as well, they are the file's: the model with fewer numbers is taken.
 """
 
-
 import numpy as np
 
-from adaptsim_jax.attribution.equation.models import Said
+from adaptsim_jax.attribution.equation.models import Said, model_of
 from adaptsim_jax.attribution.equation.search import Witness
 from adaptsim_jax.attribution.equation.solve import means
+from adaptsim_jax.attribution.held_out import paired
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
-from adaptsim_jax.diagnosis.criteria import TorqueCriteria
+from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.diagnosis.criteria import Criteria
 
 FITTED = (INERTIA, "viscous")
 
@@ -21,12 +23,22 @@ def filed(null: Vector) -> Vector:
     return null.without([e.key for e in null.entries if e.owner in FITTED])
 
 
-def enough(held: Said, free: Said, own: TorqueCriteria) -> bool:
-    """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by a few names more at most."""
-    if len(held.named) > len(free.named) + own.filed:
+def enough(problem: Problem, held: Said, free: Said, criteria: Criteria, follows: bool) -> bool:
+    """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by a few names more at most.
+    follows: the machine follows commands; a command error shows more than any motion does, and it is enough that left-out stretches
+    are simulated as well."""
+    if len(held.named) > len(free.named) + criteria.torque.filed:
         return False
     d = np.concatenate([_worse(*both) for both in zip(held.witnesses, free.witnesses, strict=True)])
-    return bool(1.0 - np.exp(-d.mean()) < own.gain)
+    if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
+        return True
+    return follows and _simulates(problem, held, free, criteria)
+
+
+def _simulates(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
+    own, other = (model_of(problem, s, s.final, s.added) for s in (held, free))
+    test = paired(problem, own.held.loss, losses(problem, other.held.paths, own.fit.weights))
+    return test.gain <= criteria.size or test.p > criteria.confidence
 
 
 def _worse(held: Witness, free: Witness) -> np.ndarray:
