@@ -230,7 +230,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             vector = vector.without(
                 [e.key for e in vector.entries if e.owner == owner and of[e.joints[0]] not in wanted]
             )
-    if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0):
+    if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0) and not machine.servo_times:
         widest = Criteria.least_shift * problem.reach.dt
         every = tuple(range(problem.joints))
         vector = vector.with_entries([Entry(DAMPING_STEP, "step", every, 0.0, 0.0, -widest, widest, "s", widest)])
