@@ -105,12 +105,13 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
 
 def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angles and speeds [n, T] by local quadratics over `rows` neighbours (Savitzky and Golay, 1964), and speeds by local quartics:
-    the slope of a quadratic is too small by a share (0.2 % at 1.2 Hz, by 7 rows of 5 ms) that a stiff controller's damping shows."""
+    the slope of a quadratic is too small by a share (0.2 % at 1.2 Hz, by 7 rows of 5 ms) that a stiff controller's damping shows.
+    Five rows, which a quartic would go through, have no other speed."""
     from scipy.signal import savgol_filter
 
     rows = min(rows, (q.shape[1] - 1) // 2 * 2 + 1)
-    by = lambda degree, deriv: savgol_filter(q, rows, min(degree, rows - 1), deriv=deriv, delta=dt, axis=1)
-    return by(2, 0), by(2, 1), by(4, 1)
+    by = lambda degree, deriv: savgol_filter(q, rows, degree, deriv=deriv, delta=dt, axis=1)
+    return by(2, 0), by(2, 1), by(4 if rows > 5 else 2, 1)
 
 
 def _windows(time: np.ndarray, seen: np.ndarray, span: float, hop: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
