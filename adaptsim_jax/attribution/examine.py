@@ -84,7 +84,7 @@ def examine(
     try:
         search = lambda vector: said(problem, told, vector, reach, criteria, machine.log.input_kind != "torque", factor)
         words, bare = search(null), filed(null)
-        if len(bare) < len(null):
+        if follows and len(bare) < len(null):
             held = search(bare)
             if enough(problem, held, words, criteria, follows):
                 words, null = held, bare
