@@ -86,7 +86,7 @@ def examine(
         words, bare = search(null), filed(null)
         if follows and len(bare) < len(null):
             held = search(bare)
-            if enough(problem, held, words, criteria, follows):
+            if enough(problem, held, words, criteria):
                 words, null = held, bare
         declared = model_of(problem, words, words.null, ())
     except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself

@@ -24,11 +24,7 @@ def held_missing(found: Said) -> tuple[dict[int, np.ndarray], dict[int, np.ndarr
     out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
     for k, w in enumerate(found.witnesses):
         for kept, solved in zip(out, (w.base, w.whole), strict=True):
-            left = w.rows.missing.copy()
-            for f, x in enumerate(solved.by_fold):
-                mine = w.rows.fold == f
-                left[mine] -= solved.columns[mine] @ x
-            kept[k] = left
+            kept[k] = solved.left_out(w.rows)
     return out
 
 

@@ -68,7 +68,7 @@ def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
 
 def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "rotor", rotor=0.16))
-    assert enough(problem, held, free, Criteria(), False)
+    assert enough(problem, held, free, Criteria())
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("armature", (2,))]
     values = {e.key: z for e, z in zip(held.final.entries, held.final.values, strict=True)}
     assert values["armature", "inertia", (2,)] == pytest.approx(0.16, abs=0.004)
@@ -77,7 +77,7 @@ def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late
 
 def test_a_body_that_is_not_the_files_is_named(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
-    assert enough(problem, held, free, Criteria(), False)
+    assert enough(problem, held, free, Criteria())
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("inertia", (2,))]
 
 

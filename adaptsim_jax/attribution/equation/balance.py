@@ -77,11 +77,11 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
         mean = scipy.sparse.block_diag([r.mean for r in runs], "csr")
         table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
         regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
-        clear = mean @ (np.concatenate([r.clear for r in runs], 1) * _inside(group.model.tree, q)).T
         out.append(
             Balance(
                 group, q, v, a, u, sign, np.concatenate([r.time for r in runs]),
-                tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T, clear,
+                tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T,
+                mean @ (np.concatenate([r.clear for r in runs], 1) * _inside(group.model.tree, q)).T,
                 np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
                 tuple(t.name for t in tracks), _known(group.model.tree, mean, q, v, a),
             )

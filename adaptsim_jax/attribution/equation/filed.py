@@ -1,4 +1,4 @@
-"""Whether the bodies and the damping of the model file need be fitted: two nested models by the torque along the motion.
+"""Whether the bodies and the damping of the model file need be fitted: two nested models of a machine that follows commands.
 
 Fitted bodies take up much of what a stiff servo's friction, rotor or encoder does. Where those of the file, with few
 effects named beside them, tell left-out torques as well, they are the file's: the model with fewer numbers is taken.
@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.models import Said, model_of
 from adaptsim_jax.attribution.equation.search import Witness
-from adaptsim_jax.attribution.equation.solve import means
+from adaptsim_jax.attribution.equation.solve import FLOOR, means
 from adaptsim_jax.attribution.held_out import paired
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
@@ -23,16 +23,15 @@ def filed(null: Vector) -> Vector:
     return null.without([e.key for e in null.entries if e.owner in FITTED])
 
 
-def enough(problem: Problem, held: Said, free: Said, criteria: Criteria, follows: bool) -> bool:
+def enough(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
     """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by a few names more at most.
-    follows: the machine follows commands; a command error shows more than any motion does, and it is enough that left-out stretches
-    are simulated as well."""
+    A command error shows more than any motion does, and it is enough that left-out stretches are simulated as well."""
     if len(held.named) > len(free.named) + criteria.torque.filed:
         return False
     d = np.concatenate([_worse(*both) for both in zip(held.witnesses, free.witnesses, strict=True)])
     if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
         return True
-    return follows and _simulates(problem, held, free, criteria)
+    return _simulates(problem, held, free, criteria)
 
 
 def _simulates(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
@@ -44,15 +43,8 @@ def _simulates(problem: Problem, held: Said, free: Said, criteria: Criteria) -> 
 def _worse(held: Witness, free: Witness) -> np.ndarray:
     """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
     rows = free.rows
-    loss = [means(rows.clear * np.square(left_out(w) / rows.size), rows.block).mean(1) for w in (held, free)]
-    usual = 0.1 * np.median(loss[0])
+    loss = [
+        means(rows.clear * np.square(w.whole.left_out(w.rows) / rows.size), rows.block).mean(1) for w in (held, free)
+    ]
+    usual = FLOOR * np.median(loss[0])
     return np.log((loss[0] + usual) / (loss[1] + usual))
-
-
-def left_out(w: Witness) -> np.ndarray:
-    """What is missing [K, n] of windows by the values of the other folds."""
-    left = w.rows.missing.copy()
-    for f, x in enumerate(w.whole.by_fold):
-        mine = w.rows.fold == f
-        left[mine] -= w.whole.columns[mine] @ x
-    return left

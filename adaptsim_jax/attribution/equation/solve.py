@@ -46,6 +46,10 @@ class Solved:
     loss: np.ndarray
     hess: np.ndarray = field(repr=False)
 
+    def left_out(self, rows: "Rows") -> np.ndarray:
+        """What is missing [K, n] of windows by the values of the other folds."""
+        return left_out(rows, self.columns, self.by_fold)
+
     @cached_property
     def error(self) -> np.ndarray:
         """Standard errors [P] by the jackknife over folds, at least those of the curvature."""
@@ -181,12 +185,18 @@ def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarra
     step = bounded_step(total, all_slope, vector, 1e-9)
     by_fold = np.stack([bounded_step(total - h, all_slope - s, vector, 1e-9) for h, s in zip(hess, slope, strict=True)])
     columns = np.concatenate([sums.blocks[name][2] for name in names], 2)
+    left = left_out(rows, columns, by_fold)
+    loss = means(rows.clear * np.square(left / rows.size), rows.block)
+    return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(vector.precision))
+
+
+def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray:
+    """What columns [K, n, P] leave of the missing forces [K, n] of each fold, at the values [F, P] that go without it."""
     left = rows.missing.copy()
     for f, x in enumerate(by_fold):
         mine = rows.fold == f
         left[mine] -= columns[mine] @ x
-    loss = means(rows.clear * np.square(left / rows.size), rows.block)
-    return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(vector.precision))
+    return left
 
 
 def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Compared:
