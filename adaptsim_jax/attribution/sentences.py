@@ -111,7 +111,12 @@ def soft_friction(named: tuple[Named, ...], kind: str, over: float) -> list[str]
 
 def read_so(problem: Problem, found: Selection) -> list[str]:
     """What was fitted as a way in which rows are read, or steps made."""
-    return [*_early_commands(problem, found), *_implicit(found)]
+    read = any(s.action == "read" and s.candidate is not None and s.candidate.effect == "armature" for s in found.trace)
+    rotors = (
+        "All rotors differ from the file's by what damps them in a small part of a row: as a simulator's or a controller's steps "
+        "make it. Read so; no effect is named for it."
+    )
+    return [*_early_commands(problem, found), *_implicit(found), *([rotors] if read else [])]
 
 
 def _implicit(found: Selection) -> list[str]:

@@ -1,8 +1,11 @@
 """Whether an effect stays in the model, beside all others, and if not, why: the rules of `backward.judged`."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from adaptsim_jax.attribution.held_out import Model, held_error
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -67,13 +70,30 @@ def eased(problem: Problem, less: Model, model: Model) -> float:
 
 def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
     """Whether it is how commands are read: at all driven joints they act early, by no more than those of a controller that is faster
-    than its log (half of the difference of both intervals), or late by less than the log resolves."""
+    than its log (half of the difference of both intervals), or late by less than the log resolves; or, where no `damping_step` is
+    fitted, rotors differ by what damps a joint in a small part of a row."""
+    stepped = any(e.owner == DAMPING_STEP for e in model.fit.vector.entries)
+    if c.effect == "armature" and not stepped:
+        return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
     driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
     times = [
         z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if e.key == c.entries[0].key
     ]
     between = bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.least_shift
     return c.effect == "delay" and between and len(c.entries) == 1 and driven <= set(c.joints)
+
+
+def in_step(problem: Problem, entries: Sequence[Entry], values: np.ndarray, criteria: Criteria) -> bool:
+    """Whether all rotors that are fitted, of two joints or more, differ from the file's by less than their damping times the shift in
+    time that the log resolves: damping that acts that much earlier does the same."""
+    at = {e.key: z for e, z in zip(entries, values, strict=True)}
+    damping = np.zeros(problem.joints)
+    for g in problem.groups:
+        damping[list(g.joints)] = -g.actuator[3] * g.gear**2
+    damping += [at.get(("viscous", "damping", (j,)), 0.0) for j in range(problem.joints)]
+    shift = criteria.least_shift * problem.reach.dt
+    rotors = [(abs(at[e.key] - e.off), min(damping[j] for j in e.joints)) for e in entries if e.owner == "armature"]
+    return len(rotors) > 1 and all(heavier < shift * damps for heavier, damps in rotors)
 
 
 def _at_bound(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
