@@ -23,17 +23,17 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator
 <joint name="turn" axis="0 0 1" armature="0.1"/><inertial pos="0 0 0.1" mass="4.0" diaginertia="0.05 0.05 0.05"/>
 <body pos="0 0 0.2"><joint name="lift" axis="0 1 0" armature="0.1"/>
 <inertial pos="0 0 -0.2" mass="4.0" diaginertia="0.08 0.08 0.01"/>
-<body pos="0 0 -0.4"><joint name="elbow" axis="0 1 0" armature="{{rotor}}"/>
+<body pos="0 0 -0.4"><joint name="elbow" axis="{{axis}}" armature="{{rotor}}"/>
 <inertial pos="0.02 0 -0.15" mass="{{mass}}" diaginertia="0.03 0.03 0.005"/></body></body></body></worldbody>
 <actuator>{SERVOS}</actuator></mujoco>"""
 
 
-def arm_log(folder, rotor=0.1, mass=2.0, trials=3):
+def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0"):
     """A folder whose file has a rotor of 0.1 kg m2 and a forearm of 2 kg; logs of an arm with others."""
     folder.mkdir()
-    (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0))
+    (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0, axis=axis))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
-    model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass)), np.random.default_rng(5)
+    model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass, axis=axis)), np.random.default_rng(5)
     for trial in range(trials):
         data = mujoco.MjData(model)
         speed, phase = rng.uniform(0.3, 1.2, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
@@ -79,6 +79,14 @@ def test_a_body_that_is_not_the_files_is_named(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
     assert enough(problem, held, free, Criteria())
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("inertia", (2,))]
+
+
+def test_a_heavier_body_shows_at_the_joints_that_carry_it(tmp_path):
+    problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0, axis="0 0 1"))  # its own joint carries none of it
+    assert enough(problem, held, free, Criteria())
+    (named,) = held.named
+    alike = [(c.effect, c.joints) for c in (named.candidate, *named.alternatives)]
+    assert (INERTIA, (2,)) in alike and {effect for effect, _ in alike} == {INERTIA}
 
 
 def test_nothing_is_added_to_a_file_that_is_right(tmp_path):

@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from adaptsim_jax.attribution.backward import beside
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.columns import balanced
 from adaptsim_jax.attribution.equation.exact import exact, needed
@@ -154,7 +155,7 @@ def _open(state: Searched, added: Sequence[Candidate], every: Sequence[Candidate
 
 
 def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) -> Candidate | None:
-    """The candidate that takes most off where it was left out, for the numbers that it has."""
+    """The candidate that takes most off where it was left out, of all joints at which it shows, for the numbers that it has."""
     now = state.set_of(added)
     for laws in (True, False):
         some = [c for c in _open(state, added, every) if state.problem.effect(c.effect).describes is not laws]
@@ -165,7 +166,7 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
             least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
             why = why_not(state, more, c, test, least, state.limits.level)
             steps.append(Step("refused" if why else "tried", c, test, why))
-            value = test.gain - state.limits.gain * len(c.entries)
+            value = (test.gain - state.limits.gain * len(c.entries)) * len(state.own(c))
             if not why and (best is None or value > best[0]):
                 best = value, c, test
         if best is not None:
@@ -223,19 +224,20 @@ def _alike(state: Searched, added, c: Candidate, less: Solved, whole: Solved, ev
 
 
 def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, whole: Solved, every) -> list[Candidate]:
-    """Single effects that do nearly as well beside `rest` as those that are gone from it. less, whole: without them, and with."""
-    names, joints = {c.effect for c in gone}, sorted({j for c in gone for j in c.joints})
-    others = [k for k in _open(state, rest, every) if k.effect not in names and set(k.joints) & set(joints)]
+    """Single effects that do nearly as well beside `rest` as those that are gone from it: others at their joints, the same at joints
+    beside. less, whole: without them, and with."""
+    names, joints = {c.effect for c in gone}, {j for c in gone for j in c.joints}
+    near = [k for k in _open(state, rest, every) if any(beside(k, c) for c in gone)]
+    others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
     others = [k for k in others if not state.problem.effect(k.effect).describes]
-    own = [state.local[j] for j in joints]
     gap = max(
         state.criteria.gap,
-        1.0 - (1.0 - compared(state.rows, less, whole, own).gain) ** state.criteria.alike,
+        1.0 - (1.0 - compared(state.rows, less, whole, state.own(*gone)).gain) ** state.criteria.alike,
     )
     out = []
     for k in ranked(state, less, others)[:3]:
         other = state.set_of([*rest, k])
-        if compared(state.rows, other, whole, own).gain < gap and not at_bound(other, k):
+        if compared(state.rows, other, whole, state.own(*gone, k)).gain < gap and not at_bound(other, k):
             out.append(k)
     return out
 

@@ -9,11 +9,12 @@ import numpy as np
 from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion
 from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
-from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
+from adaptsim_jax.mechanisms.tree import ancestors
 
 LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
 """Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
@@ -69,8 +70,16 @@ class Searched:
         driven = self.told + found.columns[..., changed] @ found.step[changed]
         return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
 
-    def own(self, c: Candidate) -> list[int]:
-        return [self.local[j] for j in c.joints]
+    def own(self, *some: Candidate) -> list[int]:
+        """Local numbers of the joints at which effects show: a body at all that carry it."""
+        tree = self.balance.group.model.tree
+        shows = {
+            k
+            for c in some
+            for k in map(self.local.get, c.joints)
+            for k in (k, *(ancestors(tree, k) if c.effect == INERTIA else ()))
+        }
+        return sorted(shows)
 
 
 def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Candidate]:
@@ -91,9 +100,9 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
         at += block.shape[2]
-        gain = _gain(own, flat, fold, c) / max(0.5 * total[state.own(c)].sum(), 1e-300) - state.limits.gain * len(
-            c.entries
-        )
+        joints = state.own(c)
+        share = _gain(own, flat, fold, c) / max(0.5 * total[joints].sum(), 1e-300)
+        gain = (share - state.limits.gain * len(c.entries)) * len(joints)
         if c.key not in best or gain > best[c.key][0]:
             best[c.key] = gain, c
     return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
