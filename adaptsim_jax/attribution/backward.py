@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeVar
 
 from adaptsim_jax.attribution.estimate import fit
@@ -10,6 +11,7 @@ from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
 from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
+from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.paired import Test
@@ -106,9 +108,11 @@ def from_afar(problem: Problem, settle: Callable[..., Model], vector: Vector, st
     return min(found, settle(near.vector, near.starts), key=lambda m: m.fit.total)
 
 
-def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tuple[Model, tuple[Named, ...]]:
+def judged(
+    problem, model: Model, reach, criteria: Criteria, trace, say, rivals: bool = True
+) -> tuple[Model, tuple[Named, ...]]:
     """Backward: effects that do not hold out beside the others go, the weakest first and with it those that are not beside it; the
-    rest against their look-alikes, of which the simplest has the name."""
+    rest against their look-alikes, of which the simplest has the name (unless rivals are not asked for)."""
     model = of_members(problem, model, criteria, trace, say)
     gone: set[tuple] = set()
     sure: set[tuple] = set()  # effects that were far from going: they are tested again once nothing else goes
@@ -137,7 +141,8 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
             less = replace(less, added=tuple(c for c in less.added if all(c is not f[1] for f in others)))
             also = [key for f in others for key in keys_of(model, f[1])]
         else:
-            alike = [look_alikes(problem, model, less, c, reach, criteria, say) for c, less, _, _ in tests]
+            others_of = partial(look_alikes, problem, model, reach=reach, criteria=criteria, say=say)
+            alike = [others_of(less, c) if rivals else [] for c, less, _, _ in tests]
             simpler = [
                 (c, other, test)
                 for (c, *_), others in zip(tests, alike, strict=True)
@@ -163,25 +168,27 @@ def judged(problem, model: Model, reach, criteria: Criteria, trace, say) -> tupl
 
 def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
     """The model whose effects at many joints are at those that show it: each joint is tested beside all else, as if it were an effect
-    of its own, and those that do not hold out go together."""
+    of its own, by what is left of its angles. Those that do not hold out go together; where that predicts worse, the weaker half."""
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
-    def weak(part: tuple[Candidate, Candidate]) -> bool:
+    def tested(part: tuple[Candidate, Candidate]) -> tuple[float, Candidate, Test, str]:
         c, one = part
         say(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
-        test = paired(problem, less.held.loss, model.held.loss)
-        why = why_not(problem, model, less, one, test, steadiness(model, one), criteria)
-        if why:
-            trace.append(Step("dropped", one, None, test, why))
-        return bool(why)
+        test = paired(problem, *(m.held.squared[:, list(one.joints)].mean(1) for m in (less, model)))
+        return test.gain, one, test, why_not(problem, model, less, one, test, steadiness(model, one), criteria)
 
-    drops = parallel_map(weak, parts)
-    return trimmed(
-        problem, model, [e.key for (_, c), drop in zip(parts, drops, strict=True) if drop for e in c.entries], criteria
-    )
+    weak = sorted((t for t in parallel_map(tested, parts) if t[3]), key=lambda t: t[0])
+    while weak:
+        less = trimmed(problem, model, [e.key for _, one, *_ in weak for e in one.entries], criteria)
+        test = paired(problem, losses(problem, less.held.paths, model.fit.weights), model.held.loss)
+        if test.p > criteria.confidence or test.gain < criteria.size * more(model, less):
+            trace += [Step("dropped", one, None, test, why) for _, one, test, why in weak]
+            return less
+        weak = weak[: len(weak) // 2]
+    return model
 
 
 def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Criteria) -> Model:

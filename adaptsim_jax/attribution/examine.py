@@ -110,7 +110,7 @@ def examine(
         keep(found)
         if follows and (fewer := confirmed(problem, words, found.final, criteria)) is not words:
             words, found = fewer, selection(problem, fewer, declared, reach)
-        if follows and (found.named or over_floor(problem, found.final) > criteria.explained):
+        if follows:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
@@ -139,20 +139,22 @@ def examine(
 def _polished(
     problem: Problem, found: Selection, reach: Reach, criteria: Criteria, say: Callable[[str], None], asked: bool
 ) -> Selection:
-    """With the final values fitted by simulation, since along the motion a time or a gain is only so exact, and each name held against
-    the others and its look-alikes there. What else was fitted along the motion stays in the model, and so do its values where
-    all names stay and it simulates to within the noise already. Where it leaves so much that stretches will be searched (unless this
-    yardstick was asked for), nothing more is asked."""
+    """With the final values fitted by simulation, since along the motion a time or a gain is only so exact, and each of several names
+    held against the others there. Values of the motion stay where they simulate to within the noise, with all names. Where what is
+    fitted leaves so much that stretches will be searched (unless this yardstick was asked for), nothing more is asked."""
+    several, good = len(found.named) > 1, over_floor(problem, found.final) <= criteria.explained
+    if good and not several:
+        return found
     say("fit by simulation")
-    names = tuple(n.candidate for n in found.named)
     again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS)
-    trace, whole = list(found.trace), modelled(problem, names, again)
-    if not asked and over_floor(problem, whole) >= criteria.near:
+    whole = modelled(problem, tuple(n.candidate for n in found.named), again)
+    if not several or (not asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
-    final, named = judged(problem, whole, reach, criteria, trace, say)
-    as_it_was = {n.candidate.key for n in named} == {c.key for c in names}
-    enough = as_it_was and over_floor(problem, found.final) <= criteria.explained
-    return replace(found, final=found.final if enough else final, named=named, trace=tuple(trace))
+    trace, known = list(found.trace), {n.candidate.key: n for n in found.named}
+    final, stay = judged(problem, whole, reach, criteria, trace, say, rivals=False)
+    named = tuple(replace(n, alternatives=known[n.candidate.key].alternatives) for n in stay)
+    kept = found.final if good and len(stay) == len(known) else final
+    return replace(found, final=kept, named=named, trace=tuple(trace))
 
 
 def tells(machine: Machine) -> bool:

@@ -13,7 +13,6 @@ import numpy as np
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import LESS, LEVEL, TIMES, TOLD, Servo, servos
-from adaptsim_jax.attribution.equation.search import FIRST
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
@@ -21,6 +20,7 @@ from adaptsim_jax.attribution.problem import Problem, own_inertia, prepare, scal
 from adaptsim_jax.attribution.score import Candidate, entries_of
 
 SPANS = (0.5, 1.0, 2.0, 4.0)  # s
+RUBS = "coulomb"
 WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
 
 
@@ -74,19 +74,15 @@ def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
 
 def friction_first(problem: Problem, null: Vector, off: tuple[Servo, ...]) -> tuple[Vector, tuple[Candidate, ...]]:
     """Values and effects from which a search goes on where servos have gains of their own: dry friction as the command errors show it,
-    and a rotor of its own, at each of them. Geared servos rub, and without it no gain is right."""
+    at each of them. Geared servos rub, and without it no gain is right."""
+    if not problem.offers(RUBS):
+        return null, ()
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    level = {("coulomb", "level", (s.joint,)): s.coulomb for s in off}
     joints = tuple(s.joint for s in off)
-    sharing = "all" if len(joints) > 1 else "joint"
-    added = tuple(
-        Candidate(name, joints, sharing, entries_of(problem, reach, problem.effect(name), joints, False))
-        for name in FIRST if problem.offers(name)
-    )  # fmt: skip
-    entries = [e for c in added for e in c.entries]
-    return null.with_entries(
-        entries, [float(np.clip(level.get(e.key, e.start), e.low, e.high)) for e in entries]
-    ), added
+    entries = entries_of(problem, reach, problem.effect(RUBS), joints, False)
+    levels = [float(np.clip(s.coulomb, e.low, e.high)) for s, e in zip(off, entries, strict=True)]
+    rubs = Candidate(RUBS, joints, "all" if len(joints) > 1 else "joint", entries)
+    return null.with_entries(entries, levels), (rubs,)
 
 
 def servo_rows(

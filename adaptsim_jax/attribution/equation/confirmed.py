@@ -38,12 +38,29 @@ def confirmed(problem: Problem, found: Said, whole: Model, criteria: Criteria) -
         tests = parallel_map(weighed, asked)
         weak = [(gain, c, less) for gain, stays, c, less in tests if not stays]
         if not weak:
-            return found
+            return _told_apart(problem, found, whole, criteria)
         sure |= {c.key for gain, stays, c, _ in tests if stays and gain > criteria.apart}
         gone = apart_in_turn(sorted(weak, key=lambda w: w[0]), lambda w: w[1])
         found = _gone(gone[0][2] if len(gone) == 1 else without(problem, found, [c for _, c, _ in gone], []))
         whole = model_of(problem, found, found.final, found.added, whole.fit.starts)
     return found
+
+
+def _told_apart(problem: Problem, found: Said, whole: Model, criteria: Criteria) -> Said:
+    """With those alternatives of each effect alone that simulate left-out stretches as well in its place."""
+
+    def as_well(pair: tuple[Candidate, Candidate]) -> bool:
+        c, other = pair
+        instead = without(problem, found, [c], [other])
+        model = model_of(problem, instead, instead.final, instead.added, whole.fit.starts)
+        test = paired(problem, losses(problem, model.held.paths, whole.fit.weights), whole.held.loss)
+        return test.p > criteria.confidence or test.gain < criteria.gap
+
+    pairs = [(k.candidate, other) for w in found.witnesses for k in w.kept for other in k.alternatives]
+    alike = {(c.key, o.key) for (c, o), good in zip(pairs, parallel_map(as_well, pairs), strict=True) if good}
+    apart = lambda k: replace(k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike))
+    witnesses = tuple(replace(w, kept=tuple(apart(k) for k in w.kept)) for w in found.witnesses)
+    return replace(found, witnesses=witnesses) if pairs else found
 
 
 def _gone(less: Said) -> Said:

@@ -166,7 +166,7 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
             least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
             why = why_not(state, more, c, test, least, state.limits.level)
             steps.append(Step("refused" if why else "tried", c, test, why))
-            value = (test.gain - state.limits.gain * len(c.entries)) * len(state.own(c))
+            value = (test.gain - state.limits.gain * len(c.entries)) * state.carry(c)
             if not why and (best is None or value > best[0]):
                 best = value, c, test
         if best is not None:

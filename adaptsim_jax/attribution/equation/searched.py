@@ -81,6 +81,10 @@ class Searched:
         }
         return sorted(shows)
 
+    def carry(self, c: Candidate) -> float:
+        """How many joints tell of one at which an effect is: of a body all that carry it."""
+        return len(self.own(c)) / len(c.joints)
+
 
 def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Candidate]:
     """Candidates by what they gain held out at first order, the best shape of each."""
@@ -102,7 +106,7 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
         at += block.shape[2]
         joints = state.own(c)
         share = _gain(own, flat, fold, c) / max(0.5 * total[joints].sum(), 1e-300)
-        gain = (share - state.limits.gain * len(c.entries)) * len(joints)
+        gain = (share - state.limits.gain * len(c.entries)) * state.carry(c)
         if c.key not in best or gain > best[c.key][0]:
             best[c.key] = gain, c
     return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
