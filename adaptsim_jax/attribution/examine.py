@@ -146,7 +146,8 @@ def _polished(
     if good and not several:
         return found
     say("fit by simulation")
-    again = fit(problem, found.final.fit.vector, found.final.fit.starts, rounds=ROUNDS)
+    again = found.final.fit
+    again = again if good else fit(problem, again.vector, again.starts, rounds=ROUNDS)
     whole = modelled(problem, tuple(n.candidate for n in found.named), again)
     if not several or (not asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)

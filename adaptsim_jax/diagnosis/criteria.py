@@ -24,7 +24,7 @@ class TorqueCriteria:
         with angles (of the cycle before, filtered), not an effect.
     simulated: joints up to which the search goes on by simulation where what the torque shows simulates to more than the noise (of
         more it takes minutes); of both results the one with more skill by both yardsticks together is taken.
-    filed: names by which a search with the file's bodies may have more than one with fitted ones, and be taken for it.
+    filed: names that a search with the file's bodies may have where one with fitted ones has none, and be taken for it.
     """
 
     tried: int = 6

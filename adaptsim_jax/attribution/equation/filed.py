@@ -24,9 +24,10 @@ def filed(null: Vector) -> Vector:
 
 
 def enough(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
-    """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by a few names more at most.
-    A command error shows more than any motion does, and it is enough that left-out stretches are simulated as well."""
-    if len(held.named) > len(free.named) + criteria.torque.filed:
+    """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by no more names (where fitted
+    ones have taken all of it up, by a few). A command error shows more than any motion does, and it is enough that left-out stretches
+    are simulated as well."""
+    if len(held.named) > (len(free.named) or criteria.torque.filed):
         return False
     d = np.concatenate([_worse(*both) for both in zip(held.witnesses, free.witnesses, strict=True)])
     if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
