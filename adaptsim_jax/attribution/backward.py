@@ -168,7 +168,7 @@ def judged(
 
 def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
     """The model whose effects at many joints are at those that show it: each joint is tested beside all else, as if it were an effect
-    of its own, by what is left of its angles. Those that do not hold out go together; where that predicts worse, the weaker half."""
+    of its own. Those that do not hold out go together; where that predicts worse, the weaker half."""
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
@@ -177,7 +177,7 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
         say(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
-        test = paired(problem, *(m.held.squared[:, list(one.joints)].mean(1) for m in (less, model)))
+        test = paired(problem, less.held.loss, model.held.loss)
         return test.gain, one, test, why_not(problem, model, less, one, test, steadiness(model, one), criteria)
 
     weak = sorted((t for t in parallel_map(tested, parts) if t[3]), key=lambda t: t[0])
