@@ -82,7 +82,9 @@ def test_a_body_that_is_not_the_files_is_named(tmp_path):
 
 
 def test_a_heavier_body_shows_at_the_joints_that_carry_it(tmp_path):
-    problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0, axis="0 0 1"))  # its own joint carries none of it
+    problem, free, held = searched(
+        arm_log(tmp_path / "payload", mass=3.0, axis="0 0 1")
+    )  # its own joint carries none of it
     assert enough(problem, held, free, Criteria())
     (named,) = held.named
     alike = [(c.effect, c.joints) for c in (named.candidate, *named.alternatives)]
