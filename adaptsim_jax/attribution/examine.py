@@ -83,11 +83,11 @@ def examine(
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
         search = lambda vector: said(problem, told, vector, reach, criteria, machine.log.input_kind != "torque", factor)
-        words, bare = search(null), filed(null)
+        words, bare, fitted = search(null), filed(null), null
         if follows and len(bare) < len(null):
             held = search(bare)
             if enough(problem, held, words, criteria):
-                words, null = held, bare
+                words, fitted = held, bare
         declared = model_of(problem, words, words.null, ())
     except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
         found = by_simulation(problem, null, criteria, say, keep)
@@ -99,11 +99,8 @@ def examine(
         TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
     }
     judge, why = headline(before, follows, asked)
-    why = (
-        f"{why}; bodies and damping are the file's: fitted ones tell left-out torques no better"
-        if null is bare
-        else why
-    )
+    if fitted is bare and judge == TORQUE:
+        why = f"{why}; bodies and damping are the file's: fitted ones tell left-out torques no better"
     by_torque = None
     if judge == TORQUE:
         found = selection(problem, words, declared, reach)
