@@ -116,15 +116,13 @@ def examine(
         if asked or good or (not follows and problem.joints > criteria.torque.simulated):
             return by_torque
         judge, why = STRETCHES, f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches"
-    effects = [
-        (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
-    ]
-    start = null.at(_clipped(null, words.final.values[: len(null)]))
-    hint = (
-        (start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added)
-        if words.added and not follows
-        else None
-    )
+    hint = None
+    if words.added and not follows:
+        effects = [
+            (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
+        ]
+        start = null.at(_clipped(null, words.final.values[: len(null)]))
+        hint = start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added
     found = by_simulation(problem, null, criteria, say, keep, hint)
     before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
     after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}
