@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.attribution.backward import judged
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
-from adaptsim_jax.attribution.equation.filed import enough, filed
+from adaptsim_jax.attribution.equation.filed import chosen, filed
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
@@ -83,11 +83,11 @@ def examine(
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
         search = lambda vector: said(problem, told, vector, reach, criteria, machine.log.input_kind != "torque", factor)
-        words, bare, fitted = search(null), filed(null), null
+        free, bare, fitted = search(null), filed(null), null
+        words = free
         if follows and len(bare) < len(null):
-            held = search(bare)
-            if enough(problem, held, words, criteria):
-                words, fitted = held, bare
+            words = chosen(problem, search(bare), free, criteria)
+            fitted = bare if len(words.null) == len(bare) else null
         declared = model_of(problem, words, words.null, ())
     except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
         found = by_simulation(problem, null, criteria, say, keep)
@@ -98,7 +98,8 @@ def examine(
     before = _simulated(problem, declared, horizon) | {
         TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
     }
-    judge, why = headline(before, follows, asked)
+    usual = of_torque(problem, told, free.null, held_missing(free)[0])
+    judge, why = headline(before | {TORQUE: usual}, follows, asked)
     if fitted is bare and judge == TORQUE:
         why = f"{why}; bodies and damping are the file's: fitted ones tell left-out torques no better"
     by_torque = None

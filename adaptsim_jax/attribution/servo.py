@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.commands import LESS, LEVEL, TIMES, TOLD, Servo, servos
+from adaptsim_jax.attribution.equation.commands import LESS, LEVEL, MISSED, TIMES, TOLD, Servo, servos
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
@@ -36,7 +36,7 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
     file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
     far = lambda s: s.apart > TOLD and not 1 / TIMES < s.kp / file[s.joint] < TIMES
-    off = [s for s in found if s.p < LEVEL and s.left < LESS * s.file and far(s)]
+    off = [s for s in found if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and far(s)]
     for s in off:
         times = s.kp / file[s.joint]
         law[:3, s.joint] *= times

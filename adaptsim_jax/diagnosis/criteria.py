@@ -19,6 +19,8 @@ class TorqueCriteria:
     steady: an amplitude over its standard error.
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
     worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much may be left of what is explained.
+    seen: the same of bodies and encoders of a machine that follows commands: a payload is little of what a shoulder carries, shows
+        at all joints that carry it, and simulation has the last word.
     discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
     paired: of the log's sampling interval; measured torques of all joints that are late or early by less are how a logger pairs them
         with angles (of the cycle before, filtered), not an effect.
@@ -33,6 +35,7 @@ class TorqueCriteria:
     steady: float = 1.0
     slowest: float = 0.15
     worth: float = 0.03
+    seen: float = 0.003
     discovery: float = 0.05
     paired: float = 1.5
     simulated: int = 2

@@ -8,6 +8,7 @@ import pytest
 from adaptsim_jax.attribution import servo
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, examined, scaled
+from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.commands import Servo
@@ -27,7 +28,7 @@ NOTHING = Vector((), np.zeros(0))
 SERVO = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="implicitfast"/><worldbody><body name="link">
 <joint name="hinge" axis="0 1 0" frictionloss="{friction}" solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.004 0.001"/></body></worldbody>
-<actuator><position name="hinge" joint="hinge" kp="{kp}" kv="{kv}"/></actuator></mujoco>"""
+<actuator><position name="hinge" joint="hinge" kp="{kp}" kv="{kv}" {limit}/></actuator></mujoco>"""
 HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body name="link">
 <joint name="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
 
@@ -113,9 +114,9 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")
 
 
-def servo_log(folder, kp, kv, friction):
+def servo_log(folder, kp, kv, friction, limit=""):
     """A pendulum under a position servo, 3 trials of 12 s at 50 Hz."""
-    model = mujoco.MjModel.from_xml_string(SERVO.format(kp=kp, kv=kv, friction=friction))
+    model = mujoco.MjModel.from_xml_string(SERVO.format(kp=kp, kv=kv, friction=friction, limit=limit))
     rng = np.random.default_rng(1)
     folder.mkdir()
     for k in range(3):
@@ -134,7 +135,7 @@ def servo_log(folder, kp, kv, friction):
 @pytest.mark.parametrize("friction", [0.0, 0.1])
 def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_path):
     folder = servo_log(tmp_path / "servo", 30.0, 2.0, friction)
-    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0))
+    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0, limit=""))
     machine, kept = load(folder, None), []
     report, _, whole = examined(machine, Criteria(), 0.5, keep=kept.append)
     assert whole.judge == "torque" and report["error"]["unit"] == "rad"
@@ -149,7 +150,7 @@ def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_pa
 @pytest.mark.parametrize(("apart", "taken"), [(2.0, False), (4.0, True)])
 def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(apart, taken, tmp_path, monkeypatch):
     folder = servo_log(tmp_path / "servo", 30.0, 2.0, 0.0)
-    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0))
+    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0, limit=""))
     machine = load(folder, None)
     law = machine.actuator
     kp = 0.4 * float(-law[2, 0] * machine.gear[0] ** 2)
@@ -161,13 +162,26 @@ def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(apart
 
 def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(tmp_path):
     folder = servo_log(tmp_path / "servo", 8.0, 0.8, 0.1)
-    (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0))
+    (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0, limit=""))
     machine = load(folder, None)
     found, (own,) = servo.calibrated(machine, 0.5)
     assert own.scale and own.kp == pytest.approx(8.0, rel=0.15) and own.damping == pytest.approx(0.8, rel=0.3)
     assert own.coulomb == pytest.approx(0.1, rel=0.3) and own.p < 0.01
     assert found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
     assert servo.calibrated(found, 0.5)[1] == ()  # as they are now, they are right
+
+
+def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):
+    """Its command error is what it cannot reach: a softer servo leaves a third less of it than the file's, which is right."""
+    own = {"kp": 30.0, "kv": 2.0, "friction": 0.0, "limit": 'forcerange="-0.4 0.4"'}
+    folder = servo_log(tmp_path / "servo", **own)
+    (folder / "model.xml").write_text(SERVO.format(**own))
+    _, problem, (balance,) = prepared(folder)
+    (found,) = commands.servos(problem, balance)
+    assert found.file < 0.2 * found.left
+    monkeypatch.setattr(commands, "CLIPPED", np.inf)
+    (found,) = commands.servos(problem, balance)
+    assert found.kp < 3.0 and found.left < commands.LESS * found.file
 
 
 @pytest.mark.slow

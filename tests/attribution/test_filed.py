@@ -6,7 +6,7 @@ import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
-from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.balance import balances, left_of
 from adaptsim_jax.attribution.equation.filed import enough, filed
 from adaptsim_jax.attribution.equation.models import said
 from adaptsim_jax.attribution.equation.windows import runs_of
@@ -18,7 +18,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 
 KP, KV, STEP = 2000.0, 200.0, 5e-4
 JOINTS = ("turn", "lift", "elbow")
-SERVOS = "".join(f'<position name="{j}" joint="{j}" kp="{KP}" kv="{KV}"/>' for j in JOINTS)
+SERVOS = "".join(f'<position name="{j}" joint="{j}" kp="{KP}" kv="{KV}" {"{limit}" * (j == "elbow")}/>' for j in JOINTS)
 ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>
 <joint name="turn" axis="0 0 1" armature="0.1"/><inertial pos="0 0 0.1" mass="4.0" diaginertia="0.05 0.05 0.05"/>
 <body pos="0 0 0.2"><joint name="lift" axis="0 1 0" armature="0.1"/>
@@ -28,12 +28,13 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator
 <actuator>{SERVOS}</actuator></mujoco>"""
 
 
-def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0"):
+def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit=""):
     """A folder whose file has a rotor of 0.1 kg m2 and a forearm of 2 kg; logs of an arm with others."""
     folder.mkdir()
-    (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0, axis=axis))
+    same = {"axis": axis, "limit": limit}
+    (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0, **same))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
-    model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass, axis=axis)), np.random.default_rng(5)
+    model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass, **same)), np.random.default_rng(5)
     for trial in range(trials):
         data = mujoco.MjData(model)
         speed, phase = rng.uniform(0.3, 1.2, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
@@ -64,6 +65,38 @@ def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
     (run,) = runs_of([Track("a", time, q, None, np.zeros_like(q))], np.full(1, 1e-6))
     true = 2 * np.pi * 1.2 * np.cos(2 * np.pi * 1.2 * run.time)
     assert np.abs(run.v[0] - true)[20:-20].max() < 1e-4 * np.abs(true).max()  # 2e-3 by the slope of a local quadratic
+
+
+@pytest.mark.parametrize("load", [0.0, 4.0, -6.0])
+def test_what_a_limit_leaves_of_the_spikes_of_a_held_command(load):
+    """Against a joint of 0.1 kg m2 that follows at 3 rad/s and carries a load, in steps of 10 us."""
+    inertia, limit, row, speed, step = 0.1, 12.0, 5e-3, 3.0, 1e-5
+    q, v, asked, did = -speed * KV / KP, speed, [], []
+    for k in range(40 * 500):
+        law = KP * (speed * row * (k // 500) - q) - KV * v
+        force = min(max(law, -limit), limit)
+        v += step * (force - load) / inertia
+        q += step * v
+        asked.append(law)
+        did.append(force)
+    mean = lambda z: float(np.mean(z[-500:]))  # of the last row
+    spike, slow = KP * speed * row, inertia / KV
+    left = left_of(*(np.array([[z]]) for z in (mean(asked), spike, limit, slow)), np.array([row]))[0, 0]
+    assert mean(did) == pytest.approx(load, abs=0.05)
+    assert left == pytest.approx(load, abs=0.25 * abs(mean(asked) - load) + 0.05)
+
+
+def test_where_limits_cut_much_of_the_spikes_nothing_is_told(tmp_path):
+    folder = arm_log(tmp_path / "limited", limit='forcerange="-12 12"')
+    machine = load(folder, None)
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    (b,) = balances(problem, machine.tracks)
+    spike = b.averaged(np.abs(KP * b.jump))
+    fast, slow = spike[:, 2] > 30.0, spike[:, 2] < 8.0
+    assert fast.sum() > 20 and slow.sum() > 20
+    moves = np.square(b.averaged(b.sign)) > 0.9  # in one direction throughout
+    assert b.clear[fast & moves[:, 2], 2].mean() < 0.1 < 0.7 < b.clear[slow & moves[:, 2], 2].mean()
+    assert b.clear[moves[:, 0], 0].mean() > 0.7  # no limit
 
 
 def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late(tmp_path):

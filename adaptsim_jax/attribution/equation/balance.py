@@ -2,18 +2,19 @@
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.ndimage
 import scipy.sparse
 
 from adaptsim_jax.attribution.acting import Motion, Values, actuated
 from adaptsim_jax.attribution.equation.windows import SPAN, runs_of
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Group, Problem, values_of
+from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics, equations
@@ -23,25 +24,31 @@ GAIN = "torque_gain"
 ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
 """Effects that change what an actuator does by what it was told."""
 LEAST_GAIN = 0.02
-AT_END = 0.005  # rad (m): from the end of a range, within which it may push
+AT_END = 0.05  # rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at most
+OF_RANGE = 0.02  # of its width
+HALVED = 30
+SMOOTH = 0.3  # of a window
+CUT = 0.02  # of an actuator's limit, from which on what it cuts of spikes is not told
 SOMEWHAT = 2048  # rows that one compiled program takes
 
 
 @dataclass(frozen=True)
 class Balance:
     """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K],
-    time [K],
-    clear [K, n]: whether a joint moved, and was not at the end of its range; known [K, n]: what acts whatever is fitted, which is what
-    holds bodies up against gravity, less what bodies of joints that follow others take.
+    time [K], clear [K, n]: whether a joint moved, was not at the end of its range, and its force is told by the rows (`_told`); known
+    [K, n]: what acts whatever is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow others
+    take.
 
-    q, v, a, u, sign [n, T]: the motion of all runs one after the other; clock [T] s; mean [K, T] averages over windows; runs: the rows
-    of each."""
+    q, v, a, u, jump, sign [n, T]: the motion of all runs one after the other; row [T] s (`windows.Run`); clock [T] s; mean [K, T]
+    averages over windows; runs: the rows of each."""
 
     group: Group
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
     u: np.ndarray
+    jump: np.ndarray
+    row: np.ndarray
     sign: np.ndarray
     clock: np.ndarray
     runs: tuple[slice, ...]
@@ -52,6 +59,7 @@ class Balance:
     trial: np.ndarray
     time: np.ndarray
     names: tuple[str, ...]
+    inertia: np.ndarray
     known: np.ndarray | float = 0.0
 
     @property
@@ -72,27 +80,39 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
         runs = runs_of(part, problem.floor[own], span)
         if not runs:
             continue
-        q, v, a, u, sign = (np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "sign"))
+        q, v, a, u, jump, sign = (
+            np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "jump", "sign")
+        )
+        row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
+        values = values_of(problem, group, Vector((), np.zeros(0)))
         ends = np.cumsum([0, *(len(r.time) for r in runs)])
         mean = scipy.sparse.block_diag([r.mean for r in runs], "csr")
         table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
         regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
-        out.append(
-            Balance(
-                group, q, v, a, u, sign, np.concatenate([r.time for r in runs]),
-                tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T,
-                mean @ (np.concatenate([r.clear for r in runs], 1) * _inside(group.model.tree, q)).T,
-                np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
-                tuple(t.name for t in tracks), _known(group.model.tree, mean, q, v, a),
-            )
+        made = Balance(
+            group, q, v, a, u, jump, row, sign, np.concatenate([r.time for r in runs]),
+            tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T, np.zeros(0),
+            np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
+            tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
         )  # fmt: skip
+        sure = _inside(group.model.tree, q) * _told(made, values)
+        out.append(replace(made, clear=mean @ (np.concatenate([r.clear for r in runs], 1) * sure).T))
     return tuple(out)
 
 
 def _inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     """Which of the angles [n, T] are within a joint's range, whose end pushes back."""
     low, high = np.asarray(tree.range, float).T[:, :, None]
-    return ~np.asarray(tree.limited)[:, None] | ((q > low + AT_END) & (q < high - AT_END))
+    near = np.minimum(AT_END, OF_RANGE * (high - low))
+    return ~np.asarray(tree.limited)[:, None] | ((q > low + near) & (q < high - near))
+
+
+def _told(balance: Balance, values: Values) -> np.ndarray:
+    """Where [n, T] limits cut little of the spikes of a force after each command; how much they cut hangs on what is between rows."""
+    none = np.zeros_like(balance.jump)
+    cut = actuator_force(balance, values)[0] - actuator_force(balance, values, (balance.u, none))[0]
+    limit = np.abs(np.asarray(values.actuator))[4:6, :, 0].min(0)[:, None] * np.abs(values.gear)
+    return np.abs(cut) <= CUT * limit
 
 
 def _known(
@@ -164,12 +184,56 @@ def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarr
     return balance.averaged(_by_pieces(partial(_pulled, balance.group.model.tree, inertial, way), balance.q))
 
 
-def actuator_force(balance: Balance, values: Values, u: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def actuator_force(
+    balance: Balance, values: Values, told: tuple[np.ndarray, np.ndarray] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Force of the actuators and the part of it that follows command and angle, [n, T], by the law of `values`. Controllers see what
-    is logged, an encoder's offset included."""
+    is logged, an encoder's offset included. told: u and jump, where not those that were logged."""
+    b, values = balance, values._replace(effects={})
+    u, jump = (b.u, b.jump) if told is None else told
+    law = np.asarray(values.actuator)
     with jax.enable_x64(True):
-        tau, pull = _actuated(values._replace(effects={}), balance.q, balance.v, balance.u if u is None else u)
+        if values.ties is None and np.any(np.isfinite(law[4:6])):
+            free = np.concatenate([law[:4], np.full_like(law[4:5], -np.inf), np.full_like(law[4:5], np.inf)])
+            tau, pull = (np.asarray(z) + 0.0 * b.q for z in _actuated(values._replace(actuator=free), b.q, b.v, u))
+            tau = _limited(b, law, np.asarray(values.gear), tau, law[0] * values.gear * jump)
+        else:
+            tau, pull = _actuated(values, b.q, b.v, u)
     return np.asarray(tau) + 0.0 * balance.q, np.asarray(pull) + 0.0 * balance.q
+
+
+def _limited(balance: Balance, law: np.ndarray, gear: np.ndarray, force: np.ndarray, spike: np.ndarray) -> np.ndarray:
+    """Mean force [n, T] of actuators with limits, where without them it is `force`. What is cut off spikes is read off what is
+    smooth, since it bends: the noise of a speed times a controller's damping would be taken for force."""
+    ends = np.sort(np.stack([gear * law[4], gear * law[5]]), 0)
+    rows = max(1, round(SMOOTH * SPAN / float(balance.clock[1] - balance.clock[0])))
+    wide = 2.0 * np.abs(spike)
+    part = np.clip(force, ends[0] - wide, ends[1] + wide)
+    smooth = np.concatenate(
+        [scipy.ndimage.uniform_filter1d(part[:, r], rows, axis=1, mode="nearest") for r in balance.runs], 1
+    )
+    slow = balance.inertia[:, None] / np.maximum(-law[3] * gear**2, 1e-9)
+    way = np.where(spike < 0.0, -1.0, 1.0)
+    limit = np.where(way > 0.0, ends[1], -ends[0])
+    left = left_of(way * smooth, np.abs(spike), limit, slow, balance.row)
+    cut = np.isfinite(limit) & (np.abs(force - smooth) < np.abs(spike))
+    return np.clip(force, *ends) + np.where(cut, way * left - np.clip(smooth, *ends), 0.0)
+
+
+def left_of(asked: np.ndarray, spike: np.ndarray, limit: np.ndarray, slow: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Mean force that a limit leaves of one `asked` for, with spikes. A command that is held jumps from row to row by so much as the
+    joint moves, and the force with it (`spike`); within about `slow` s (inertia over damping) the joint has the speed that this asks
+    for, and the force is down again. Where limits cut a spike that takes longer: with m the mean, the force begins
+    a = m + peak - limit above the limit and falls by (limit - m) / slow + spike / row a second. m is found by bisection."""
+    rows = np.maximum(row / slow, 1e-3)
+    peak = spike * (1.0 / -np.expm1(-rows) - 1.0 / rows)
+    low, high = np.minimum(asked, -limit) - spike, np.minimum(asked, limit)
+    for _ in range(HALVED):
+        m = 0.5 * (low + high)
+        falls = (limit - m) / slow + spike / row
+        over = m + 0.5 * np.square(np.maximum(m + peak - limit, 0.0)) / np.maximum(falls * row, 1e-300) > asked
+        low, high = np.where(over, low, m), np.where(over, m, high)
+    return 0.5 * (low + high)
 
 
 @jax.jit
@@ -186,14 +250,21 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, sign):
     return answer + 0.0 * q
 
 
-def effect_force(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it."""
+def effect_force(
+    balance: Balance,
+    values: Values,
+    effect: Effect,
+    p: Mapping[str, np.ndarray],
+    driven: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it. driven:
+    `actuator_force`, where it is known."""
     if effect.inertia:
         with jax.enable_x64(True):
             return -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()})) * balance.acceleration
     at = {k: np.asarray(z, float)[:, None] for k, z in p.items()}
     b = balance
-    tau, pull = actuator_force(b, values)
+    tau, pull = actuator_force(b, values) if driven is None else driven
     make = lambda *z: _acted(b.group.model.tree, values.inertial[..., 0], effect, at, *z)
     return b.averaged(_by_pieces(make, b.q, b.v, tau, b.clock[None], pull, b.u, b.sign))
 
@@ -203,24 +274,38 @@ def _commanded(effect: Effect, p, t, u):
     return effect.apply(p, t[:, None, None], u.T[..., None])[..., 0].T
 
 
-def command_force(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
+def command_force(
+    balance: Balance,
+    values: Values,
+    effect: Effect,
+    p: Mapping[str, np.ndarray],
+    driven: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
     """Change of the actuators' mean force [K, n] by an effect on their command (a delay, a lag)."""
     at = {k: np.asarray(z, float)[None, :, None] for k, z in p.items()}
-    late = balance.u.copy()
+    late = np.stack([balance.u, balance.jump])
     longest = max(run.stop - run.start for run in balance.runs)
     with jax.enable_x64(True):
         for run in balance.runs:
             short = longest - (run.stop - run.start)
             step = balance.clock[1] - balance.clock[0]
             time = balance.clock[run.start] + step * np.arange(longest)
-            u = np.pad(balance.u[:, run], ((0, 0), (0, short)), mode="edge")
-            late[:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]
-    return balance.averaged(actuator_force(balance, values, late)[0] - actuator_force(balance, values)[0])
+            for k, z in enumerate((balance.u, balance.jump)):
+                u = np.pad(z[:, run], ((0, 0), (0, short)), mode="edge")
+                late[k][:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]
+    now = actuator_force(balance, values) if driven is None else driven
+    return balance.averaged(actuator_force(balance, values, tuple(late))[0] - now[0])
 
 
-def force_of(balance: Balance, values: Values, effect: Effect, p: Mapping[str, np.ndarray]) -> np.ndarray:
+def force_of(
+    balance: Balance,
+    values: Values,
+    effect: Effect,
+    p: Mapping[str, np.ndarray],
+    driven: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
     """Mean force [K, n] of an effect on forces or commands at parameters p {name: [n]}."""
-    return (command_force if effect.place == "command" else effect_force)(balance, values, effect, p)
+    return (command_force if effect.place == "command" else effect_force)(balance, values, effect, p, driven)
 
 
 def residual(
@@ -249,12 +334,13 @@ def residual(
 
 def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
     """Force of actuators and effects [K, n], and what actuators do over what they were told [n]."""
-    acts = told = driven = balance.averaged(actuator_force(balance, values)[0])
+    now = actuator_force(balance, values)
+    acts = told = driven = balance.averaged(now[0])
     for effect in balance.group.model.effects:
         p = {k: z[:, 0] for k, z in values.effects.get(effect.name, {}).items()}
         on = any(np.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p)
         if on and effect.place in ("force", "command"):
-            force = force_of(balance, values, effect, p)
+            force = force_of(balance, values, effect, p, now)
             acts = acts + force
             driven = driven + force if effect.name in ON_TORQUE else driven
     return acts, in_proportion(told, driven)

@@ -53,6 +53,10 @@ class Table:
         """Force that is missing [K, n]."""
         return self._kept("missing", lambda: residual(self.problem, self.balance, self.vector, self._acting()))
 
+    def driven(self) -> tuple[np.ndarray, np.ndarray]:
+        """`actuator_force`."""
+        return self._kept("driven", lambda: actuator_force(self.balance, self.values))
+
     def of(self, entry: Entry, shape: Mapping[str, float] | None = None) -> np.ndarray:
         """Column [K, n] of an entry, at the shapes of a candidate where it is one's."""
         if entry.owner == GAIN:
@@ -61,7 +65,7 @@ class Table:
 
     def _gain(self, entry: Entry) -> np.ndarray:
         """What the motion takes of an actuator, by the model: of what was told the noise would be read as a gain."""
-        told = self._kept("told", lambda: self.balance.averaged(actuator_force(self.balance, self.values)[0]))
+        told = self._kept("told", lambda: self.balance.averaged(self.driven()[0]))
         needed = told + self.missing() - self.explained
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
 
@@ -127,7 +131,7 @@ class Table:
             here = self._at(effect, given)
             size = given.get(name, 0.01) if effect.jump or effect.place == "command" else 1.0
             away = here | {name: here[name] + size}
-            act = lambda p: force_of(self.balance, self.values, effect, p)
+            act = lambda p: force_of(self.balance, self.values, effect, p, self.driven())
             self._made[key] = (act(away) - act(here)) / size
         return self._made[key]
 
@@ -135,7 +139,7 @@ class Table:
         here = self._at(effect, shape or {})
         own = np.zeros(self.balance.joints)
         own[[self.place[j] for j in entry.joints]] = 1.0
-        act = lambda p: effect_force(self.balance, self.values, effect, p)
+        act = lambda p: effect_force(self.balance, self.values, effect, p, self.driven())
         return act(here | {entry.name: here[entry.name] + own}) - act(here)
 
     def _difference(self, entry: Entry) -> np.ndarray:
@@ -152,7 +156,7 @@ class Table:
             return (self.missing() - there) / size
         here = {k: z[:, 0] for k, z in self.values.effects[effect.name].items()}
         own = np.isin(self.balance.group.joints, entry.joints)
-        act = lambda p: force_of(self.balance, self.values, effect, p)
+        act = lambda p: force_of(self.balance, self.values, effect, p, self.driven())
         now, share = self._kept((effect.name, "now"), lambda: act(here)), self._acting()[1]
         return (act(here | {entry.name: here[entry.name] + size * own}) - now) / size / share
 

@@ -6,10 +6,11 @@ effects named beside them, tell left-out torques as well, they are the file's: t
 
 import numpy as np
 
+from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.models import Said, model_of
 from adaptsim_jax.attribution.equation.search import Witness
 from adaptsim_jax.attribution.equation.solve import FLOOR, means
-from adaptsim_jax.attribution.held_out import paired
+from adaptsim_jax.attribution.held_out import over_floor, paired
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.weights import losses
@@ -23,12 +24,18 @@ def filed(null: Vector) -> Vector:
     return null.without([e.key for e in null.entries if e.owner in FITTED])
 
 
+def chosen(problem: Problem, held: Said, free: Said, criteria: Criteria) -> Said:
+    """What is found with the file's bodies, where it tells left-out torques as well as what is found with fitted ones, by no more
+    names that simulation bears out (where fitted ones have taken all of it up, by a few); else the latter. A command error shows more
+    than any motion does, and it is enough that left-out stretches are simulated as well, or to within the noise."""
+    if not enough(problem, held, free, criteria):
+        return free
+    held, free = (confirmed(problem, s, model_of(problem, s, s.final, s.added), criteria) for s in (held, free))
+    return held if len(held.named) <= (len(free.named) or criteria.torque.filed) else free
+
+
 def enough(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
-    """Whether a search with the file's bodies tells left-out torques as well as one with fitted ones, by no more names (where fitted
-    ones have taken all of it up, by a few). A command error shows more than any motion does, and it is enough that left-out stretches
-    are simulated as well."""
-    if len(held.named) > (len(free.named) or criteria.torque.filed):
-        return False
+    """Whether the file's bodies predict as well as fitted ones."""
     d = np.concatenate([_worse(*both) for both in zip(held.witnesses, free.witnesses, strict=True)])
     if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
         return True
@@ -36,7 +43,10 @@ def enough(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool
 
 
 def _simulates(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
-    own, other = (model_of(problem, s, s.final, s.added) for s in (held, free))
+    own = model_of(problem, held, held.final, held.added)
+    if over_floor(problem, own) <= criteria.explained:
+        return True
+    other = model_of(problem, free, free.final, free.added)
     test = paired(problem, own.held.loss, losses(problem, other.held.paths, own.fit.weights))
     return test.gain <= criteria.size or test.p > criteria.confidence
 

@@ -26,7 +26,7 @@ from adaptsim_jax.effects.base import Reach
 
 FIRST = ("coulomb", "armature")
 """Effects that are tried at all joints at once before any other: real joints rub."""
-ORDER = ("coulomb", "delay", "armature")
+ORDER = ("delay", "coulomb", "armature")
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
@@ -166,7 +166,7 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
             least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
             why = why_not(state, more, c, test, least, state.limits.level)
             steps.append(Step("refused" if why else "tried", c, test, why))
-            value = (test.gain - state.limits.gain * len(c.entries)) * state.carry(c)
+            value = test.gain * state.carry(c) - state.limits.gain * len(c.entries)
             if not why and (best is None or value > best[0]):
                 best = value, c, test
         if best is not None:
@@ -227,7 +227,7 @@ def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, who
     """Single effects that do nearly as well beside `rest` as those that are gone from it: others at their joints, the same at joints
     beside. less, whole: without them, and with."""
     names, joints = {c.effect for c in gone}, {j for c in gone for j in c.joints}
-    near = [k for k in _open(state, rest, every) if any(beside(k, c) for c in gone)]
+    near = [k for k in _open(state, rest, every) if any(beside(k, c) or k.effect == c.effect == INERTIA for c in gone)]
     others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
     others = [k for k in others if not state.problem.effect(k.effect).describes]
     gap = max(

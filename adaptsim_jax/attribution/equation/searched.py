@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, actuator_force, in_proportion
-from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, in_proportion
+from adaptsim_jax.attribution.equation.columns import TOLD, Table
 from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
@@ -16,6 +16,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import ancestors
 
+CARRIED = (INERTIA, *TOLD)
 LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
 """Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
 
@@ -30,9 +31,10 @@ class Searched:
         self.commanded, self.limits = commanded, criteria.torque
         self.table = Table(problem, balance, null)
         self.null = null
+        self.follows = bool(np.any(self.table.values.actuator[2]))
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
-        self.told = balance.averaged(actuator_force(balance, self.table.values)[0])
+        self.told = balance.averaged(self.table.driven()[0])
         torque = np.sqrt(np.mean(np.square(self.told), 0))
         size = np.sqrt(np.mean(np.square(missing), 0))
         taken = self.told + missing  # by the motion, where nothing is told of what acts
@@ -71,13 +73,13 @@ class Searched:
         return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
 
     def own(self, *some: Candidate) -> list[int]:
-        """Local numbers of the joints at which effects show: a body at all that carry it."""
+        """Local numbers of the joints at which effects show: a body, and where it is, at all that carry it."""
         tree = self.balance.group.model.tree
         shows = {
             k
             for c in some
             for k in map(self.local.get, c.joints)
-            for k in (k, *(ancestors(tree, k) if c.effect == INERTIA else ()))
+            for k in (k, *(ancestors(tree, k) if c.effect in CARRIED else ()))
         }
         return sorted(shows)
 
@@ -91,11 +93,13 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     if not some:
         return []
     rows = state.rows
-    weigh = lambda z: (z * rows.weight[..., None]).reshape(-1, z.shape[2])
-    a, y = weigh(now.columns), ((rows.missing - now.columns @ now.step) * rows.weight)
-    inverse = np.linalg.pinv(now.hess, rcond=1e-12, hermitian=True)
-    fold = np.repeat(rows.fold, y.shape[1])
-    flat, total = y.ravel(), np.square(y).sum(0)
+    left = (rows.missing - now.columns @ now.step) * rows.weight
+    total = np.maximum(np.square(left).sum(0), 1e-300)
+    even = np.sqrt(total.mean() / total)  # joints count alike, whatever they leave
+    weigh = lambda z: (z * (rows.weight * even)[..., None]).reshape(-1, z.shape[2])
+    a, y = weigh(now.columns), left * even
+    inverse = np.linalg.pinv(a.T @ a + np.diag([e.prior**-2.0 for e in now.entries]), rcond=1e-12, hermitian=True)
+    fold, flat = np.repeat(rows.fold, y.shape[1]), y.ravel()
     blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
     wide = weigh(np.concatenate(blocks, 2))
     freed = wide - a @ (inverse @ (a.T @ wide))
@@ -104,9 +108,8 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
         at += block.shape[2]
-        joints = state.own(c)
-        share = _gain(own, flat, fold, c) / max(0.5 * total[joints].sum(), 1e-300)
-        gain = (share - state.limits.gain * len(c.entries)) * state.carry(c)
+        share = _gain(own, flat, fold, c) / (0.5 * total.mean() * len(state.own(c)))
+        gain = share * state.carry(c) - state.limits.gain * len(c.entries)
         if c.key not in best or gain > best[c.key][0]:
             best[c.key] = gain, c
     return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]

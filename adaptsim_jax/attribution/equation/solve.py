@@ -200,9 +200,11 @@ def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray
 
 
 def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Compared:
-    """The second set of entries against the first, by left-out blocks; joints: the local numbers of those concerned."""
+    """The second set of entries against the first, by left-out blocks; joints: the local numbers of those concerned, each by what it
+    usually leaves: one that neither set explains does not outweigh the others."""
     own = list(joints)
-    ratio = lambda some: _ratio(without.loss[:, some].mean(1), with_.loss[:, some].mean(1))
+    usual = np.maximum(np.median(without.loss, 0), 1e-300)
+    ratio = lambda some: _ratio((without.loss / usual)[:, some].mean(1), (with_.loss / usual)[:, some].mean(1))
     d = ratio(own)
     fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(d))])
     by_fold = means(d, np.unique(fold, return_inverse=True)[1])

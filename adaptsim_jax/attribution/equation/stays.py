@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.searched import Searched
+from adaptsim_jax.attribution.equation.searched import CARRIED, Searched
 from adaptsim_jax.attribution.equation.solve import Compared, Solved
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
@@ -21,7 +21,7 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:
         return "left-out blocks do not confirm it"
-    if test.gain < least:
+    if test.gain * state.carry(c) < least:
         return f"takes less than {100 * least:.0f} % off the squared missing torque"
     if test.overall < 0.0:
         return "the torques of all joints together are missed by more"
@@ -29,8 +29,9 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
         return f"its size is only {steadiness(whole, c):.1f} times its error"
     if at_bound(whole, c):
         return "its value is at the end of what such a machine may have"
-    if _worth(state, whole, c) < state.limits.worth:
-        return f"it is less than {100 * state.limits.worth:.0f} % of the joint's torque"
+    least = state.limits.seen if state.follows and c.effect in CARRIED else state.limits.worth
+    if _worth(state, whole, c) < least:
+        return f"it is less than {100 * least:g} % of the joint's torque"
     return ""
 
 
@@ -49,7 +50,7 @@ def only_read(state: Searched, whole: Solved, c: Candidate) -> bool:
     value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
     if not state.commanded:
         return abs(value) < state.limits.paired
-    return c.effect == "delay" and -state.criteria.within_row < value < state.criteria.least_shift
+    return -state.criteria.within_row < value < state.criteria.least_shift
 
 
 def _numbers(whole: Solved, c: Candidate) -> list[int]:

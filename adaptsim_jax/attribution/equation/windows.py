@@ -26,9 +26,9 @@ DOUBT = 3.0  # times the noise of a speed, likewise
 
 @dataclass(frozen=True)
 class Run:
-    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told over the window of a row, sign [n, T]
-    of the speed (between -1 and 1 where it is not told from zero), clear [n, T] 0 to 1: whether it moves; mean [K, T] averages
-    over windows; at [K] s, their middles."""
+    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told in the mean over the `row` s about a
+    row, jump [n, T] by which that changes at it, sign [n, T] of the speed (between -1 and 1 where it is not told from zero), clear
+    [n, T] 0 to 1: whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
 
     trial: int
     time: np.ndarray
@@ -36,6 +36,8 @@ class Run:
     v: np.ndarray
     a: np.ndarray
     u: np.ndarray
+    jump: np.ndarray
+    row: float
     sign: np.ndarray
     clear: np.ndarray
     mean: scipy.sparse.csr_matrix
@@ -53,12 +55,12 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
     Windows that lie over a gap in time, or over rows without an angle, are left out.
     """
     made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > LEAST_ROWS]
-    speeds = np.concatenate([np.abs(v) for *_, v, _, _, _ in made], 1)
+    speeds = np.concatenate([np.abs(m[3]) for m in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
     total = sum(time[-1] - time[0] for _, time, *_ in made)
     hop = max(HOP * span, total / MOST)
-    for k, time, q, v, speed, u, seen in made:
+    for k, time, q, v, speed, u, jump, row, seen in made:
         dt = time[1] - time[0]
         mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt), hop)
         if not len(at):
@@ -66,7 +68,8 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
         width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
         moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
-        out.append(Run(k, time, q, speed, np.gradient(v, dt, axis=1), u, np.tanh(v / width[:, None]), moves, mean, at))
+        sign = np.tanh(v / width[:, None])
+        out.append(Run(k, time, q, speed, np.gradient(v, dt, axis=1), u, jump, row, sign, moves, mean, at))
     return tuple(out)
 
 
@@ -76,7 +79,8 @@ def _rows(dt: float) -> int:
 
 
 def _even(track: Track) -> tuple[np.ndarray, ...]:
-    """time, q, v, speed, u on an even grid, and where rows were read (1) or not (0); v is smooth, and speed is true."""
+    """time, q, v, speed, u, jump on an even grid, seconds of a row, and where rows were read (1) or not (0); v is smooth,
+    and speed is true."""
     steps = np.diff(track.time)
     dt = float(np.median(steps))
     time = np.arange(track.time[0], track.time[-1], dt)
@@ -99,8 +103,12 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
     edges = np.append(time - 0.5 * dt, time[-1] + 0.5 * dt)
     middle = np.stack([np.diff(np.interp(edges, track.time, z)) / dt for z in area.T], 1)
     middle[0] = u[0]
+    held = u[np.clip(np.searchsorted(track.time, time + 0.25 * dt) - 1, 0, len(u) - 1)]
+    jump = 2.0 * (held - middle)
     some = slice(None, None, max(1, round(GRID / dt)))
-    return time[some], q[:, some], v[:, some], speed[:, some], middle.T[:, some], seen[some]
+    return (
+        time[some], q[:, some], v[:, some], speed[:, some], middle.T[:, some], jump.T[:, some], dt, seen[some],
+    )  # fmt: skip
 
 
 def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
