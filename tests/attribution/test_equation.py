@@ -169,6 +169,11 @@ def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_th
     assert own.coulomb == pytest.approx(0.1, rel=0.3) and own.p < 0.01
     assert found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
     assert servo.calibrated(found, 0.5)[1] == ()  # as they are now, they are right
+    problem = prepare(found.tree, found.tracks, MACHINE, found.actuator, found.gear, declared=found.declared)
+    begun, effects = servo.friction_first(problem, NOTHING, (own,))  # no rotor, which would take its place
+    assert [(c.effect, c.joints) for c in effects] == [("coulomb", (0,))] and begun.values == pytest.approx(
+        [own.coulomb]
+    )
 
 
 def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):

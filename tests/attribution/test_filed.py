@@ -1,14 +1,17 @@
 """Bodies that are the model file's, and what the steps of a simulator do to damping: by the balance of torques of a stiff arm."""
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
-from adaptsim_jax.attribution.equation.balance import balances, left_of
+from adaptsim_jax.attribution.equation.balance import balances, inside, left_of
 from adaptsim_jax.attribution.equation.filed import enough, filed
 from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA
@@ -122,6 +125,25 @@ def test_a_heavier_body_shows_at_the_joints_that_carry_it(tmp_path):
     (named,) = held.named
     alike = [(c.effect, c.joints) for c in (named.candidate, *named.alternatives)]
     assert (INERTIA, (2,)) in alike and {effect for effect, _ in alike} == {INERTIA}
+
+
+def test_a_joint_that_neither_set_explains_does_not_outweigh_the_others():
+    blocks = np.arange(20)
+    rows = SimpleNamespace(fold=blocks // 5, block=blocks)
+    loss = lambda first: SimpleNamespace(loss=np.stack([np.full(20, first), np.full(20, 100.0)], 1))
+    test = compared(rows, loss(1.0), loss(0.1), [0, 1])
+    assert test.gain == pytest.approx(
+        1.0 - (0.5 * (0.1 + 1.0) + 0.1) / 1.1
+    )  # one of two joints by nine tenths, floor 0.1
+    assert test.p < 0.01
+
+
+def test_windows_within_an_encoders_offset_of_the_end_of_a_range_are_left_out():
+    tree = SimpleNamespace(
+        range=np.array([[-2.0, 2.0], [0.0, 0.04], [0.0, 0.0]]), limited=np.array([True, True, False])
+    )
+    q = np.array([[1.9, 1.97], [0.001, 0.0005], [9.0, -9.0]])
+    assert inside(tree, q).tolist() == [[True, False], [True, False], [True, True]]
 
 
 def test_nothing_is_added_to_a_file_that_is_right(tmp_path):

@@ -95,12 +95,12 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
             np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
             tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
         )  # fmt: skip
-        sure = _inside(group.model.tree, q) * _told(made, values)
+        sure = inside(group.model.tree, q) * _told(made, values)
         out.append(replace(made, clear=mean @ (np.concatenate([r.clear for r in runs], 1) * sure).T))
     return tuple(out)
 
 
-def _inside(tree: Tree, q: np.ndarray) -> np.ndarray:
+def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     """Which of the angles [n, T] are within a joint's range, whose end pushes back."""
     low, high = np.asarray(tree.range, float).T[:, :, None]
     near = np.minimum(AT_END, OF_RANGE * (high - low))

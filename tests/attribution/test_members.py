@@ -1,0 +1,55 @@
+"""Joints of an effect that do not show it by themselves: they go together only where the rest predicts as well."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution import backward
+from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.paired import Test as Paired
+
+JOINTS = (0, 1, 2, 3)
+ENTRIES = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 9.0, "N m", np.inf) for j in JOINTS)
+
+
+@dataclass(frozen=True)
+class Small:
+    """A model as far as `of_members` looks at it."""
+
+    added: tuple
+    held: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(loss=0, paths=()))
+    fit: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(weights=None))
+
+
+@pytest.mark.parametrize(("most", "stay"), [(4, ()), (2, (2, 3)), (1, (1, 2, 3)), (0, JOINTS)])
+def test_weak_joints_go_together_while_the_rest_predicts_as_well(most, stay, monkeypatch):
+    """None shows by itself; without more than `most` of them the model predicts worse."""
+    gone = lambda model: len(JOINTS) - len(model.added[0].joints) if model.added else len(JOINTS)
+    trim = lambda problem, model, keys, criteria: replace(
+        model, added=tuple(c.at(left) for c in model.added if (left := [e for e in c.entries if e.key not in keys]))
+    )
+    worse = lambda n: Paired(0.5 if n > most else 0.0, 1e-4 if n > most else 0.5, 6, 6, 60)
+    monkeypatch.setattr(
+        backward, "without", lambda p, m, c, criteria: replace(m, held=SimpleNamespace(loss=c.joints[0]))
+    )
+    monkeypatch.setattr(backward, "steadiness", lambda model, c: 9.0)
+    monkeypatch.setattr(backward, "why_not", lambda *a: "left-out stretches do not confirm it")
+    monkeypatch.setattr(
+        backward, "trimmed", lambda *a: replace(m := trim(*a), held=SimpleNamespace(loss=0, paths=gone(m)))
+    )
+    monkeypatch.setattr(backward, "losses", lambda problem, paths, weights: (paths,))
+    monkeypatch.setattr(backward, "more", lambda large, small: 1)
+    alone = lambda joint: Paired(0.001 * (joint + 1), 0.5, 3, 6, 60)
+    monkeypatch.setattr(
+        backward, "paired", lambda p, less, whole: worse(less[0]) if isinstance(less, tuple) else alone(less)
+    )
+    whole = Small((Candidate("coulomb", JOINTS, "all", ENTRIES),))
+    trace: list = []
+    problem = SimpleNamespace(joint_names=("a", "b", "c", "d"))
+    left = backward.of_members(problem, whole, Criteria(), trace, lambda text: None)
+    assert tuple(j for c in left.added for j in c.joints) == stay
+    assert len(trace) == len(JOINTS) - len(stay)
