@@ -31,7 +31,7 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator
 <actuator>{SERVOS}</actuator></mujoco>"""
 
 
-def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit=""):
+def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit="", late=0.0):
     """A folder whose file has a rotor of 0.1 kg m2 and a forearm of 2 kg; logs of an arm with others."""
     folder.mkdir()
     same = {"axis": axis, "limit": limit}
@@ -46,8 +46,9 @@ def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit=""):
         rows = []
         for k in range(800):
             rows.append([k / 200, *data.qpos + 1e-4 * rng.standard_normal(3), *told(k / 200)])
-            data.ctrl[:] = told(k / 200)
-            mujoco.mj_step(model, data, nstep=10)
+            for step in range(10):
+                data.ctrl[:] = told(np.floor(k + step / 10 - 200 * late + 1e-9) / 200)  # held from row to row
+                mujoco.mj_step(model, data)
         names = ",".join(["time", *(f"q_{j}" for j in JOINTS), *(f"ctrl_{j}" for j in JOINTS)])
         np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
     return folder
@@ -109,6 +110,16 @@ def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late
     values = {e.key: z for e, z in zip(held.final.entries, held.final.values, strict=True)}
     assert values["armature", "inertia", (2,)] == pytest.approx(0.16, abs=0.004)
     assert values[DAMPING_STEP, "step", (0, 1, 2)] == pytest.approx(0.5 * STEP, abs=0.2 * STEP)
+
+
+def test_a_delay_of_rows_has_no_lag_beside_it(tmp_path):
+    """Its column is a difference, of which a lag would take what is left, and then its place."""
+    _, free, held = searched(arm_log(tmp_path / "late", late=0.0125))
+    for found in (free, held):
+        assert [(n.candidate.effect, n.candidate.joints) for n in found.named] == [("delay", (0, 1, 2))]
+        assert "actuator_lag" not in {c.effect for c in found.added}
+    values = {e.owner: z for e, z in zip(held.final.entries, held.final.values, strict=True)}
+    assert values["delay"] == pytest.approx(0.0125, abs=5e-4)
 
 
 def test_a_body_that_is_not_the_files_is_named(tmp_path):

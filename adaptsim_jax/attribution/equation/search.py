@@ -27,6 +27,8 @@ from adaptsim_jax.effects.base import Reach
 FIRST = ("coulomb", "armature")
 """Effects that are tried at all joints at once before any other: real joints rub."""
 ORDER = ("delay", "coulomb", "armature")
+SHIFTS = ("delay", "actuator_lag")
+"""Of which one at a joint is enough: beside a delay of rows a lag takes what its column, a difference, leaves of it."""
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
@@ -157,8 +159,10 @@ def _open(state: Searched, added: Sequence[Candidate], every: Sequence[Candidate
 def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) -> Candidate | None:
     """The candidate that takes most off where it was left out, of all joints at which it shows, for the numbers that it has."""
     now = state.set_of(added)
+    late = {j for c in added if c.effect in SHIFTS and not only_read(state, now, c) for j in c.joints}
+    free = [c for c in _open(state, added, every) if c.effect not in SHIFTS or not late & set(c.joints)]
     for laws in (True, False):
-        some = [c for c in _open(state, added, every) if state.problem.effect(c.effect).describes is not laws]
+        some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
         best = None
         for c in ranked(state, now, some)[: state.limits.tried]:
             more = state.set_of([*added, c])
