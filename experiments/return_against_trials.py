@@ -102,10 +102,9 @@ TASKS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 STEPS = {"cartpole": 6_000_000, "pendulum": 3_000_000, "arm": 6_000_000}  # of PPO; Playground's tasks 20 million
 LEAST = -2.0  # of the figure's axis: what is worse than UDR by more is in the table alone
-SMALL = {
-    "pendulum_swingup": 16_384_000
-}  # of PPO in the small form; the others 4 million, of a quarter of which a policy for the own
-LITTLE = 4_096_000  # cart-pole earns half
+# Steps of PPO in the small form: of a quarter of LITTLE a policy for the own cart-pole earns half.
+SMALL = {"pendulum_swingup": 16_384_000}
+LITTLE = 4_096_000
 
 
 def options_of(task: str, small: bool) -> dict[str, Any]:

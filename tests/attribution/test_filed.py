@@ -8,8 +8,9 @@ import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
-from adaptsim_jax.attribution.equation.balance import balances, inside, left_of
+from adaptsim_jax.attribution.equation.balance import balances, inside
 from adaptsim_jax.attribution.equation.filed import enough, filed
+from adaptsim_jax.attribution.equation.limits import left_of
 from adaptsim_jax.attribution.equation.models import said
 from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of

@@ -8,10 +8,10 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.ndimage
 import scipy.sparse
 
 from adaptsim_jax.attribution.acting import Motion, Values, actuated
+from adaptsim_jax.attribution.equation.limits import limited
 from adaptsim_jax.attribution.equation.windows import SPAN, runs_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
@@ -24,10 +24,10 @@ GAIN = "torque_gain"
 ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
 """Effects that change what an actuator does by what it was told."""
 LEAST_GAIN = 0.02
+At = Mapping[str, np.ndarray]  # parameters of an effect, [n] each
+Driven = tuple[np.ndarray, np.ndarray]
 AT_END = 0.05  # rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at most
 OF_RANGE = 0.02  # of its width
-HALVED = 30
-SMOOTH = 0.3  # of a window
 CUT = 0.02  # of an actuator's limit, from which on what it cuts of spikes is not told
 SOMEWHAT = 2048  # rows that one compiled program takes
 
@@ -184,9 +184,7 @@ def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarr
     return balance.averaged(_by_pieces(partial(_pulled, balance.group.model.tree, inertial, way), balance.q))
 
 
-def actuator_force(
-    balance: Balance, values: Values, told: tuple[np.ndarray, np.ndarray] | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def actuator_force(balance: Balance, values: Values, told: tuple[np.ndarray, np.ndarray] | None = None) -> Driven:
     """Force of the actuators and the part of it that follows command and angle, [n, T], by the law of `values`. Controllers see what
     is logged, an encoder's offset included. told: u and jump, where not those that were logged."""
     b, values = balance, values._replace(effects={})
@@ -196,44 +194,12 @@ def actuator_force(
         if values.ties is None and np.any(np.isfinite(law[4:6])):
             free = np.concatenate([law[:4], np.full_like(law[4:5], -np.inf), np.full_like(law[4:5], np.inf)])
             tau, pull = (np.asarray(z) + 0.0 * b.q for z in _actuated(values._replace(actuator=free), b.q, b.v, u))
-            tau = _limited(b, law, np.asarray(values.gear), tau, law[0] * values.gear * jump)
+            ends = np.sort(np.asarray(values.gear) * law[4:6], 0)
+            slow = b.inertia[:, None] / np.maximum(-law[3] * np.asarray(values.gear) ** 2, 1e-9)
+            tau = limited(tau, law[0] * values.gear * jump, ends, slow, b.row, b.clock, b.runs)
         else:
             tau, pull = _actuated(values, b.q, b.v, u)
     return np.asarray(tau) + 0.0 * balance.q, np.asarray(pull) + 0.0 * balance.q
-
-
-def _limited(balance: Balance, law: np.ndarray, gear: np.ndarray, force: np.ndarray, spike: np.ndarray) -> np.ndarray:
-    """Mean force [n, T] of actuators with limits, where without them it is `force`. What is cut off spikes is read off what is
-    smooth, since it bends: the noise of a speed times a controller's damping would be taken for force."""
-    ends = np.sort(np.stack([gear * law[4], gear * law[5]]), 0)
-    rows = max(1, round(SMOOTH * SPAN / float(balance.clock[1] - balance.clock[0])))
-    wide = 2.0 * np.abs(spike)
-    part = np.clip(force, ends[0] - wide, ends[1] + wide)
-    smooth = np.concatenate(
-        [scipy.ndimage.uniform_filter1d(part[:, r], rows, axis=1, mode="nearest") for r in balance.runs], 1
-    )
-    slow = balance.inertia[:, None] / np.maximum(-law[3] * gear**2, 1e-9)
-    way = np.where(spike < 0.0, -1.0, 1.0)
-    limit = np.where(way > 0.0, ends[1], -ends[0])
-    left = left_of(way * smooth, np.abs(spike), limit, slow, balance.row)
-    cut = np.isfinite(limit) & (np.abs(force - smooth) < np.abs(spike))
-    return np.clip(force, *ends) + np.where(cut, way * left - np.clip(smooth, *ends), 0.0)
-
-
-def left_of(asked: np.ndarray, spike: np.ndarray, limit: np.ndarray, slow: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Mean force that a limit leaves of one `asked` for, with spikes. A command that is held jumps from row to row by so much as the
-    joint moves, and the force with it (`spike`); within about `slow` s (inertia over damping) the joint has the speed that this asks
-    for, and the force is down again. Where limits cut a spike that takes longer: with m the mean, the force begins
-    a = m + peak - limit above the limit and falls by (limit - m) / slow + spike / row a second. m is found by bisection."""
-    rows = np.maximum(row / slow, 1e-3)
-    peak = spike * (1.0 / -np.expm1(-rows) - 1.0 / rows)
-    low, high = np.minimum(asked, -limit) - spike, np.minimum(asked, limit)
-    for _ in range(HALVED):
-        m = 0.5 * (low + high)
-        falls = (limit - m) / slow + spike / row
-        over = m + 0.5 * np.square(np.maximum(m + peak - limit, 0.0)) / np.maximum(falls * row, 1e-300) > asked
-        low, high = np.where(over, low, m), np.where(over, m, high)
-    return 0.5 * (low + high)
 
 
 @jax.jit
@@ -250,21 +216,15 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, sign):
     return answer + 0.0 * q
 
 
-def effect_force(
-    balance: Balance,
-    values: Values,
-    effect: Effect,
-    p: Mapping[str, np.ndarray],
-    driven: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
-    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it. driven:
-    `actuator_force`, where it is known."""
+def effect_force(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
+    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it.
+    driven: `actuator_force` of these values."""
     if effect.inertia:
         with jax.enable_x64(True):
             return -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()})) * balance.acceleration
     at = {k: np.asarray(z, float)[:, None] for k, z in p.items()}
     b = balance
-    tau, pull = actuator_force(b, values) if driven is None else driven
+    tau, pull = driven
     make = lambda *z: _acted(b.group.model.tree, values.inertial[..., 0], effect, at, *z)
     return b.averaged(_by_pieces(make, b.q, b.v, tau, b.clock[None], pull, b.u, b.sign))
 
@@ -274,13 +234,7 @@ def _commanded(effect: Effect, p, t, u):
     return effect.apply(p, t[:, None, None], u.T[..., None])[..., 0].T
 
 
-def command_force(
-    balance: Balance,
-    values: Values,
-    effect: Effect,
-    p: Mapping[str, np.ndarray],
-    driven: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
+def command_force(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
     """Change of the actuators' mean force [K, n] by an effect on their command (a delay, a lag)."""
     at = {k: np.asarray(z, float)[None, :, None] for k, z in p.items()}
     late = np.stack([balance.u, balance.jump])
@@ -293,17 +247,10 @@ def command_force(
             for k, z in enumerate((balance.u, balance.jump)):
                 u = np.pad(z[:, run], ((0, 0), (0, short)), mode="edge")
                 late[k][:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]
-    now = actuator_force(balance, values) if driven is None else driven
-    return balance.averaged(actuator_force(balance, values, tuple(late))[0] - now[0])
+    return balance.averaged(actuator_force(balance, values, tuple(late))[0] - driven[0])
 
 
-def force_of(
-    balance: Balance,
-    values: Values,
-    effect: Effect,
-    p: Mapping[str, np.ndarray],
-    driven: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
+def force_of(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
     """Mean force [K, n] of an effect on forces or commands at parameters p {name: [n]}."""
     return (command_force if effect.place == "command" else effect_force)(balance, values, effect, p, driven)
 
