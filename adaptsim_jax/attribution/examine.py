@@ -106,8 +106,9 @@ def examine(
     if judge == TORQUE:
         found = selection(problem, words, declared, reach)
         keep(found)
-        if follows and (fewer := confirmed(problem, words, found.final, criteria)) is not words:
-            words, found = fewer, selection(problem, fewer, declared, reach)
+        if follows and words is free:  # else `chosen` has asked simulation of each name
+            words = confirmed(problem, words, found.final, criteria)
+            found = found if words is free else selection(problem, words, declared, reach)
         if follows:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
