@@ -60,8 +60,8 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
     out = []
     total = sum(time[-1] - time[0] for _, time, *_ in made)
     hop = max(HOP * span, total / MOST)
-    for k, time, q, v, speed, u, jump, row, seen in made:
-        dt = time[1] - time[0]
+    for k, time, q, v, speed, u, jump, seen in made:
+        dt, row = time[1] - time[0], float(np.median(np.diff(tracks[k].time)))
         mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt), hop)
         if not len(at):
             continue
@@ -79,8 +79,7 @@ def _rows(dt: float) -> int:
 
 
 def _even(track: Track) -> tuple[np.ndarray, ...]:
-    """time, q, v, speed, u, jump on an even grid, seconds of a row, and where rows were read (1) or not (0); v is smooth,
-    and speed is true."""
+    """time, q, v, speed, u, jump on an even grid, and where rows were read (1) or not (0); v is smooth, and speed is true."""
     steps = np.diff(track.time)
     dt = float(np.median(steps))
     time = np.arange(track.time[0], track.time[-1], dt)
@@ -106,9 +105,7 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
     held = u[np.clip(np.searchsorted(track.time, time + 0.25 * dt) - 1, 0, len(u) - 1)]
     jump = 2.0 * (held - middle)
     some = slice(None, None, max(1, round(GRID / dt)))
-    return (
-        time[some], q[:, some], v[:, some], speed[:, some], middle.T[:, some], jump.T[:, some], dt, seen[some],
-    )  # fmt: skip
+    return time[some], q[:, some], v[:, some], speed[:, some], middle.T[:, some], jump.T[:, some], seen[some]
 
 
 def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
