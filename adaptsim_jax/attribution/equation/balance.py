@@ -29,6 +29,11 @@ Driven = tuple[np.ndarray, np.ndarray]
 AT_END = 0.05  # rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at most
 OF_RANGE = 0.02  # of its width
 CUT = 0.02  # of an actuator's limit, from which on what it cuts of spikes is not told
+LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
+PUSHED, LEAST = (
+    0.01,
+    1e-9,
+)  # of a window in which what pushes is not told: from which share of it on it does not count; what is left of it
 SOMEWHAT = 2048  # rows that one compiled program takes
 
 
@@ -95,8 +100,9 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
             np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
             tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
         )  # fmt: skip
-        sure = inside(group.model.tree, q) * _told(made, values)
-        out.append(replace(made, clear=mean @ (np.concatenate([r.clear for r in runs], 1) * sure).T))
+        sure = inside(group.model.tree, q) & _told(made, values)
+        moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, LEAST_CLEAR)
+        out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, LEAST)))
     return tuple(out)
 
 
@@ -108,11 +114,14 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
 
 
 def _told(balance: Balance, values: Values) -> np.ndarray:
-    """Where [n, T] limits cut little of the spikes of a force after each command; how much they cut hangs on what is between rows."""
+    """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut hangs on what is between rows),
+    and no controller's force is at them: it is the difference of two much larger ones there, and none where a joint chatters."""
     none = np.zeros_like(balance.jump)
-    cut = actuator_force(balance, values)[0] - actuator_force(balance, values, (balance.u, none))[0]
-    limit = np.abs(np.asarray(values.actuator))[4:6, :, 0].min(0)[:, None] * np.abs(values.gear)
-    return np.abs(cut) <= CUT * limit
+    law = np.asarray(values.actuator)[..., 0]
+    limit = np.abs(law[4:6]).min(0)[:, None] * np.abs(values.gear)
+    force, smooth = actuator_force(balance, values)[0], actuator_force(balance, values, (balance.u, none))[0]
+    at_limit = (law[2] != 0.0)[:, None] & (np.abs(smooth) >= (1.0 - CUT) * limit)
+    return (np.abs(force - smooth) <= CUT * limit) & ~at_limit
 
 
 def _known(

@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.backward import beside
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.columns import balanced
 from adaptsim_jax.attribution.equation.exact import exact, needed
-from adaptsim_jax.attribution.equation.searched import Searched, ranked
+from adaptsim_jax.attribution.equation.searched import SHIFTS, Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_read, steadiness, why_not
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
@@ -27,8 +27,6 @@ from adaptsim_jax.effects.base import Reach
 FIRST = ("coulomb", "armature")
 """Effects that are tried at all joints at once before any other: real joints rub."""
 ORDER = ("delay", "coulomb", "armature")
-SHIFTS = ("delay", "actuator_lag")
-"""Of which one at a joint is enough: beside a delay of rows a lag takes what its column, a difference, leaves of it."""
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
 """Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
@@ -165,6 +163,7 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
         some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
         best = None
         for c in ranked(state, now, some)[: state.limits.tried]:
+            c = state.settled(added, c)
             more = state.set_of([*added, c])
             test = compared(state.rows, now, more, state.own(c))
             least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
@@ -240,6 +239,7 @@ def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, who
     )
     out = []
     for k in ranked(state, less, others)[:3]:
+        k = state.settled(rest, k)
         other = state.set_of([*rest, k])
         if compared(state.rows, other, whole, state.own(*gone, k)).gain < gap and not at_bound(other, k):
             out.append(k)

@@ -17,6 +17,9 @@ from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import ancestors
 
 CARRIED = (INERTIA, *TOLD)
+SHIFTS = ("delay", "actuator_lag")
+"""Of which one at a joint is enough: beside a delay of rows a lag takes what its column, a difference, leaves of it."""
+LEAST_SHIFT = 1e-4  # s, of which a column is made
 LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
 """Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
 
@@ -72,6 +75,16 @@ class Searched:
         driven = self.told + found.columns[..., changed] @ found.step[changed]
         return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
 
+    def settled(self, added: Sequence[Candidate], c: Candidate) -> Candidate:
+        """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one of 3 ms is none of 3 ms."""
+        if c.effect not in SHIFTS or not c.shape:
+            return c
+        for _ in range(2):
+            value = float(self.set_of([*added, c]).step[-1]) + c.entries[0].start
+            if abs(value) >= LEAST_SHIFT:
+                c = replace(c, shape=((c.shape[0][0], value),))
+        return c
+
     def own(self, *some: Candidate) -> list[int]:
         """Local numbers of the joints at which effects show: a body, and where it is, at all that carry it."""
         tree = self.balance.group.model.tree
@@ -96,9 +109,12 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     left = (rows.missing - now.columns @ now.step) * rows.weight
     total = np.maximum(np.square(left).sum(0), 1e-300)
     even = np.sqrt(total.mean() / total)  # joints count alike, whatever they leave
-    weigh = lambda z: (z * (rows.weight * even)[..., None]).reshape(-1, z.shape[2])
-    a, y = weigh(now.columns), left * even
-    inverse = np.linalg.pinv(a.T @ a + np.diag([e.prior**-2.0 for e in now.entries]), rcond=1e-12, hermitian=True)
+    weigh = lambda z: (z * (rows.weight * even)[..., None]).reshape(left.size, z.shape[2])
+    began = [*state.null.values, *(e.start for e in now.entries[len(state.null) :])]
+    free = [i for i, (e, z) in enumerate(zip(now.entries, began + now.step, strict=True)) if e.low < z < e.high]
+    a, y = weigh(now.columns[..., free]), left * even
+    prior = np.diag([now.entries[i].prior ** -2.0 for i in free])
+    inverse = np.linalg.pinv(a.T @ a + prior, rcond=1e-12, hermitian=True)
     fold, flat = np.repeat(rows.fold, y.shape[1]), y.ravel()
     blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
     wide = weigh(np.concatenate(blocks, 2))

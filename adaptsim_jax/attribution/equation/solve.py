@@ -16,7 +16,6 @@ TRIALS = 5
 BLOCK = 0.5  # s, of which a paired test takes one difference
 MOST_BLOCKS, LEAST_BLOCKS = 60, 16
 MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
-LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
 FLOOR = 0.1  # of the usual loss of a block: one that hardly moved says little, however much it gained
 
 
@@ -77,7 +76,6 @@ def rows_of(
     missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray, clear: np.ndarray
 ) -> Rows:
     """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by sizes `least` [n]."""
-    clear = np.maximum(clear, LEAST_CLEAR)
     usual = _block_means(np.square(left) * clear, trial, time) / _block_means(clear, trial, time)
     size = np.sqrt(np.maximum(np.median(usual, 0), np.square(least) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)

@@ -21,6 +21,8 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:
         return "left-out blocks do not confirm it"
+    if state.commanded and len(c.joints) < state.balance.joints and only_read(state, whole, c):
+        return "a joint that is late by so little is how its rows are read"
     if test.gain * state.carry(c) < least:
         return f"takes less than {100 * least:.0f} % off the squared missing torque"
     if test.overall < 0.0:
