@@ -1,63 +1,42 @@
-"""A page that shows an adaptation beside its baselines: one self-contained HTML file, or a section for another page."""
+"""A page that shows an adaptation beside its baselines: one self-contained HTML file."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
-import numpy as np
-
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import comparison_explore, explore
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
-
-SECTION = "adaptation_section.html.j2"
-PAGE = "adaptation.html.j2"
+from adaptsim_jax.report.templating import filled
 
 
-def write_adaptation_page(results: Mapping[str, Any], path: Path, reward_map: Any = None) -> Path:
+def write_adaptation_page(results: Mapping[str, Any], path: Path) -> Path:
     """Write the page for `results` (of `compare`) to `path`, whole or not at all. Raises BadInput where it cannot."""
-    html = _environment().get_template(PAGE).render(**_context(results, reward_map))
-    write_bytes(path, html.encode())
+    write_bytes(path, render(results).encode())
     return path
 
 
-def adaptation_section(results: Mapping[str, Any], reward_map: Any = None) -> str:
-    """The same as a `<section>`; classes are those of the diagnosis page's style sheets, and `explore.script` draws its plots.
-
-    `reward_map`: a `baselines.reward_map.RewardMap` for the first setting of `results`, drawn with what was found there.
-    """
-    return _environment().get_template(SECTION).render(**_context(results, reward_map))
-
-
-def _environment() -> jinja2.Environment:
-    loader = jinja2.PackageLoader("adaptsim_jax.report")
-    return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-
-
-def _context(results: Mapping[str, Any], reward_map: Any) -> dict[str, Any]:
+def render(results: Mapping[str, Any]) -> str:
+    """The page as text."""
     rows = results["rows"]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
-    figures, curves = [], comparison_explore.rewards(results)
+    curves = comparison_explore.rewards(results)
     caption = (_CURVES if "reward" not in results else _PLAIN_CURVES).format(over=_OVER[look.one_seed(rows)])
-    if reward_map is not None:
-        figures.append((look.svg(_map(results, settings[0], reward_map)), _MAP))
-    return {
-        "results": results,
-        "headline": headline(rows, "Reward" if "reward" in results else "Normalized reward"),
-        "scale": _scale(results),
-        "over": "one seed, no interval" if look.one_seed(rows) else "mean over seeds",
-        "settings": [(s, look.SETTINGS.get(s, s)) for s in settings],
-        "methods": [(m, look.label(m), look.colour(m)) for m in methods],
-        "cells": cells,
-        "curves": curves,
-        "caption": caption,
-        "figures": figures,
-        "script": explore.script(bool(curves)),
-    }
+    return filled(
+        "adaptation.html.j2",
+        results=results,
+        headline=headline(rows, "Reward" if "reward" in results else "Normalized reward"),
+        scale=_scale(results),
+        over="one seed, no interval" if look.one_seed(rows) else "mean over seeds",
+        settings=[(s, look.setting(s)) for s in settings],
+        methods=[(m, look.label(m), look.colour(m)) for m in methods],
+        cells=cells,
+        curves=curves,
+        caption=caption,
+        script=explore.script(bool(curves)),
+    )
 
 
 _CURVES = (
@@ -75,10 +54,6 @@ _NORMALISED = (
 )
 _BESIDE = {False: "Beside each mean its 95 % interval over seeds.", True: "One seed, no interval."}
 _TARGETS = " Targets: WD is within Omega, the box of parameters that may be simulated; OOD are outside of it."
-_MAP = (
-    "What each seed's best policy was trained on. Colours are the largest reward that a pair of masses can earn in the "
-    "target; the box is Omega, and the star the target's own masses, which no method may choose."
-)
 
 
 def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> str:
@@ -92,7 +67,7 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
         if ours is None:
             continue
         beside = f" (system identification {max(known):.2f})" if known else ""
-        told.append(f"{look.SETTINGS.get(setting, setting)} {ours:.2f}{beside}")
+        told.append(f"{look.setting(setting)} {ours:.2f}{beside}")
     if not told:
         return f"{what}s of the methods that ran"
     return f"{what} of AdaptSim: " + ", ".join(told)
@@ -112,12 +87,3 @@ def _cell(r: Mapping[str, Any]) -> dict[str, str]:
     spread = "" if r["low"] == r["high"] else f"{number(r['low'])} to {number(r['high'])}"
     value = "" if r["mean"] is None else f"{r['mean']:.6g}"
     return {"mean": number(r["mean"]), "value": value, "spread": spread, "final": number(r["final_mean"])}
-
-
-def _map(results: Mapping[str, Any], setting: str, reward_map: Any):
-    found = {
-        r["method"]: np.array(r["best_params"])[:, :2]
-        for r in results["rows"]
-        if r["setting"] == setting and "best_params" in r
-    }
-    return draw.parameter_map(reward_map, results["settings"][setting]["params"][:2], found)

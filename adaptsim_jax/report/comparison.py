@@ -33,7 +33,7 @@ def table(results: Mapping[str, Any]) -> str:
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): r for r in rows}
-    head = [look.SETTINGS.get(s, s) for s in settings]
+    head = [look.setting(s) for s in settings]
     across = lambda cell: _grid(head, methods, cell, settings, cells)
     parts = [
         f"{look.reward_of(results, long=True)}, {look.seeds(results['seeds'])}, "
@@ -79,17 +79,13 @@ def _grid(head, methods, cell, settings, cells) -> str:
     for m in methods:
         texts = [cell(cells[m, s]) if (m, s) in cells else "-" for s in settings]
         if any(t != "-" for t in texts):
-            lines.append(f"| {_name(m)} | " + " | ".join(texts) + " |")
+            lines.append(f"| {look.label(m)} | " + " | ".join(texts) + " |")
     return "\n".join(lines)
 
 
 def _trials(rows, methods) -> str:
     counts = {m: next(r["target_trials"] for r in rows if r["method"] == m) for m in methods}
-    return ", ".join(f"{_name(m)} {n}" for m, n in counts.items() if n is not None)
-
-
-def _name(method: str) -> str:
-    return look.label(method)
+    return ", ".join(f"{look.label(m)} {n}" for m, n in counts.items() if n is not None)
 
 
 def _number(value: float | None) -> str:

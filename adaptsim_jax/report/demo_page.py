@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from adaptsim_jax.core.files import output_folder, write_bytes
@@ -14,6 +13,7 @@ from adaptsim_jax.report import comparison, demo_figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.report import figures as look
+from adaptsim_jax.report.templating import filled
 
 INK = {"adaptsim": "after", "sysid_bayes": "before", "sysid_point": "floor"}
 
@@ -55,14 +55,8 @@ def setting_of(tour: Any) -> str:
 def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
     """The page as text, to lie in `out`; `pictures` are SVG elements by name."""
     phase1 = tour.adapted[0].trained.phase1
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("adaptsim_jax.report", "templates"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    return environment.get_template("demo.html.j2").render(
+    return filled(
+        "demo.html.j2",
         setting=look.SETTINGS[setting_of(tour)],
         seeds=len(tour.adapted),
         sizes=phase1.config,

@@ -8,14 +8,8 @@
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None, units {channel: unit}}],
                      NaN where windows join; the first trial is shown, the others fold out
     tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table, seen from above
-    residual_torque  [{joint, time [n] s, value [n] N m, std [n] N m}] under the declared model
     torque           [{joint, unit, time [n] s, measured, file, fitted [n]}] along the measured motion
     friction         [{joint, unit, speed [n], missing [n], modelled [n]}] what resists, against speed
-    regressor        [{name, where, x [n], y [n] N m, x_label, curve_x, curve_y, explained}], one a named effect:
-                     the torque missing without it against what it follows, and the effect itself
-    leftover         [{joint, variable, share (0..1), p_value}]
-    spectrum         {joint: {frequency [n] Hz, before [n], after [n]}}
-    next_experiment  {time [n] s, torque [n, 2] N m, separates: [a, b], csv: file name}
     audit            [{severity, where, message}]
     run              {command, version, seed, seconds}
 """
@@ -23,11 +17,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
@@ -42,6 +34,7 @@ from adaptsim_jax.report import diagnosis_rows as rows_of
 from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.report import diagnosis_yardsticks as yardsticks
+from adaptsim_jax.report.templating import filled
 
 MOST_LINES = 6
 """Warnings, and notes, that the terminal shows."""
@@ -58,8 +51,8 @@ GOES_TO = {
 """Where a mended model of a task may go, in words."""
 
 
-def write_diagnosis(out: Path, report: dict, evidence: dict, png: bool = False) -> None:
-    """Write `report.json` and `report.html` into `out`, whole or not at all; `figures/*.png` too with `png`.
+def write_diagnosis(out: Path, report: dict, evidence: dict) -> None:
+    """Write `report.json` and `report.html` into `out`, whole or not at all.
 
     Write `model.toml` and the next experiment's CSV first: the page links the files that it finds in `out`.
     Raises schema.ReportError where the report does not keep the schema (and writes nothing then), BadInput
@@ -69,27 +62,21 @@ def write_diagnosis(out: Path, report: dict, evidence: dict, png: bool = False) 
     clean = schema.check(report)
     write_json(out / "report.json", clean)
     write_bytes(out / "report.html", render(clean, evidence, out).encode())
-    if png:
-        folder = output_folder(out / "figures")
-        for name, (paint, height, _) in figures.paints(clean, evidence).items():
-            write_bytes(folder / f"{name}.png", svg.draw_png(paint, height))
 
 
 def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None = None) -> str:
     """The page as text, from a checked report. `out` is looked at for the files to link."""
     mended = bool(report["effects"])
     error = report["error"] if mended else _declared_only(report["error"])
-    plan = evidence.get("next_experiment")
     traces, left_out = diagnosis_explore.held_out(evidence.get("held_out") or [], error)
     above = diagnosis_explore.tracks(evidence.get("tracks") or {})
-    unmodelled = diagnosis_explore.unmodelled(evidence)
     page = {
         "report": report,
         "tone": words.TONES[report["verdict"]],
         "label": words.LABELS[report["verdict"]],
         "headline": words.headline(report),
         "meaning": words.MEANINGS[report["verdict"]],
-        "todo": words.todo(report, plan),
+        "todo": words.todo(report),
         "mended": mended,
         "error": error,
         "data": _data_words(report["data"]),
@@ -106,19 +93,13 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "above_from": figures.seen_from(evidence.get("tracks") or {}),
         "traces": traces,
         "trials_left_out": left_out,
-        "regressors": _regressor_figures(evidence),
-        "unmodelled": unmodelled,
-        "seen": [row for row in evidence.get("regressor") or [] if row.get("explained") is not None],
-        "leftover": rows_of.leftover_rows(evidence),
-        "quiet": report["verdict"] in ("within_noise", "underpowered"),
-        "remains": any((row.get("p_value") or 0.0) < 0.05 for row in evidence.get("leftover") or []),
         "power": rows_of.power_rows(report),
         "candidates": rows_of.candidate_rows(report),
         "most_candidates": MOST_CANDIDATES,
         "one_by_one": bool(report.get("fit_coordinates")),
         "declared": rows_of.declared_rows(report),
         "not_established": words.not_established(report),
-        "next": _next_experiment(report, plan, out),
+        "next": _next_experiment(report, out),
         "audit": rows_of.audit_rows(evidence),
         "audit_first": report["verdict"] == "data_fault",
         "run": evidence.get("run") or {},
@@ -126,24 +107,9 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "model_goes_to": GOES_TO.get(report["task"], GOES_TO["pendulum"]),
         "levels": {"parameter": schema.PARAMETER_LEVEL, "error": schema.ERROR_LEVEL},
         "reward": report.get("task_reward"),
-        "script": explore.script(bool(traces or above or unmodelled)),
+        "script": explore.script(bool(traces or above)),
     }
-    return _template().render(**page)
-
-
-@cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("adaptsim_jax.report", "templates"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    for name in ("quantity", "number", "percent", "p_value", "between", "listing"):
-        environment.filters[name] = getattr(fmt, name)
-    environment.filters["plain"] = words.plain
-    return environment.get_template("diagnosis.html.j2")
+    return filled("diagnosis.html.j2", **page)
 
 
 def _data_words(data: Mapping) -> str:
@@ -193,22 +159,10 @@ def _error_figures(error: Mapping) -> list[str]:
     return pictures
 
 
-def _regressor_figures(evidence: Mapping) -> list[str]:
-    pictures = []
-    for found in evidence.get("regressor") or []:
-        label = f"torque missing at {found['where']} against {found.get('x_label', 'the regressor')}"
-        pictures.append(svg.draw(figures.regressor(found), 3.1, label))
-    return pictures
-
-
-def _next_experiment(report: Mapping, plan: Mapping | None, out: Path | None) -> dict[str, Any]:
-    given = report.get("next_experiment")
-    name = (plan or {}).get("csv") or (given.get("csv") if isinstance(given, Mapping) else None)
-    picture = None
-    if plan and plan.get("torque") is not None:
-        picture = svg.draw(figures.next_experiment(plan), 3.4, "commanded torques of the next experiment")
+def _next_experiment(report: Mapping, out: Path | None) -> dict[str, Any]:
+    name = _csv_name(report)
     there = bool(name) and (out is None or (out / str(name)).exists())
-    return {"words": words.next_words(report, plan), "csv": name, "linked": there, "picture": picture}
+    return {"words": words.next_words(report), "csv": name, "linked": there}
 
 
 def _links(out: Path | None) -> list[str]:
@@ -246,7 +200,7 @@ def _summary_rows(report: Mapping) -> list[tuple[str, str]]:
         after = f" -> {row['after']} ({row['change']})" if row["pair"].get("after") is not None else ""
         floor = f", noise floor {row['floor']}" if row["floor"] != fmt.DASH else ""
         rows.append(("held-out error", f"{row['name']}: {row['before']}{after}{floor}"))
-    rows.append(("next", words.next_words(report, None) or words.todo(report, None)))
+    rows.append(("next", words.next_words(report) or words.todo(report)))
     return rows
 
 

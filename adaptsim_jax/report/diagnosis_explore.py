@@ -1,4 +1,4 @@
-"""What a diagnosis's page lets its reader explore: each trial measured and simulated, tracks, and what the declared model leaves."""
+"""What a diagnosis's page lets its reader explore: each trial measured and simulated, and tracks."""
 
 from __future__ import annotations
 
@@ -130,61 +130,3 @@ def tracks(found: Mapping) -> str:
     note = f"the first {kept} of {trials} trials" if kept < trials else ""
     view = View([{"data": data, "layout": layout}], note)
     return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns) if data else ""
-
-
-def unmodelled(evidence: Mapping) -> str:
-    """The torque that the declared model lacks over time, and the residual's spectrum, by joint."""
-    torque = {str(row["joint"]): row for row in evidence.get("residual_torque") or [] if len(row["time"])}
-    spectrum = {str(joint): row for joint, row in (evidence.get("spectrum") or {}).items()}
-    joints = list(dict.fromkeys([*torque, *spectrum]))
-    columns, views = Columns(), {}
-    for i, joint in enumerate(joints):
-        plots_of = [_torque(torque[joint], columns)] if joint in torque else [{}] * bool(torque)
-        plots_of += [_spectrum(spectrum[joint])] if joint in spectrum else [{}] * bool(spectrum)
-        views[(i,)] = View(plots_of)
-    plots = [Plot("unmodelled torque over time", 320)] * bool(torque)
-    plots += [Plot("spectrum of the residual", 320)] * bool(spectrum)
-    return explorer({"joint": [plain(j) for j in joints]}, views, plots, columns) if joints else ""
-
-
-def _torque(row: Mapping, columns: Columns) -> dict[str, Any]:
-    """The estimate, and a band of two standard deviations that is broken where windows are left out."""
-    given = np.asarray(row["value"], float)
-    time, value, std = thin(row["time"], given, row.get("std", np.zeros(len(given))), most=1500)
-    size = figures.percentile(value)
-    factor, name = fmt.scaled("N m", size)
-    time, value, std = figures.broken(time, factor * value, factor * std)
-    at = columns.add(time)
-    data: list[dict[str, Any]] = []
-    for sign, fill in ((-2, None), (2, "tonexty")):
-        edge = {"type": "scatter", "mode": "lines", "x": at, "y": columns.add(value + sign * std), "line": {"width": 0}}
-        edge |= {"hoverinfo": "skip", "showlegend": fill is not None, "name": "± 2 standard deviations"}
-        data.append(edge if fill is None else edge | {"fill": fill, "fillcolor": "--before/25"})
-    middle = _line(at, columns.add(value), "before", 1.5)
-    data.append(middle | {"name": "unmodelled torque", "hovertemplate": f"%{{y:.4~g}} {name}"})
-    bound = 1.6 * factor * size
-    axis: dict[str, Any] = {"title": {"text": name}, "zeroline": True}
-    if bound and bound < float(np.nanmax(np.abs(value), initial=0.0)):
-        axis["range"] = [-bound, bound]  # one wild estimate at a trial's edge must not flatten the rest
-    layout = {"xaxis": {"title": {"text": "time, s"}}, "yaxis": axis, "hovermode": "x"}
-    return {"data": data, "layout": layout | {"title": {"text": "unmodelled torque"}}}
-
-
-def _spectrum(row: Mapping) -> dict[str, Any]:
-    data = []
-    for stage in ("before", "after"):
-        if row.get(stage) is None:
-            continue
-        frequency, power = thin(row["frequency"], row[stage], most=1500)
-        with np.errstate(invalid="ignore"):
-            some = power > 0
-        rounded = lambda values, digits: [float(f"{v:.{digits}g}") for v in values]
-        data.append(_line(rounded(frequency[some], 5), rounded(power[some], 4), stage, 1.5))
-    return {
-        "data": data,
-        "layout": {
-            "xaxis": {"title": {"text": "frequency, Hz"}},
-            "yaxis": {"title": {"text": "power"}, "type": "log", "exponentformat": "power", "nticks": 6},
-            "title": {"text": "residual spectrum"},
-        },
-    }

@@ -138,21 +138,6 @@ def _marks(stages: Mapping[str, Mapping | None]) -> list[dict[str, Any]]:
     ]
 
 
-def leftover_rows(evidence: Mapping) -> list[dict[str, Any]]:
-    """Where structure remains, as the report has it: the likeliest place first."""
-    rows = [row for row in evidence.get("leftover") or [] if row.get("share") is not None]
-    return [
-        {
-            "joint": words.plain(str(row.get("joint", ""))),
-            "variable": words.FOLLOWED.get(row.get("variable", ""), row.get("variable", "")),
-            "share": fmt.percent(row["share"]),
-            "bar": min(100.0, max(0.0, 100 * row["share"])),
-            "p": fmt.p_value(row.get("p_value")),
-        }
-        for row in rows
-    ]
-
-
 def power_rows(report: Mapping) -> list[dict[str, str]]:
     """What would have been found: `power: [{name, where, size, unit, power}]`, where it has this form."""
     rows = report.get("power")

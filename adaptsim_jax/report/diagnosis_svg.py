@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
@@ -26,7 +25,7 @@ THEMED = {
     FLOOR: "floor",
     CEILING: "ceiling",
 }
-"""Colour in the figure -> CSS variable of the page. The hex values are the light theme, for PNG too."""
+"""Colour in the figure -> CSS variable of the page. The hex values are the light theme."""
 
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -60,25 +59,15 @@ WIDTH = 5.0
 """Inches (72 to an inch in SVG): a phone's width and not far from half a page, so text keeps its size."""
 
 
-def draw(paint: Callable[[Figure], None], height: float, label: str, width: float = WIDTH) -> str:
+def draw(paint: Callable[[Figure], None], height: float, label: str) -> str:
     """The SVG of what `paint` draws on a transparent figure; `label` is for those who do not see it."""
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height))
+        figure = Figure(figsize=(WIDTH, height))
         FigureCanvasSVG(figure)
         paint(figure)
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     return themed(buffer.getvalue(), label)
-
-
-def draw_png(paint: Callable[[Figure], None], height: float, width: float = WIDTH) -> bytes:
-    """The same as a PNG on white, for a README or a slide."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(width, height))
-        paint(figure)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=150, facecolor="white")
-    return buffer.getvalue()
 
 
 def themed(svg: str, label: str) -> str:
@@ -116,10 +105,3 @@ def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:
         whole = column[: len(column) // stride * stride].reshape(-1, stride)
         taken.append(np.where(np.isnan(whole).any(axis=1), np.nan, whole[:, 0]))
     return taken
-
-
-def quiet(axes: Axes) -> None:
-    """Few ticks: a phone's width must do."""
-    axes.locator_params(axis="x", nbins=6)
-    axes.locator_params(axis="y", nbins=5)
-    axes.tick_params(length=3)

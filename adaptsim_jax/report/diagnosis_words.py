@@ -75,8 +75,6 @@ WHOLE = {
     "spring": "torsional spring",
 }
 """Names that say too little by themselves."""
-FOLLOWED = {"past": "what the joint did just before", "other": "the other joint's motion"}
-"""The same of what is left over."""
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl": "Dahl"}
 
 
@@ -226,9 +224,9 @@ def unidentified(report: Mapping) -> list[str]:
     return [name for name, row in table.items() if not row["identifiable"]]
 
 
-def todo(report: Mapping, plan: Mapping | None) -> str:
+def todo(report: Mapping) -> str:
     """What to do now; it points to the next experiment where there is one."""
-    there = report.get("next_experiment") or plan
+    there = report.get("next_experiment")
     nameless = report["verdict"] in ("within_noise", "data_fault")
     if report["effects"] and (skill := _skill(report)) < TELLS:
         return (
@@ -238,7 +236,7 @@ def todo(report: Mapping, plan: Mapping | None) -> str:
     return NEXT[report["verdict"]] + (" See the next experiment below." if there and not nameless else "")
 
 
-def next_words(report: Mapping, plan: Mapping | None) -> str:
+def next_words(report: Mapping) -> str:
     """What the next experiment is for, in the report's own words where it has them."""
     given: Any = report.get("next_experiment")
     if isinstance(given, str) and given.strip():
@@ -247,7 +245,7 @@ def next_words(report: Mapping, plan: Mapping | None) -> str:
         for key in ("message", "why", "what", "description"):
             if isinstance(given.get(key), str) and given[key].strip():
                 return given[key]
-    names = (plan or {}).get("separates") or (given.get("separates") if isinstance(given, Mapping) else None)
+    names = given.get("separates") if isinstance(given, Mapping) else None
     return f"Commanded torques chosen to tell {fmt.listing([plain(n) for n in names])} apart." if names else ""
 
 

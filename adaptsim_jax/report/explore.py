@@ -29,8 +29,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
+
+from adaptsim_jax.report.templating import filled
 
 MOST_POINTS = 2000
 """Points of one trace."""
@@ -104,7 +105,7 @@ def explorer(
 
 def script(plots: bool = True) -> str:
     """The one script of a page, with Plotly beside it where there are plots to draw."""
-    code = f"<script>{_template().render()}</script>"
+    code = f"<script>{filled('explore.js.j2')}</script>"
     if not plots or plotly() is None:
         return code
     about = "<!-- plotly.js, (c) Plotly, Inc., MIT licence; gzip in base64 -->"
@@ -119,11 +120,6 @@ def plotly() -> str | None:
     if path is None or not path.exists():
         return None
     return base64.b64encode(gzip.compress(path.read_bytes(), 6, mtime=0)).decode()
-
-
-@cache
-def _template() -> jinja2.Template:
-    return jinja2.Environment(loader=jinja2.PackageLoader("adaptsim_jax.report")).get_template("explore.js.j2")
 
 
 def shown(name: Any) -> str:

@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from adaptsim_jax.adaptation.sweep_results import TRAINING, earned, interval
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import explore, sweep_explore
 from adaptsim_jax.report import figures as look
+from adaptsim_jax.report.templating import filled
 
 MOST_MEMBERS = 1000
 """Rows of the table of members; results.csv has them all."""
@@ -31,7 +30,8 @@ def render(found: Mapping[str, Any]) -> str:
     groups = sweep_explore.groups(found)
     combinations = [_combination(name, rows, found["swept"], rewards) for name, rows in groups.items()]
     over, curves = sweep_explore.over_values(found), sweep_explore.curves(groups)
-    return _template().render(
+    return filled(
+        "sweep.html.j2",
         found=found,
         left=found["members"] - found["done"] - found["failed"],
         names=[_title(name) for name in rewards],
@@ -44,13 +44,6 @@ def render(found: Mapping[str, Any]) -> str:
         failed=[row for row in found["rows"] if row["status"] == "failed"][:20],
         script=explore.script(bool(over or curves)),
     )
-
-
-def _template() -> jinja2.Template:
-    loader = jinja2.PackageLoader("adaptsim_jax.report")
-    environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["count"] = fmt.count
-    return environment.get_template("sweep.html.j2")
 
 
 def _title(reward_name: str) -> str:

@@ -301,57 +301,12 @@ def evidence(verdict):
     }
     if verdict == "data_fault":
         return {"run": run, "audit": AUDIT_FAULT}
-    rng = np.random.default_rng(7)
-    time = np.arange(0, 6, 1 / 200)
-    speed = 2.2 * np.sin(2.1 * time) * np.exp(-0.1 * time)
-    torque = -0.0312 * np.tanh(speed / 0.05) + 0.008 * rng.standard_normal(len(time))
-    torque[400] = 2.0  # one wild estimate where windows join
-    joints = [
-        {"joint": "joint1", "time": time, "value": torque, "std": np.full(len(time), 0.008)},
-        {
-            "joint": "joint2",
-            "time": time,
-            "value": 0.004 * rng.standard_normal(len(time)),
-            "std": np.full(len(time), 0.004),
-        },
-    ]
-    grid = np.linspace(-2.2, 2.2, 200)
-    fit = {
-        "name": "coulomb_friction",
-        "where": "joint1",
-        "explained": 0.93,
-        "x": speed,
-        "y": torque,
-        "x_label": "velocity of joint 1, rad/s",
-    }
-    fit |= {"curve_x": grid, "curve_y": -0.0312 * np.tanh(grid / 0.05)}
     mended = verdict in ("explained", "explained_class", "partly_explained", "structured_unattributed")
-    found = {"run": run, "audit": AUDIT, "held_out": held_out(mended), "residual_torque": joints}
-    if mended:
-        found["regressor"] = [fit]
+    found = {"run": run, "audit": AUDIT, "held_out": held_out(mended)}
     if verdict == "within_noise":
         found["held_out"] = [row | {"before": row["after"], "after": None} for row in held_out(True)]
-        found["residual_torque"] = joints[1:]
-    if verdict == "structured_unattributed":
-        found["leftover"] = [
-            {"joint": "joint2", "variable": "position", "share": 0.38, "p_value": 0.0003},
-            {"joint": "joint2", "variable": "frequency", "share": 0.09, "p_value": 0.04},
-            {"joint": "joint1", "variable": "velocity", "share": 0.01, "p_value": 0.61},
-        ]
-        frequency = np.linspace(0, 100, 600)
-        power = 1e-6 / (1 + (frequency / 8) ** 2) + 3e-7 * np.exp(-((frequency - 22) ** 2) / 2)
-        found["spectrum"] = {"joint2": {"frequency": frequency, "before": 2 * power, "after": power}}
-    if verdict not in ("within_noise", "confounded_with_declared"):
-        plan = np.stack([0.25 * np.sign(np.sin(1.3 * time)), 0.08 * np.sin(4 * time)], axis=1)
-        found["next_experiment"] = {
-            "time": time,
-            "torque": plan,
-            "separates": ["coulomb_friction", "stribeck"],
-            "csv": "next_experiment.csv",
-        }
     if verdict == "underpowered":
         found["held_out"] = held_out(False, trials=1)
-        found["residual_torque"] = []
     return found
 
 

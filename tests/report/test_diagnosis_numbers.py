@@ -167,4 +167,4 @@ def test_a_gain_is_read_as_a_factor():
 def test_a_model_that_hardly_beats_a_straight_line_is_not_recommended(skill, begins):
     mended = {"stretches": {"skill": -0.3}, "torque": {"skill": skill}}
     report = {"verdict": "partly_explained", "effects": [{}], "yardsticks": {"mended": mended}}
-    assert words.todo(report, None).startswith(begins)
+    assert words.todo(report).startswith(begins)

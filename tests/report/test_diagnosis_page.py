@@ -58,7 +58,7 @@ def written(tmp_path_factory):
         out = tmp_path_factory.mktemp(verdict)
         found = evidence(verdict)
         found["held_out"] = found.get("held_out", [])[:1]
-        if "next_experiment" in found:
+        if report()["next_experiment"]:
             (out / "next_experiment.csv").write_text("time,tau1,tau2\n")
         if report()["effects"]:
             (out / "model.toml").write_text("[effects]\n")
@@ -186,20 +186,16 @@ def test_every_evidence_key_may_come_alone():
 
 
 def test_poor_evidence_is_drawn_without_a_warning():
-    empty, gaps = np.zeros(0), np.full(50, np.nan)
+    gaps = np.full(50, np.nan)
     bad = {
         "held_out": [{"trial": "a", "time": np.arange(50.0), "measured": {"q1": gaps}, "before": {}, "after": None}],
-        "residual_torque": [{"joint": "joint1", "time": empty, "value": empty}],
-        "regressor": [{"where": "joint1", "x": gaps, "y": gaps}],
-        "leftover": [{"joint": "joint1", "variable": "time", "share": 0.2, "p_value": None}],
-        "spectrum": {"joint1": {"frequency": np.arange(50.0), "before": np.zeros(50), "after": None}},
-        "next_experiment": {"separates": ["a", "b"], "csv": None},
+        "tracks": {"measured": [np.full((5, 2), np.nan)], "before": [np.zeros((5, 2))], "after": None},
         "audit": [{"severity": "note", "message": "one"}],
         "run": {},
     }
     with np.errstate(all="raise"):
         page = Page(render(REPORTS["explained"](), bad))
-    assert "What the declared model leaves" in page.titles
+    assert "Tracks from above" in page.titles
 
 
 def test_finer_shapes_that_stayed_at_zero_are_not_listed_as_found():
@@ -208,12 +204,6 @@ def test_finer_shapes_that_stayed_at_zero_are_not_listed_as_found():
     report["effects"][0]["parameters"] |= {"softness": zero, "width": fitted}
     text = Page(render(report, {})).text
     assert "width" in text and "softness" not in text
-
-
-def test_what_the_rest_goes_with_is_said_in_words():
-    places = [{"joint": "joint2", "variable": v, "share": 0.1, "p_value": 1e-9} for v in ("other", "past", "speed")]
-    text = Page(render(REPORTS["structured_unattributed"](), {"leftover": places})).text
-    assert "the other joint's motion" in text and "what the joint did just before" in text and "speed" in text
 
 
 def test_text_from_files_is_escaped():
@@ -247,14 +237,6 @@ def test_nan_becomes_null(tmp_path):
 
     read = json.loads((tmp_path / "report.json").read_text(), parse_constant=refuse)
     assert read["error"]["ceiling"] is None and read["extra"]["matrix"] == [[1.0, None]]
-
-
-def test_figures_as_files(tmp_path):
-    found = evidence("explained")
-    write_diagnosis(tmp_path, REPORTS["explained"](), found | {"held_out": found["held_out"][:1]}, png=True)
-    names = {path.stem for path in (tmp_path / "figures").glob("*.png")}
-    assert {"error", "regressor", "next_experiment", "held_out_q1"} <= names
-    assert all(path.read_bytes()[:4] == b"\x89PNG" for path in (tmp_path / "figures").iterdir())
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)

@@ -108,7 +108,8 @@ def test_names_cannot_end_the_script_nor_be_read_as_markup():
 
 
 def test_a_page_holds_one_plotly_and_fetches_nothing():
-    html = render(REPORTS["explained"](), evidence("explained"))
+    tracks = {"measured": [np.zeros((5, 2))], "before": [np.ones((5, 2))], "after": None}
+    html = render(REPORTS["explained"](), evidence("explained") | {"tracks": tracks})
     assert html.count('id="plotly"') == 1 and html.count('class="explore"') == 2
     assert not re.findall(r"https?://", html.replace("http://www.w3.org/1999/xlink", "")) and "src=" not in html
     assert len(html) < 6_000_000

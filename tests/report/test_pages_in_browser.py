@@ -14,7 +14,7 @@ from tests.report.test_comparison import results  # noqa: F401  (a fixture)
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")]
 CHOOSE = "Object.assign(document.querySelectorAll('#held-out select')[{}], {{value: '1'}}).dispatchEvent(new Event('change'))"
-PLOTS = {"diagnosis": 2, "comparison": 2, "sweep": 2}
+PLOTS = {"diagnosis": 1, "comparison": 2, "sweep": 2}
 
 
 @pytest.fixture(scope="module")
