@@ -5,7 +5,7 @@ which is a difference method with exact variance factors on uneven grids. The me
 against signal that leaks into the noise (impacts, stiction); quantisation sets a least value, step/sqrt(12).
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -25,75 +25,30 @@ DISAGREE = 2.0
 """Declared and estimated noise further apart than this factor are reported, and the larger one is used."""
 
 
-@dataclass(frozen=True)
-class NoiseFloor:
-    """Sensor noise by channel (`q1`, `q2` rad; `v1`, `v2` rad/s where measured) and where it comes from.
-
-    `source` is `declared`, `repeats` or `smoothing` (of the majority of channels; `sources` has each).
-    `estimated` is the estimate whatever was declared; `per_trial` its value in each trial; `unresolved`
-    lists the channels in which the sampling is too slow to tell noise from motion.
-    """
-
-    std: dict[str, float]
-    source: str
-    quantisation: dict[str, float]
-    per_trial: dict[str, dict[str, float]]
-    message: str
-    sources: dict[str, str] = field(default_factory=dict)
-    estimated: dict[str, float] = field(default_factory=dict)
-    unresolved: tuple[str, ...] = ()
-
-
-def noise_floor(recording: Recording, audit: Audit) -> NoiseFloor:
-    """Noise std of every measured channel: declared, else from repeats, else from the smoothing residual.
+def noise_floor(recording: Recording, audit: Audit) -> dict[str, float]:
+    """Noise std of every measured channel (`q1`, `q2` rad; `v1`, `v2` rad/s where measured): declared, else from repeats, else from
+    the smoothing residual.
 
     A declared value is used as declared unless the estimate differs by more than a factor of two: then the
-    larger is used, because too small a floor makes effects out of noise, and the message says so.
+    larger is used, because too small a floor makes effects out of noise.
     """
-    fits = {t.name: _trial_fits(t, audit.valid.get(t.name)) for t in recording.trials}
-    per_trial = {name: {c: f[0] for c, f in by.items()} for name, by in fits.items()}
-    channels = sorted({c for by in per_trial.values() for c in by})
-    smoothed = {c: float(np.median([by[c] for by in per_trial.values() if c in by])) for c in channels}
-    hidden = {c: float(np.mean([by[c][1] for by in fits.values() if c in by])) >= 0.5 for c in channels}
-    repeats = _from_repeats(recording)
-    std, sources, estimated, remarks = {}, {}, {}, []
-    for c in channels:
-        floor = audit.quantisation.get(c, 0.0) / np.sqrt(12.0)
-        estimated[c] = max(repeats.get(c, smoothed[c]), floor, 1e-12)
-        source = "repeats" if c in repeats else "smoothing"
-        std[c], sources[c], remark = _choose(c, recording.noise.get(c), estimated[c], source, hidden[c])
-        remarks += [remark] if remark else []
-    unresolved = tuple(c for c in channels if hidden[c] and sources[c] == "smoothing")
-    if unresolved:
-        remarks.append(f"sampling is too slow to tell noise from motion in {', '.join(unresolved)}")
-    return NoiseFloor(
-        std=std,
-        source=max(sorted(set(sources.values())), key=list(sources.values()).count, default="smoothing"),
-        quantisation=dict(audit.quantisation),
-        per_trial=per_trial,
-        message="; ".join([_summary(std, sources), *remarks]),
-        sources=sources,
-        estimated=estimated,
-        unresolved=unresolved,
-    )
+    fits = [_trial_fits(t, audit.valid.get(t.name)) for t in recording.trials]
+    repeated, std = _from_repeats(recording), {}
+    for c in sorted({c for by in fits for c in by}):
+        own = [by[c] for by in fits if c in by]
+        hidden = float(np.mean([share for _, share in own])) >= 0.5
+        least = max(audit.quantisation.get(c, 0.0) / np.sqrt(12.0), 1e-12)
+        estimated = max(repeated.get(c, float(np.median([size for size, _ in own]))), least)
+        std[c] = _choose(recording.noise.get(c), estimated, hidden)
+    return std
 
 
-def _choose(channel: str, declared: float | None, estimate: float, source: str, hidden: bool) -> tuple[float, str, str]:
-    """The noise to use, its source, and a remark where declared and estimated disagree."""
+def _choose(declared: float | None, estimate: float, hidden: bool) -> float:
     if not declared:
-        return estimate, source, ""
+        return estimate
     if hidden or 1 / DISAGREE <= estimate / declared <= DISAGREE:
-        return declared, "declared", ""
-    used = max(estimate, declared)
-    remark = f"{channel}: declared {declared:.3g}, the data show {estimate:.3g}; the larger is used"
-    return used, "declared" if used == declared else source, remark
-
-
-def _summary(std: dict[str, float], sources: dict[str, str]) -> str:
-    units = {"q": "rad", "v": "rad/s"}
-    if not std:
-        return "no usable trial to take the noise from"
-    return "noise " + ", ".join(f"{c} {s:.3g} {units[c[0]]} ({sources[c]})" for c, s in std.items())
+        return declared
+    return max(estimate, declared)
 
 
 def _channels(trial: Trial) -> dict[str, np.ndarray]:
@@ -159,45 +114,30 @@ def repeats(a: Trial, b: Trial) -> bool:
     return bool(same_time and same_command and same_start)
 
 
-@dataclass(frozen=True)
-class Smoothed:
-    """Smoothed motion of a trial: `q, v, a: [T, 2]` in rad, rad/s, rad/s^2; `used_velocity: [2]` by joint."""
-
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    used_velocity: tuple[bool, bool]
-
-
-def smooth(trial: Trial, noise: NoiseFloor) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed positions and velocities `[T, 2]`, rad and rad/s; see `smooth_motion`."""
-    motion = smooth_motion(trial, noise)
-    return motion.q, motion.v
-
-
-def smooth_motion(trial: Trial, noise: NoiseFloor) -> Smoothed:
-    """Posterior mean of the motion given angles, and velocities where they agree with the angles.
+def smooth(trial: Trial, noise: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities `[T, 2]`, rad and rad/s: posterior mean of the motion given angles, and velocities where they agree
+    with the angles.
 
     The walk's intensity follows the motion window by window. Measured velocities are dropped for a joint
     where using them makes the angles fit worse than their noise allows (a lagging filter, a wrong scale).
     """
     joints = [_smooth_joint(trial, noise, j) for j in range(2)]
-    q, v, a = (np.stack([states[:, k] for states, _ in joints], axis=1) for k in range(3))
-    return Smoothed(q, v, a, (joints[0][1], joints[1][1]))
+    q, v = (np.stack([states[:, k] for states in joints], axis=1) for k in range(2))
+    return q, v
 
 
-def _smooth_joint(trial: Trial, noise: NoiseFloor, joint: int) -> tuple[np.ndarray, bool]:
-    q, sq = trial.q[:, joint], max(noise.std[f"q{joint + 1}"], 1e-9)
-    sv = noise.std.get(f"v{joint + 1}", 0.0)
+def _smooth_joint(trial: Trial, noise: Mapping[str, float], joint: int) -> np.ndarray:
+    """Angle and velocity `[T, 2]`."""
+    q, sq = trial.q[:, joint], max(noise[f"q{joint + 1}"], 1e-9)
+    sv = noise.get(f"v{joint + 1}", 0.0)
     order, levels = _intensity(trial.time, q, sq)
     prior = smoother.make_prior(trial.time, order, levels)
     alone = _states(prior, q, sq, None, 0.0)
     if trial.v is None or sv <= 0:
-        return alone, False
+        return alone
     both = _states(prior, q, sq, trial.v[:, joint], sv)
     least = max(sq**2, float(np.mean((q - alone[:, 0]) ** 2)))
-    worse = bool(np.mean((q - both[:, 0]) ** 2) > 1.3 * least)
-    return (alone, False) if worse else (both, True)
+    return alone if np.mean((q - both[:, 0]) ** 2) > 1.3 * least else both
 
 
 def _intensity(time: np.ndarray, q: np.ndarray, std: float) -> tuple[int, np.ndarray]:
@@ -229,7 +169,7 @@ def _level(time: np.ndarray, q: np.ndarray, std: float, order: int) -> float:
 
 
 def _states(prior: smoother.Prior, q: np.ndarray, sq: float, v: np.ndarray | None, sv: float) -> np.ndarray:
-    """Posterior mean of angle, velocity and acceleration `[T, 3]` in SI units."""
+    """Posterior mean of angle and velocity `[T, 2]` in SI units."""
     h, m = prior.step, prior.order
     offset = q.mean()
     weights: list = [np.ones(len(q))] + [None] * (m - 1)
@@ -237,5 +177,5 @@ def _states(prior: smoother.Prior, q: np.ndarray, sq: float, v: np.ndarray | Non
     if v is not None:
         weights[1] = np.full(len(q), (sq / (sv * h)) ** 2)
         data[1] = v * h / sq
-    mean = smoother.posterior(prior, 1.0, weights, data)[0][:, :3]
-    return mean * sq / h ** np.arange(3) + np.array([offset, 0.0, 0.0])
+    mean = smoother.posterior(prior, 1.0, weights, data)[0][:, :2]
+    return mean * sq / h ** np.arange(2) + np.array([offset, 0.0])

@@ -35,7 +35,6 @@ class Fit:
 
     std: float
     log_ratio: float
-    order: int
 
 
 def make_prior(time: np.ndarray, order: int, intensity: np.ndarray | None = None) -> Prior:
@@ -137,7 +136,7 @@ def fit_noise(time: np.ndarray, y: np.ndarray, order: int) -> Fit:
     centred = detrend(time, y, order)
     scale = float(np.std(centred))
     if scale <= 1e-12 * float(np.max(np.abs(y)) + 1e-300):
-        return Fit(0.0, LOG_RATIO[0], order)
+        return Fit(0.0, LOG_RATIO[0])
     weights = [np.ones(len(y))] + [None] * (order - 1)
     data = [centred / scale] + [None] * (order - 1)
 
@@ -146,4 +145,4 @@ def fit_noise(time: np.ndarray, y: np.ndarray, order: int) -> Fit:
 
     best = minimise(objective, LOG_RATIO, 0.1)
     variance = cost(prior, best, weights, data, len(y))[1]
-    return Fit(scale * math.sqrt(variance), best, order)
+    return Fit(scale * math.sqrt(variance), best)

@@ -54,7 +54,7 @@ def read_or_refuse(folder):
     found = audit(recording)
     floor = noise_floor(usable(recording, found), found)
     for trial in recording.trials:
-        if floor.std:
+        if floor:
             q, v = smooth(trial, floor)
             assert np.isfinite(q).all() and np.isfinite(v).all()
     return recording
