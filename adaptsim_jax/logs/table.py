@@ -5,15 +5,16 @@ import io
 import itertools
 import re
 from codecs import BOM_UTF8
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.joined import apart
-from adaptsim_jax.logs.list_cells import split
+from adaptsim_jax.logs.list_cells import part_name, split
 from adaptsim_jax.logs.table_checks import MIN_ROWS, check_clock, check_missing, without_blank
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
@@ -50,14 +51,18 @@ def read_table(
 ) -> Table:
     """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
 
-    ours: what a column is to us where the file names it otherwise. Optional columns that hold nothing count as not there. lost:
+    ours: what a column is to us where the file names it otherwise; arrays [T, n] are then n columns by `list_cells.part_name`.
+    Optional columns that hold nothing count as not there. lost:
     columns of which a row may hold none, as cameras write frames in which they saw nothing: such rows are left out. gaps:
     columns of which any cell may be empty, which is NaN then. Raises `BadInput`.
     """
     path = Path(path)
-    table, empty = _read_npz(path, wanted) if path.suffix.lower() == ".npz" else _read_csv(path, wanted)
+    if path.suffix.lower() == ".npz":
+        table, empty = _read_npz(path, wanted, lists=ours is not None), {}
+    else:
+        table, empty = _read_csv(path, wanted)
     table, empty = _without_lost(table, empty, lost)
-    return checked(path, table, least, ours or {}, empty, gaps)
+    return _checked(path, table, least, ours or {}, empty, gaps)
 
 
 def _without_lost(
@@ -72,13 +77,13 @@ def _without_lost(
     return replace(table, columns=cut(table.columns), lines=table.lines[kept]), cut(empty)
 
 
-def checked(
+def _checked(
     path: Path,
     table: Table,
     least: int,
     ours: Mapping[str, str],
     empty: Mapping[str, np.ndarray],
-    gaps: tuple[str, ...] = (),
+    gaps: tuple[str, ...],
 ) -> Table:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number but in `gaps`."""
     n = len(table.lines)
@@ -94,7 +99,8 @@ def checked(
     return replace(table, columns=columns, lines=lines, notes=notes)
 
 
-def _read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path) -> bytes:
+    """All of a file; BadInput where it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as e:
@@ -102,7 +108,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _decode(path: Path) -> str:
-    raw = _read_bytes(path)
+    raw = read_bytes(path)
     if not raw.removeprefix(BOM_UTF8).strip():
         raise BadInput(f"{path}: {EMPTY}")
     if b"\x00" in raw:
@@ -114,17 +120,27 @@ def _decode(path: Path) -> str:
         raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
 
 
-def _rows(path: Path, text: str, delimiter: str) -> tuple[list[list[str]], list[int]]:
-    reader = csv.reader(io.StringIO(text.replace("\r\n", "\n").replace("\r", "\n")), delimiter=delimiter)
+def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[str]], list[int]]:
+    """The first `most` rows (None: all) of a CSV that hold anything, cells as they are but for the header's, and their lines."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    reader = csv.reader(io.StringIO(text), delimiter=max(DELIMITERS, key=header.count))
     rows, lines = [], []
     try:
         for row in reader:
-            if row and any(cell.strip() for cell in row):
-                rows.append(row)
+            if any(cell.strip() for cell in row):
+                rows.append(row if rows else _header(row))
                 lines.append(reader.line_num)
+            if len(rows) == most:
+                break
     except csv.Error as e:
         raise BadInput(f"{path}: line {reader.line_num}: not CSV ({e}); mend or remove that line") from None
     return rows, lines
+
+
+def _header(row: list[str]) -> list[str]:
+    first, *others = (cell.strip().strip('"') for cell in row)
+    return [first.lstrip("# ").strip(), *others]
 
 
 def _without_remarks(text: str) -> str:
@@ -139,15 +155,11 @@ def _without_remarks(text: str) -> str:
 def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
     """The table, NaN where a cell is empty, and those cells by column."""
     text = _without_remarks(_decode(path))
-    header_line = text.lstrip().splitlines()[0]
-    delimiter = max(DELIMITERS, key=header_line.count)
-    rows, lines = _rows(path, text, delimiter)
+    rows, lines = rows_of(path, text)
     if not rows:
         raise BadInput(f"{path}: {EMPTY}")
-    header = [cell.strip().strip('"') for cell in rows[0]]
-    header[0] = header[0].lstrip("# ").strip()
-    _check_header(path, header, wanted, rows[0], len(rows) > 1 and len(rows[1]) > 1)
-    rows, lines = rows[1:], lines[1:]
+    header, rows, lines = rows[0], rows[1:], lines[1:]
+    _check_header(path, header, wanted, bool(rows) and len(rows[0]) > 1)
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
             _ragged(path, line, row, len(header))
@@ -166,16 +178,15 @@ def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in wanted)
 
 
-def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], cells: list[str], more: bool) -> None:
-    if all(_is_number(cell) for cell in cells):
+def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], more: bool) -> None:
+    if all(_is_number(cell) for cell in header):
         names = [name for name in wanted if not _is_number(name)] or ["time", "q1", "tau1"]
         raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(names)}")
     for name in header:
         if name in wanted and header.count(name) > 1:
             raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
     if len(header) == 1 and len(wanted) > 1:
-        above = len(cells) == 1 and more
-        mend = "remove the lines above the columns' names" if above else "separate columns by commas"
+        mend = "remove the lines above the columns' names" if more else "separate columns by commas"
         raise BadInput(f"{path}: line 1 is one column {header[0][:60]!r}; {mend}")
 
 
@@ -240,35 +251,34 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
     return "not a number; mend or remove that row"
 
 
-def _read_npz(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
-    """Arrays by column name, each `[T]`; nothing in the archive is ever executed (no pickles)."""
+def read_archive(path: Path, wanted: Collection[str] | None = None) -> dict[str, Any]:
+    """Arrays of an archive by name, those `wanted` (None: all), None for the others; nothing in it is ever executed (no pickles)."""
+    raw = read_bytes(path)
     try:
-        with np.load(io.BytesIO(_read_bytes(path)), allow_pickle=False) as data:
-            names = list(data.files)
-            arrays = {name: data[name] for name in wanted if name in names}
-    except BadInput:
-        raise
+        with np.load(io.BytesIO(raw), allow_pickle=False) as data:
+            return {name: data[name] if wanted is None or name in wanted else None for name in data.files}
     except Exception as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
-        raise _broken_archive(path, e) from None
-    columns = {name: _npz_column(path, name, array) for name, array in arrays.items()}
+        why = " ".join(str(e).split())[:80] or type(e).__name__
+        raise BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez") from None
+
+
+def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> Table:
+    """Arrays by column name, each `[T]`; lists: those `[T, n]` are columns by `part_name`."""
+    archive = read_archive(path, wanted)
+    columns: dict[str, np.ndarray] = {}
+    for name in (name for name in wanted if name in archive):
+        array = archive[name]
+        if array.ndim not in ((1, 2) if lists else (1,)) or array.dtype.kind not in "fiu":
+            what = f"has shape {array.shape} and type {array.dtype}"
+            raise BadInput(f"{path}: array {name!r} {what}; save it as numbers, one for each row")
+        parts = {name: array} if array.ndim == 1 else {part_name(name, k): x for k, x in enumerate(array.T)}
+        columns |= {part: x.astype(np.float64) for part, x in parts.items()}
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
         raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
     n = max(lengths.values(), default=0)
-    return Table(columns, np.arange(1, n + 1), _others(names, wanted), row_word="row"), {}
-
-
-def _broken_archive(path: Path, error: Exception) -> BadInput:
-    why = " ".join(str(error).split())[:80] or type(error).__name__
-    return BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez")
-
-
-def _npz_column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
-    if array.ndim != 1 or array.dtype.kind not in "fiu":
-        what = f"has shape {array.shape} and type {array.dtype}"
-        raise BadInput(f"{path}: array {name!r} {what}; save it as a list of numbers")
-    return np.asarray(array, dtype=np.float64)
+    return Table(columns, np.arange(1, n + 1), _others(list(archive), wanted), row_word="row")
 
 
 def check_time(path: str | Path, table: Table) -> None:

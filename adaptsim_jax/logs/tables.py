@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +12,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.list_cells import STEMS, is_list, stem_and_place
-from adaptsim_jax.logs.table import DELIMITERS, MIN_ROWS, Table, check_time, checked, read_table
+from adaptsim_jax.logs.table import MIN_ROWS, Table, check_time, read_archive, read_bytes, read_table, rows_of
 
 ENDINGS = (".csv", ".npz")
 __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
@@ -107,7 +105,7 @@ def list_columns(path: Path) -> list[str]:
     if path.suffix.lower() == ".npz":
         return []
     first: dict[str, str] = {}
-    rows = _csv_rows(path, 40)  # topics of their own may begin some rows later
+    rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
     for row in rows[1:]:
         for name, cell in zip(rows[0], row, strict=False):
             if cell.strip():
@@ -134,7 +132,7 @@ def column_names(path: Path) -> list[str]:
     """The names of a file's columns (CSV) or arrays (NPZ)."""
     if path.suffix.lower() == ".npz":
         return list(read_archive(path))
-    rows = _csv_rows(path, 1)
+    rows, _ = _csv_rows(path, 1)
     if not rows:
         read_table(path, TIME)  # says why: empty, unreadable, not text
         raise BadInput(f"{path}: is empty; remove it or record the trial again")
@@ -142,28 +140,9 @@ def column_names(path: Path) -> list[str]:
 
 
 def _read(path: Path, named: Mapping[str, str]) -> Table:
-    """`read_table` of the columns in `named` (theirs -> ours), and archives of arrays `[T, n]`: `q` gives q1 to qn."""
-    archive = read_archive(path) if path.suffix.lower() == ".npz" else {}
-    arrays = {name: archive[name] for name in named} if archive else {}
-    if all(array.ndim == 1 for array in arrays.values()):
-        table = read_table(path, tuple(named), ours=_Named(named))
-        return replace(table, columns={_ours(name, named): values for name, values in table.columns.items()})
-    columns = {}
-    for name, array in arrays.items():
-        if array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
-            what = f"has shape {array.shape} and type {array.dtype}"
-            raise BadInput(f"{path}: array {name!r} {what}; save it as numbers, a row for each sample")
-        if array.ndim == 1:
-            columns[named[name]] = array.astype(np.float64)
-        else:
-            columns |= {f"{named[name]}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
-    lengths = {name: len(column) for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
-        raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
-    count = next(iter(lengths.values()))
-    others = tuple(name for name in archive if name not in named)
-    return checked(path, Table(columns, np.arange(1, count + 1), others, row_word="row"), MIN_ROWS, {}, {})
+    """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by place: `q` gives q1 to qn."""
+    table = read_table(path, tuple(named), ours=_Named(named))
+    return replace(table, columns={_ours(name, named): values for name, values in table.columns.items()})
 
 
 def _ours(name: str, named: Mapping[str, str]) -> str:
@@ -180,42 +159,9 @@ class _Named(dict):
         return _ours(name, self) if name in self or (part and part[0] in self) else default
 
 
-def read_archive(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an archive; nothing in it is ever executed (no pickles)."""
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
-    except Exception as error:  # zip, zlib, header parser, memory: damaged bytes raise any of them
-        why = " ".join(str(error).split())[:80] or type(error).__name__
-        raise BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez") from None
-
-
-def _csv_rows(path: Path, most: int | None = None, column: str | None = None) -> list[list[str]]:
-    """The first `most` rows that hold anything, cells stripped, each with its line number last where `column` is asked."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig", errors="replace")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); check the path and its permissions") from None
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    reader = csv.reader(io.StringIO(text), delimiter=max(DELIMITERS, key=first.count))
-    rows: list[list[str]] = []
-    try:
-        for row in reader:
-            if not any(cell.strip() for cell in row):
-                continue
-            cells = [cell.strip().strip('"') for cell in row]
-            if not rows:
-                cells[0] = cells[0].lstrip("# ").strip()
-                place = cells.index(column) if column in cells else 0
-            rows.append([cells[place] if place < len(cells) else "", str(reader.line_num)] if column else cells)
-            if len(rows) == most:
-                break
-    except csv.Error as error:
-        raise BadInput(f"{path}: line {reader.line_num}: not CSV ({error}); mend or remove that line") from None
-    return rows
+def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], list[int]]:
+    """See `table.rows_of`; what is no text is found when the table is read."""
+    return rows_of(path, read_bytes(path).decode("utf-8-sig", errors="replace"), most)
 
 
 def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
@@ -223,7 +169,9 @@ def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
     if path.suffix.lower() == ".npz":
         labels = [str(label) for label in read_archive(path)[column]]
     else:
-        at = {int(line): label for label, line in _csv_rows(path, column=column)[1:]}
+        rows, lines = _csv_rows(path)
+        place = rows[0].index(column)
+        at = {line: row[place].strip().strip('"') for row, line in zip(rows, lines, strict=True) if place < len(row)}
         labels = [at.get(int(line), "") for line in table.lines]
     parts = []
     array = np.array(labels)
