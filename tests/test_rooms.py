@@ -32,7 +32,7 @@ WITHIN = {
     ),
     "logs": (
         "extras", "types", "local_motion", "columns", "beside", "meta", "log_units", "model_file", "table_checks", "sent", "quality",
-        "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "recording", "tables", "command_files",
+        "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "tables", "recording", "command_files",
         "angles",
         "messages",
         "stamps", "trajectories", "lerobot", "log_checks", "model_names", "followed",

@@ -16,13 +16,8 @@ from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import column_unit
 from adaptsim_jax.logs.meta import ANGLE_UNITS
 from adaptsim_jax.logs.quality.turns import followed_turns
-from adaptsim_jax.logs.table_checks import check_time_unit
+from adaptsim_jax.logs.table_checks import check_size, check_time_unit, from_zero
 from adaptsim_jax.logs.tables import RawTrial
-
-EPOCH = 1e6
-"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
-LIMIT = 1e5
-"""Magnitude in SI units beyond which a value is damage, not data."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,8 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         if found.stem in ("q", "target"):
             written[found.stem, j] = trial.columns[name]
             scaled[j] = scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
-        by_joint.setdefault(found.stem, {})[j] = _sized(trial, name, unit.of(trial.columns[name]))
+        values = check_size(trial.path, name, unit.of(trial.columns[name]), trial.lines, trial.row_word)
+        by_joint.setdefault(found.stem, {})[j] = values
     angles = by_joint.get("q", {})
     whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
     targets = {
@@ -97,10 +93,9 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     }
     turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
     turns |= any(not np.array_equal(targets[j], u, equal_nan=True) for j, u in by_joint.get("target", {}).items())
-    time = seconds - seconds[0] if abs(seconds[0]) > EPOCH else seconds
     return Columns(
         trial,
-        time,
+        from_zero(seconds),
         by_joint | {"q": whole} | ({"target": targets} if targets else {}),
         ctrl,
         turns,
@@ -178,12 +173,3 @@ def _joint(trial: RawTrial, name: str, found: Role, names: ModelNames, zero_base
         mend = f'name joints of the model only ({", ".join(names.joints)}), or write ignore = ["{name}"] in meta.toml'
         raise BadInput(f"{trial.path}: column {name!r}: the model has {n} joint(s); {mend}")
     return index
-
-
-def _sized(trial: RawTrial, name: str, values: np.ndarray) -> np.ndarray:
-    bad = np.flatnonzero(np.abs(values) > LIMIT)
-    if bad.size:
-        where = f"{trial.row_word} {trial.lines[bad[0]]}"
-        why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {LIMIT:g}"
-        raise BadInput(f"{trial.path}: {where}: {why}; mend that row, or declare [units] in meta.toml")
-    return values

@@ -9,7 +9,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import LogTrial, ModelNames
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
-from adaptsim_jax.logs.units import GAINS
+from adaptsim_jax.logs.units import speed_mistake
 
 LARGE = 4 * np.pi
 """Angle in rad beyond which degrees are suspected where no speeds tell."""
@@ -17,8 +17,6 @@ FAST = 20.0
 """rad/s beyond which such angles may be degrees where speeds agree with them."""
 ODD = 15.0
 """Times that one trial's angles may reach as far as those of the others."""
-ALIKE = 0.1
-"""How far (in log) a speed may be from a known mistake and still be taken for it."""
 
 
 def check_log_units(
@@ -41,15 +39,12 @@ def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
     """The mistake that all hinges that move enough agree on, or nothing."""
     if trial.v is None:
         return ""
-    gains = []
-    for j in hinges:
-        here = np.isfinite(trial.q[:, j]) & np.isfinite(trial.v[:, j])
-        if here.sum() > 20:
-            told = velocity_agreement(trial.time[here], trial.q[here, j], trial.v[here, j])
-            gains += [told.gain] if told.enough and told.r2 > 0.9 else []
-    if not gains or min(gains) <= 0:
-        return ""
-    return next((what for size, what in GAINS.items() if all(abs(np.log(g / size)) < ALIKE for g in gains)), "")
+    here = {j: np.isfinite(trial.q[:, j]) & np.isfinite(trial.v[:, j]) for j in hinges}
+    return speed_mistake(
+        velocity_agreement(trial.time[rows], trial.q[rows, j], trial.v[rows, j])
+        for j, rows in here.items()
+        if rows.sum() > 20
+    )
 
 
 def _large(trials: Sequence[LogTrial], j: int, names: ModelNames) -> str:

@@ -3,7 +3,6 @@
 Section 4 of the design fixes the names. Nothing here imports JAX, so that bad input is reported at once.
 """
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,19 +12,17 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.meta import Meta, read_meta
-from adaptsim_jax.logs.table import Table, check_time, read_table
-from adaptsim_jax.logs.table_checks import check_time_unit
+from adaptsim_jax.logs.table import check_time, read_table
+from adaptsim_jax.logs.table_checks import LIMIT, check_size, check_time_unit, from_zero
+from adaptsim_jax.logs.tables import table_files
 from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.logs.units import check_units
 
 __all__ = ["Recording", "Trial", "read_recording"]
 
 COMMANDED = ("tau1_commanded", "tau2_commanded")
+MOST_TIME = 1e11  # s, beyond which a time is damage
 COLUMNS = ("time", "q1", "q2", "v1", "v2", "tau1", "tau2", *COMMANDED)
-EPOCH = 1e6
-"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
-LIMITS = {"time": 1e11, "q": 1e5, "v": 1e5, "tau": 1e5}
-"""Magnitudes in SI units beyond which a value is damage, not data."""
 
 
 def read_recording(
@@ -64,10 +61,9 @@ def read_recording(
 
 
 def _files(folder: Path) -> list[Path]:
-    found = [p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".npz") and not p.name.startswith((".", "~$"))]
-    if not found:
+    if not (found := table_files(folder)):
         raise BadInput(f"{folder}: holds no .csv or .npz file; put one file a trial beside meta.toml")
-    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+    return found
 
 
 def _pick(folder: Path, files: list[Path], trials: Sequence[str] | None) -> list[tuple[str, Path]]:
@@ -86,7 +82,7 @@ def _pick(folder: Path, files: list[Path], trials: Sequence[str] | None) -> list
     return picked
 
 
-def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str, tuple[str, ...]]:
+def _read_trial(path: Path, trial_name: str, meta: Meta) -> tuple[Trial, str, tuple[str, ...]]:
     table = read_table(path, COLUMNS)
     for need in ("time", "q1", "q2"):
         if need not in table.columns:
@@ -98,13 +94,13 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str, tuple[st
     columns = {key: values * meta.scale[key] for key, values in table.columns.items()}
     check_time(path, table)
     check_time_unit(path, columns["time"], meta.scale["time"])
-    _check_size(path, table, columns)
+    for name, values in columns.items():
+        check_size(path, name, values, table.lines, table.row_word, MOST_TIME if name == "time" else LIMIT)
     torque, commanded, source = _torques(path, columns, meta)
-    time = columns["time"]
     trial = Trial(
-        name=name,
+        name=trial_name,
         path=str(path),
-        time=time - time[0] if abs(time[0]) > EPOCH else time,
+        time=from_zero(columns["time"]),
         q=np.stack([columns["q1"], columns["q2"]], axis=1),
         v=_velocities(path, columns),
         torque=torque,
@@ -112,16 +108,6 @@ def _read_trial(path: Path, name: str, meta: Meta) -> tuple[Trial, str, tuple[st
         ignored=table.ignored,
     )
     return trial, source, table.notes
-
-
-def _check_size(path: Path, table: Table, columns: dict[str, np.ndarray]) -> None:
-    for name, values in columns.items():
-        limit = LIMITS[name.split("_")[0].rstrip("12")]
-        bad = np.flatnonzero(np.abs(values) > limit)
-        if bad.size:
-            where = f"{table.row_word} {table.lines[bad[0]]}"
-            why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {limit:g}"
-            raise BadInput(f"{path}: {where}: {why}; mend that row, or declare [units] in meta.toml")
 
 
 def _velocities(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray | None:

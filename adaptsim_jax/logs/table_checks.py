@@ -17,6 +17,10 @@ from adaptsim_jax.logs.columns import TIME, role
 MIN_ROWS = 20
 OPTIONAL = ("v", "tau_commanded", "target")
 """Stems of columns that a reader can do without: where they hold nothing they count as not there."""
+EPOCH = 1e6
+"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
+LIMIT = 1e5
+"""Magnitude in SI units beyond which a value is damage, not data."""
 SLOWEST = 0.25
 """Sampling interval in s beyond which no motion is sampled at all."""
 FASTEST = 2e-5
@@ -95,6 +99,23 @@ def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: in
         f"pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), df[[{clock!r}, {quote(others)}]].dropna(), on={clock!r})"
         f".dropna().to_csv(...)"
     )
+
+
+def check_size(
+    path: str | Path, name: str, values: np.ndarray, lines: np.ndarray, row_word: str, limit: float = LIMIT
+) -> np.ndarray:
+    """`values [T]` in SI units. BadInput at the first of them that is beyond `limit`."""
+    bad = np.flatnonzero(np.abs(values) > limit)
+    if bad.size:
+        where = f"{path}: {row_word} {lines[bad[0]]}"
+        why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {limit:g}"
+        raise BadInput(f"{where}: {why}; mend that row, or declare [units] in meta.toml")
+    return values
+
+
+def from_zero(time: np.ndarray) -> np.ndarray:
+    """Times `[T]` s as they are, clock times from the first of them."""
+    return time - time[0] if abs(time[0]) > EPOCH else time
 
 
 def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word: str) -> None:

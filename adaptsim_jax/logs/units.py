@@ -1,12 +1,13 @@
 """Units that the data betray: degrees for radians, milliseconds for seconds; suspected, never mended."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.quality.consistency import velocity_agreement
+from adaptsim_jax.logs.quality.consistency import Agreement, velocity_agreement
 from adaptsim_jax.logs.quality.conventions import gravity_fit
 from adaptsim_jax.logs.types import Recording, Trial
 
@@ -18,6 +19,8 @@ GAINS = {
     60 / (2 * math.pi): 'v1, v2 in revolutions per minute; write velocity = "rpm"',
     1e-3: 'v1, v2 in rad/ms; write velocity = "rad/ms"',
 }
+ALIKE = 0.1
+"""How far (in log) a speed may be from a known mistake and still be taken for it."""
 FAST = 15.0
 """Top speed over sqrt(g / l) that no pendulum on a bench reaches (a fall from upright gives 2, a whip 6)."""
 BETTER = 0.5
@@ -45,15 +48,18 @@ def _say(trial: Trial, why: str) -> str:
 
 
 def _velocity_suspect(trial: Trial) -> str:
-    """The unit mismatch that both joints agree on (within 10 %), or nothing."""
-    if trial.v is None:
+    """The unit mismatch that both joints agree on, or nothing."""
+    return speed_mistake(
+        [] if trial.v is None else [velocity_agreement(trial.time, *z) for z in zip(trial.q.T, trial.v.T, strict=True)]
+    )
+
+
+def speed_mistake(joints: Iterable[Agreement]) -> str:
+    """The mistake in a unit that speeds of all joints that move enough agree on (within 10 %), or nothing."""
+    gains = [a.gain for a in joints if a.enough and a.r2 > 0.9]
+    if not gains or min(gains) <= 0:
         return ""
-    seen = [velocity_agreement(trial.time, trial.q[:, j], trial.v[:, j]) for j in range(2)]
-    gains = [a.gain for a in seen if a.enough and a.r2 > 0.9]
-    for factor, what in GAINS.items():
-        if gains and all(abs(math.log(g / factor)) < 0.1 for g in gains if g > 0) and min(gains) > 0:
-            return what
-    return ""
+    return next((what for size, what in GAINS.items() if all(abs(math.log(g / size)) < ALIKE for g in gains)), "")
 
 
 def _top_speed(trial: Trial) -> float:

@@ -1,6 +1,5 @@
 """A recording cut into stretches on the grid of a model's own time step, each with a start of its own."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -278,13 +277,6 @@ def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
         elif kind == int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
             out[adr] = data.actuator_length[k]
     return out
-
-
-def pick(stretches: Stretches, lanes: Sequence[int]) -> Stretches:
-    """Those stretches alone."""
-    at = np.asarray(lanes)
-    keys = ("trial", "time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
-    return Stretches(**{k: getattr(stretches, k)[at] for k in keys}, names=stretches.names)
 
 
 def delayed(stretches: Stretches, late: float, step: float) -> Stretches:
