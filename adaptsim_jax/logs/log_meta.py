@@ -9,13 +9,13 @@ from typing import Any
 
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.given import brief
 from adaptsim_jax.logs.columns import CHANNEL
+from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
 from adaptsim_jax.logs.log_units import Unit, check_unit
 
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
-TEXT_KEYS = ("name", "description", "note", "source", "license")
 TABLES = ("columns", "channels", "units", "angles", "hold", "commands", "known", "fit", "noise", "trials", "ros")
 KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
 SIMULATORS = ("tree", "mujoco")
@@ -72,56 +72,41 @@ def read_log_meta(path: str | Path) -> LogMeta:
     """Read and check a `meta.toml` with `task = "mechanism"`. Raises `BadInput` naming the file and the key."""
     path = Path(path)
     raw = read(path, 'missing; write one with task = "mechanism" and model = "robot.xml", or run adaptsim init')
-    for key in raw:
-        if key not in KEYS:
-            raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")
+    known(path, raw, KEYS)
     if raw.get("task") != "mechanism":
         what = f"is {brief(raw['task'])}" if "task" in raw else "is missing"
         raise BadInput(f'{path}: task {what}; write task = "mechanism" for a log of any mechanism')
-    tables: dict[str, dict] = {}
-    for key in TABLES:
-        tables[key] = raw.get(key, {})
-        if not isinstance(tables[key], dict):
-            raise BadInput(f"{path}: {key} must be a table; write [{key}] with a key = value line each")
-    for key in TEXT_KEYS:
-        if key in raw:
-            _text(path, key, raw[key])
-    if "input" in raw and raw["input"] not in INPUTS:
-        raise BadInput(f"{path}: input = {brief(raw['input'])} is unknown; {suggest(str(raw['input']), INPUTS)}")
-    if "simulator" in raw and raw["simulator"] not in SIMULATORS:
-        raise BadInput(
-            f"{path}: simulator = {brief(raw['simulator'])} is unknown; {suggest(str(raw['simulator']), SIMULATORS)}"
-        )
-    angles = _known_keys(path, "angles", tables["angles"], ANGLE_KEYS)
-    commands = _known_keys(path, "commands", tables["commands"], COMMAND_KEYS)
-    trials = _known_keys(path, "trials", tables["trials"], TRIAL_KEYS)
+    told = tables(path, raw, TABLES)
+    angles = known(path, told["angles"], ANGLE_KEYS, "angles")
+    commands = known(path, told["commands"], COMMAND_KEYS, "commands")
+    trials = known(path, told["trials"], TRIAL_KEYS, "trials")
     convention = angles.get("convention", {})
-    channels = _channels(path, tables["channels"])
+    channels = _channels(path, told["channels"])
     return LogMeta(
         path=str(path),
         model=_beside(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
         data=_beside(path, raw, "data", "give the file or folder of the data, relative to meta.toml"),
-        input=raw.get("input"),
+        input=choice(path, raw, "input", INPUTS),
         ignore=_texts(path, "ignore", raw.get("ignore", [])),
-        columns=_columns(path, tables["columns"]) | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
-        units={key: check_unit(path, key, value) for key, value in tables["units"].items()},
+        columns=_columns(path, told["columns"]) | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
+        units={key: check_unit(path, key, value) for key, value in told["units"].items()},
         convention=_conventions(path, {"": convention} if isinstance(convention, str) else convention),
         zero=_numbers(path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"),
         reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
-        known=tables["known"],
-        fit=tables["fit"],
-        noise=_noise(path, tables["noise"]),
+        known=told["known"],
+        fit=told["fit"],
+        noise={key: not_negative(path, f"noise.{key}", std) for key, std in told["noise"].items()},
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
         commands=_groups(path, trials.get("commands", {}), "commands", 'commands = {run = "control.csv"}'),
-        ros=_ros(path, tables["ros"]),
+        ros=_ros(path, told["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
         hold={
-            key: None if value is True else _number(path, f"hold.{key}", value) for key, value in tables["hold"].items()
+            key: None if value is True else number(path, f"hold.{key}", value) for key, value in told["hold"].items()
         },
-        simulator=raw.get("simulator"),
+        simulator=choice(path, raw, "simulator", SIMULATORS),
         channels=channels,
     )
 
@@ -135,23 +120,10 @@ def _sizes(path: Path, key: str, table: dict, example: str) -> dict[str, float]:
 
 
 def _ros(path: Path, table: dict) -> dict[str, str]:
-    out = {key: _text(path, f"ros.{key}", value) for key, value in _known_keys(path, "ros", table, ROS_KEYS).items()}
-    if (how := out.get("trajectory")) is not None and how not in TRAJECTORY:
-        raise BadInput(f"{path}: ros.trajectory = {brief(how)} is unknown; {suggest(how, TRAJECTORY)}")
+    out = {key: text(path, f"ros.{key}", value) for key, value in known(path, table, ROS_KEYS, "ros").items()}
+    if "trajectory" in out:
+        text(path, "ros.trajectory", out["trajectory"], TRAJECTORY)
     return out
-
-
-def _known_keys(path: Path, name: str, table: dict, keys: tuple[str, ...]) -> dict:
-    for key in table:
-        if key not in keys:
-            raise BadInput(f"{path}: unknown key {key!r} in [{name}]; {suggest(key, keys)}")
-    return table
-
-
-def _text(path: Path, key: str, value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
-    return value
 
 
 def _texts(path: Path, key: str, value: Any) -> tuple[str, ...]:
@@ -160,26 +132,20 @@ def _texts(path: Path, key: str, value: Any) -> tuple[str, ...]:
     return tuple(value)
 
 
-def _number(path: Path, key: str, value: Any) -> float:
-    if (number := finite(value)) is None:
-        raise BadInput(f"{path}: {key} must be a finite number, not {brief(value)}; give it in SI units")
-    return number
-
-
 def _numbers(path: Path, key: str, value: Any, example: str) -> dict[str, float]:
     if not isinstance(value, dict):
         raise BadInput(f"{path}: {key} must be a table, not {brief(value)}; write {example}")
-    return {name: _number(path, f"{key}.{name}", number) for name, number in value.items()}
+    return {name: number(path, f"{key}.{name}", given) for name, given in value.items()}
 
 
 def _beside(path: Path, raw: dict, key: str, mend: str) -> str | None:
     if key not in raw:
         return None
-    text = _text(path, key, raw[key])
-    where = (path.parent / text).resolve()
+    named = text(path, key, raw[key])
+    where = (path.parent / named).resolve()
     if not where.exists() or (key == "model" and not where.is_file()):
         what = "does not exist" if not where.exists() else "is a folder"
-        raise BadInput(f"{path}: {key} {brief(text)} {what}; {mend}")
+        raise BadInput(f"{path}: {key} {brief(named)} {what}; {mend}")
     return str(where)
 
 
@@ -191,7 +157,7 @@ def _columns(path: Path, table: dict) -> dict[str, str]:
             names = _texts(path, f"columns.{key}", value)
             out |= {f"{key}{i}": name for i, name in enumerate(names, start=1)}
         else:
-            out[key] = _text(path, f"columns.{key}", value)
+            out[key] = text(path, f"columns.{key}", value)
     for name in out.values():
         if list(out.values()).count(name) > 1:
             keys = ", ".join(key for key, value in out.items() if value == name)
@@ -203,7 +169,7 @@ def _channels(path: Path, table: dict) -> dict[str, str]:
     """A sensor of the model -> the file's column. Two columns cannot be one sensor's."""
     out: dict[str, str] = {}
     for column, value in table.items():
-        sensor = _text(path, f"channels.{column}", value)
+        sensor = text(path, f"channels.{column}", value)
         if sensor in out:
             raise BadInput(
                 f"{path}: [channels] gives {out[sensor]} and {column} to {sensor}; write {sensor}[0], {sensor}[1], ..."
@@ -222,14 +188,6 @@ def _conventions(path: Path, value: Any) -> dict[str, str]:
     return dict(value)
 
 
-def _noise(path: Path, table: dict) -> dict[str, float]:
-    out = _numbers(path, "noise", table, "[noise] and q = 1e-4")
-    for key, std in out.items():
-        if std < 0:
-            raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
-    return out
-
-
 def _groups(
     path: Path, value: Any, key: str = "group", example: str = 'group = {trial_00 = "loaded"}'
 ) -> dict[str, str]:
@@ -241,13 +199,10 @@ def _groups(
         if isinstance(item, list):
             out |= {trial: str(name) for trial in _texts(path, f"trials.{key}.{name}", item)}
         else:
-            out[name] = _text(path, f"trials.{key}.{name}", item)
+            out[name] = text(path, f"trials.{key}.{name}", item)
     return out
 
 
 def _payloads(path: Path, value: Any) -> dict[str, float]:
-    out = _numbers(path, "trials.payload", value, "payload = {trial_03 = 0.2}, in kg")
-    for name, mass in out.items():
-        if mass < 0:
-            raise BadInput(f"{path}: trials.payload.{name} = {mass:g} is negative; give a mass in kg")
-    return out
+    given = _numbers(path, "trials.payload", value, "payload = {trial_03 = 0.2}, in kg")
+    return {name: not_negative(path, f"trials.payload.{name}", mass, "a mass in kg") for name, mass in given.items()}

@@ -9,7 +9,8 @@ from typing import Any
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.given import brief
+from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
 from adaptsim_jax.mechanisms.registry import MECHANISMS
 
 ANGLE_ZEROS = ("upright", "hanging")
@@ -47,7 +48,6 @@ SHORT_TRIALS = (
     "missing; with an actions.csv these look like measured pushes or scoops: "
     'it needs one line, task = "pushing" or task = "scooping"'
 )
-TEXT_KEYS = ("name", "description", "note", "source", "license")
 REQUIRED = ("task", "model", "angle_zero")
 TABLES = ("geometry", "known", "noise", "units")
 KEYS = (*REQUIRED, *TABLES, "model_file", "torque", "unactuated", *TEXT_KEYS)
@@ -85,33 +85,27 @@ def read_meta(path: str | Path) -> Meta:
     path = Path(path)
     raw = read(path, SHORT_TRIALS if (path.parent / "actions.csv").exists() else MISSING)
     if raw.get("task") not in ("pendulum", None):
-        _choice(path, raw, "task", TASKS)
-    for key in raw:
-        if key not in KEYS:
-            raise BadInput(f"{path}: unknown key {key!r}; {suggest(key, KEYS)}")
+        choice(path, raw, "task", TASKS)
+    known(path, raw, KEYS)
     for key in REQUIRED:
         if key not in raw:
             raise BadInput(f"{path}: key {key!r} is missing; add {key} = {_example(key)}")
-    for key in TABLES:
-        if not isinstance(raw.get(key, {}), dict):
-            raise BadInput(f"{path}: {key} must be a table; write [{key}] with a key = value line each")
-    for key in TEXT_KEYS:
-        _choice(path, raw, key, None)
+    told = tables(path, raw, TABLES)
     model, model_file = _model(path, raw)
     given = read(model_file).get("geometry", {}) if model_file else {}
-    geometry, notes = _geometry(path, given | raw.get("geometry", {}) if isinstance(given, dict) else {}, model)
+    geometry, notes = _geometry(path, given | told["geometry"] if isinstance(given, dict) else {}, model)
     return Meta(
-        task=_choice(path, raw, "task", ("pendulum",)) or "",
+        task=choice(path, raw, "task", ("pendulum",)) or "",
         model=model,
-        angle_zero=_choice(path, raw, "angle_zero", ANGLE_ZEROS) or "",
+        angle_zero=choice(path, raw, "angle_zero", ANGLE_ZEROS) or "",
         model_file=model_file,
-        torque=_choice(path, raw, "torque", TORQUE_SOURCES),
+        torque=choice(path, raw, "torque", TORQUE_SOURCES),
         unactuated=_joints(path, raw.get("unactuated", [])),
         geometry=geometry,
-        known={k: _number(path, f"known.{k}", v) for k, v in raw.get("known", {}).items()},
-        noise=_noise(path, raw.get("noise", {})),
-        scale=_scales(path, raw.get("units", {})),
-        angle_stated=not {"angle", "q", "q1", "q2"}.isdisjoint(raw.get("units", {})),
+        known={k: number(path, f"known.{k}", v) for k, v in told["known"].items()},
+        noise=_noise(path, told["noise"]),
+        scale=_scales(path, told["units"]),
+        angle_stated=not {"angle", "q", "q1", "q2"}.isdisjoint(told["units"]),
         notes=notes,
     )
 
@@ -132,34 +126,14 @@ def _example(key: str) -> str:
     return examples[key]
 
 
-def _choice(path: Path, raw: dict, key: str, valid: tuple[str, ...] | None) -> str | None:
-    if key not in raw:
-        return None
-    value = raw[key]
-    if not isinstance(value, str):
-        raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
-    if valid is not None and value not in valid:
-        raise BadInput(f"{path}: {key} = {brief(value)} is unknown; {suggest(value, valid)}")
-    return value
-
-
-def _number(path: Path, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise BadInput(f"{path}: {key} must be a number, not {brief(value)}")
-    number = finite(value)
-    if number is None:
-        raise BadInput(f"{path}: {key} = {brief(value)} is not finite; give the value in SI units")
-    return number
-
-
 def _model(path: Path, raw: dict) -> tuple[str, str | None]:
     """The base model, and the path of a mended model where one is named (parsed by its own reader)."""
-    value = _choice(path, raw, "model", None) or ""
-    file = _choice(path, raw, "model_file", None)
+    value = choice(path, raw, "model") or ""
+    file = choice(path, raw, "model_file")
     if value.endswith(".toml"):
         file, value = value, ""
     if file is None:
-        return _choice(path, raw, "model", tuple(MECHANISMS)) or "", None
+        return choice(path, raw, "model", tuple(MECHANISMS)) or "", None
     where = (path.parent / file).resolve()
     if not where.is_file():
         raise BadInput(f"{path}: model file {file!r} does not exist beside it; give its path relative to the folder")
@@ -170,11 +144,8 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
 
 
 def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tuple[str, ...]]:
-    valid = ("l1", "l2", "g")
-    for key in raw:
-        if key not in valid:
-            raise BadInput(f"{path}: unknown key {key!r} in [geometry]; {suggest(key, valid)}")
-    given = {k: _number(path, f"geometry.{k}", v) for k, v in raw.items()}
+    known(path, raw, ("l1", "l2", "g"), "geometry")
+    given = {k: number(path, f"geometry.{k}", v) for k, v in raw.items()}
     for key, value in given.items():
         if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
             unit = "m/s^2" if key == "g" else "m"
@@ -188,16 +159,12 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
 def _noise(path: Path, raw: dict) -> dict[str, float]:
     """Standard deviations by channel; `q` or `angle`, `v` or `velocity`, `tau` or `torque` stand for both joints."""
     out: dict[str, float] = {}
+    known(path, raw, (*CHANNELS, *GROUPS, *GROUPS.values()), "noise")
     raw = {stem: raw[group] for stem, group in GROUPS.items() if group in raw} | {
         k: v for k, v in raw.items() if k not in GROUPS.values()
     }
     for key, value in raw.items():
-        if key not in (*CHANNELS, *GROUPS):
-            valid = (*CHANNELS, *GROUPS, *GROUPS.values())
-            raise BadInput(f"{path}: unknown key {key!r} in [noise]; {suggest(key, valid)}")
-        std = _number(path, f"noise.{key}", value)
-        if std < 0:
-            raise BadInput(f"{path}: noise.{key} = {std:g} is negative; give a standard deviation in SI units")
+        std = not_negative(path, f"noise.{key}", value)
         names = (key,) if key in CHANNELS else (f"{key}1", f"{key}2")
         out |= {name: std for name in names if name == key or name not in raw}
     return out
@@ -214,10 +181,7 @@ def _scales(path: Path, raw: dict) -> dict[str, float]:
 
     The velocity follows the angle of its joint unless it is declared.
     """
-    valid = (*UNITS, *GROUPS, *CHANNELS)
-    for key in raw:
-        if key not in valid:
-            raise BadInput(f"{path}: unknown key {key!r} in [units]; {suggest(key, valid)}")
+    known(path, raw, (*UNITS, *GROUPS, *CHANNELS), "units")
     chosen = {key: _unit(path, key, value) for key, value in raw.items()}
 
     def unit(column: str) -> str | None:
@@ -236,11 +200,9 @@ def _scales(path: Path, raw: dict) -> dict[str, float]:
 
 def _unit(path: Path, key: str, value: Any) -> str:
     """The unit that a line of `[units]` names, by its short name."""
-    if not isinstance(value, str):
-        raise BadInput(f"{path}: units.{key} must be text in quotes, not {brief(value)}")
-    table = UNITS[key if key in UNITS else GROUPS[key.rstrip("12")]]
-    words = "".join(c for c in value if c not in " *.·").split("/")
+    words = "".join(c for c in text(path, f"units.{key}", value) if c not in " *.·").split("/")
     name = "/".join(SPELLED.get(w, w) for w in words)
+    table = UNITS[key if key in UNITS else GROUPS[key.rstrip("12")]]
     if name not in table:
         raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(table))}")
     return name
