@@ -104,14 +104,14 @@ OF = {
 
 def effects() -> str:
     """What `adaptsim diagnose` can find, a table a task."""
-    from adaptsim_jax.commands.effects import CATALOGUES, LEGEND
+    from adaptsim_jax.commands.effects import LEGEND, listed
 
     parts = [
         "# Effects\n\nWhat `adaptsim diagnose` can find, from the catalogues; `adaptsim effects TASK` prints the same with bounds. "
         + " ".join(LEGEND.split())
     ]
     for task, (title, text) in OF.items():
-        rows = [_effect(effect) for effect in CATALOGUES[task]()]
+        rows = [_effect(effect) for effect in listed(task)]
         head = "| effect | what it is | parameters | shown by | taken for |\n| --- | --- | --- | --- | --- |\n"
         parts.append(f"## {title}\n\n{text}\n\n{head}" + "\n".join(rows))
     return "\n\n".join(parts) + "\n"

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from adaptsim_jax.commands.demo_config import SHORT, DemoConfig, commands
+from adaptsim_jax.commands.demo_config import HINGE, PENDULUM, SHORT, DemoConfig, commands
 from adaptsim_jax.commands.demo_contact import Before, push_part, scoop_part
-from adaptsim_jax.commands.demo_diagnosis import Diagnosed, double_part, hinge_part
+from adaptsim_jax.commands.demo_diagnosis import Diagnosed, diagnosed
 from adaptsim_jax.commands.demo_pendulum import Adapted, Pendulum, pendulum_part
 from adaptsim_jax.core.beside import beside
 from adaptsim_jax.core.files import output_folder
@@ -64,8 +64,8 @@ def own_parts(out: Path, seed: int, config: DemoConfig, progress: Parts) -> tupl
     """The pendulum and what is diagnosed."""
     say = _named(progress)
     pendulum = pendulum_part(out, seed, config, say)
-    diagnosis = hinge_part(out, say("diagnosis"))
-    return pendulum, diagnosis, double_part(out, seed, say("double")) if config.double else None
+    hinge = diagnosed(HINGE, out / "diagnosis", say("diagnosis"))
+    return pendulum, hinge, diagnosed(PENDULUM, out / "double", say("double")).report if config.double else None
 
 
 def contact_parts(out: Path, seed: int, config: DemoConfig, progress: Parts) -> tuple[Before, Before]:

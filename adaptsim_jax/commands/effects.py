@@ -6,6 +6,9 @@ import argparse
 import json
 from typing import Any
 
+from adaptsim_jax.effects.registry import ALSO, catalogue
+
+CATALOGUES = ("pendulum", *ALSO)
 LEGEND = """
 Formulas: q, v angle and velocity of the joint, t time; a force adds to the joint's torque.
 Amplitude: zero switches the effect off. Shape: how it acts. Torque scale: what the joint's torque exceeds 0.2 % of the time."""
@@ -35,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import next_step
     from adaptsim_jax.core.config import pick
 
-    effects = CATALOGUES[pick("task", args.task, CATALOGUES)]()
+    effects = listed(pick("task", args.task, CATALOGUES))
     if args.name:
         pick("effect", args.name, [effect["name"] for effect in effects])
         effects = [effect for effect in effects if effect["name"] == args.name]
@@ -53,37 +56,14 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _pendulum() -> list[dict[str, Any]]:
-    from adaptsim_jax.effects.registry import catalogue
+def listed(task: str) -> list[dict[str, Any]]:
+    """The catalogue of a task as plain data."""
+    from importlib import import_module
 
-    return [describe(effect) for effect in catalogue("pendulum")]
-
-
-def _mechanism() -> list[dict[str, Any]]:
-    from adaptsim_jax.attribution.catalogue import MACHINE
-
-    return [describe(effect) for effect in MACHINE]
-
-
-def _pushing() -> list[dict[str, Any]]:
-    from adaptsim_jax.tasks.pushing.diagnosis.catalogue import EFFECTS, QUANTITIES
-
-    return of_trials(EFFECTS, QUANTITIES)
-
-
-def _scooping() -> list[dict[str, Any]]:
-    from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, QUANTITIES
-
-    return of_trials(EFFECTS, QUANTITIES)
-
-
-def _toss() -> list[dict[str, Any]]:
-    from adaptsim_jax.tasks.toss.catalogue import EFFECTS
-
-    return of_trials(EFFECTS, ())
-
-
-CATALOGUES = {"pendulum": _pendulum, "mechanism": _mechanism, "pushing": _pushing, "scooping": _scooping, "toss": _toss}
+    effects = catalogue(task)
+    if task in ("pendulum", "mechanism"):
+        return [describe(effect) for effect in effects]
+    return of_trials(effects, getattr(import_module(ALSO[task].partition(":")[0]), "QUANTITIES", ()))
 
 
 def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:

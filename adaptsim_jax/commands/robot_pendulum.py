@@ -69,18 +69,9 @@ def read(session: Session, state: Any, path: Path) -> Any:
     return found
 
 
-def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
-    """What the session's history keeps beside the score."""
-    return {}
-
-
-def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
-    """Nothing beside the return."""
-
-
 def _digits(value: Any) -> str:
     """Six digits for the eye; policy.toml has them all."""
     return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
 
 
-PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, again=False)
+PART = RobotPart(TURN, opened, policy_file, show, read, again=False)

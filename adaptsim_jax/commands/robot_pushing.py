@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import config_of, physical, say_parameters, write_actions
+from adaptsim_jax.commands.robot_trials import config_of, opened, physical, say_parameters, write_actions
 from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
@@ -20,16 +20,11 @@ ENOUGH = 6  # pushes from which a diagnosis may say something; 12 to 24 serve
 GRID = 24  # goals in best_actions.csv
 
 
-def opened(session: Session, total: int) -> str:
-    """What a new session consists of."""
-    return f"session of {total} iterations of {_config(session).trajectories} pushes"
-
-
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters; `tasks.pushing.measured.read_policy` reads it."""
     from adaptsim_jax.tasks.pushing.measured import policy_table
 
-    return policy_table(policy, _config(session))
+    return policy_table(policy, config_of(session))
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
@@ -38,12 +33,12 @@ def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> An
 
     pushes = [push for visit in history for push in visit["pushes"]]
     actions, places = [p["action"] for p in pushes], [p["points"][-1] for p in pushes]
-    return corrected(policy, _config(session), actions, places)
+    return corrected(policy, config_of(session), actions, places)
 
 
 def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as the coming iteration makes its pushes: E's own, or what is deployed now (`task.visits`)."""
-    return deployed(session, policy, history) if _config(session).visits == "deployed" else policy
+    return deployed(session, policy, history) if config_of(session).visits == "deployed" else policy
 
 
 def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
@@ -60,7 +55,7 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
         )
     write_actions(path, COLUMNS, zip(*pushes, strict=True))
     print(f"written: {path}")
-    print(HOW.format(duration=_config(session).duration))
+    print(HOW.format(duration=config_of(session).duration))
 
 
 def read(session: Session, state: Any, path: Path) -> Any:
@@ -75,7 +70,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
 
     table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
-    config, pushes = _config(session), _pushes(session, state)
+    config, pushes = config_of(session), _pushes(session, state)
     found = measured.measured_trajectory(table.columns, at, str(path), pushes, config, session.as_declared)
     if not session.as_declared:
         ends = np.asarray(found.points[:, -1], float)
@@ -113,7 +108,7 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         print(
             f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its goal: reward {float(reward):.3f}"
         )
-    pushes = int(after.told) * _config(session).trajectories
+    pushes = int(after.told) * config_of(session).trajectories
     if pushes >= ENOUGH:
         print(f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} --out OUT")
     if done:
@@ -125,7 +120,7 @@ def _best(session: Session, policy: Any) -> None:
     from adaptsim_jax.tasks.pushing.measured import pushes_over_sector
 
     path = session.folder / "best_actions.csv"
-    write_actions(path, COLUMNS, zip(*pushes_over_sector(policy, _config(session), GRID), strict=True))
+    write_actions(path, COLUMNS, zip(*pushes_over_sector(policy, config_of(session), GRID), strict=True))
     if policy.told is not None:
         print(f"its actions are corrected by the {len(policy.told.used)} pushes told")
     print(f"written: {path}: its push for {GRID} goals; for any other:")
@@ -161,13 +156,7 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
 def _pushes(session: Session, state: Any) -> Pushes:
     from adaptsim_jax.tasks.pushing.measured import pushes_to_make
 
-    return pushes_to_make(state.key, state.told, state.policy, _config(session))
+    return pushes_to_make(state.key, state.told, state.policy, config_of(session))
 
 
-def _config(session: Session) -> Any:
-    from adaptsim_jax.tasks.pushing.task import PushingConfig
-
-    return config_of(session, PushingConfig)
-
-
-PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, deployed, tried)
+PART = RobotPart(TURN, opened("pushes"), policy_file, show, read, remember, told, deployed, tried)

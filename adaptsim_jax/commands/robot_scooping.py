@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import config_of, physical, say_parameters, write_actions
+from adaptsim_jax.commands.robot_trials import config_of, opened, physical, say_parameters, write_actions
 from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
@@ -19,16 +19,11 @@ that pitch and distance, scoop with that pitch rate at 0.25 s, and track the pie
 with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""
 
 
-def opened(session: Session, total: int) -> str:
-    """What a new session consists of."""
-    return f"session of {total} iterations of {_config(session).trajectories} scoops"
-
-
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters; `tasks.scooping.measured.read_policy` reads it."""
     from adaptsim_jax.tasks.scooping.measured import policy_table
 
-    return policy_table(policy, _config(session))
+    return policy_table(policy, config_of(session))
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
@@ -36,7 +31,7 @@ def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> An
     from adaptsim_jax.tasks.scooping.measured import corrected
 
     scoops = [scoop for visit in history for scoop in visit["scoops"]]
-    return corrected(policy, _config(session), [s["action"] for s in scoops], [s["success"] for s in scoops])
+    return corrected(policy, config_of(session), [s["action"] for s in scoops], [s["success"] for s in scoops])
 
 
 def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
@@ -45,7 +40,7 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
 
     from adaptsim_jax.tasks.scooping.deployed import make_probe
 
-    config = _config(session)
+    config = config_of(session)
     return jax.jit(make_probe(config))(deployed(session, policy, history)) if config.correct else policy
 
 
@@ -56,7 +51,7 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
     if done:
         from adaptsim_jax.tasks.scooping.measured import scoop_in_the_middle
 
-        action = scoop_in_the_middle(policy, _config(session))
+        action = scoop_in_the_middle(policy, config_of(session))
         if policy.told is not None:
             print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
         print(f"its scoop for a piece in the middle: {_said(action)}; for any other place (m):")
@@ -123,13 +118,7 @@ def _said(action: Any) -> str:
 def _scoops(session: Session, state: Any) -> Scoops:
     from adaptsim_jax.tasks.scooping.measured import scoops_to_make
 
-    return scoops_to_make(state.key, state.told, state.policy, _config(session))
+    return scoops_to_make(state.key, state.told, state.policy, config_of(session))
 
 
-def _config(session: Session) -> Any:
-    from adaptsim_jax.tasks.scooping.task import ScoopingConfig
-
-    return config_of(session, ScoopingConfig)
-
-
-PART = RobotPart(TURN, opened, policy_file, show, read, remember, told, deployed, tried)
+PART = RobotPart(TURN, opened("scoops"), policy_file, show, read, remember, told, deployed, tried)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,11 +10,18 @@ if TYPE_CHECKING:
     from adaptsim_jax.commands.robot import Session
 
 
-def config_of(session: Session, kind: type) -> Any:
-    """The task's configuration, a `kind`, with which the session's run was trained."""
+def config_of(session: Session) -> Any:
+    """The task's configuration with which the session's run was trained."""
     from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.registry import TASKS
 
+    kind = TASKS[session.trained.phase1.task.name].config
     return config.from_table(kind, session.options, str(session.table["run"]))
+
+
+def opened(many: str) -> Callable[[Session, int], str]:
+    """What says of what a new session consists; many: what an iteration's trials are called."""
+    return lambda session, total: f"session of {total} iterations of {config_of(session).trajectories} {many}"
 
 
 def physical(session: Session, mean: Any) -> dict[str, float]:

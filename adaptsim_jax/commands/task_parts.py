@@ -61,8 +61,10 @@ class RobotPart:
     policy_file: Callable[[Any, Any], dict[str, Any]]  # (session, policy as deployed) -> what policy.toml holds of it
     show: Callable[[Any, Any, Any, list, bool], None]  # (session, state as tried, policy as deployed, history, done)
     read: Callable[[Any, Any, Any], Any]  # (session, state as tried, path) -> trajectory
-    remember: Callable[[Any, Any, Any], dict[str, Any]]  # (session, state as tried, trajectory) -> entry of the history
-    told: Callable[[Any, Any, Any, Any, bool], None]  # (session, state as tried, state after, trajectory, done)
+    # (session, state as tried, trajectory) -> entry of the history beside the score
+    remember: Callable[[Any, Any, Any], dict[str, Any]] = lambda session, tried, trajectory: {}
+    # (session, state as tried, state after, trajectory, done): what is said beside the return
+    told: Callable[[Any, Any, Any, Any, bool], None] = lambda *told: None
     deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
     tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
     again: bool = True

@@ -79,7 +79,7 @@ def put_in(patch, stand_ins):
         return push, scoop
 
     patch.setattr(demo_tour, "contact_parts", contact)
-    patch.setattr(demo_tour, "hinge_part", lambda out, report: found)
+    patch.setattr(demo_tour, "diagnosed", lambda data, out, report: found)
 
 
 @pytest.fixture(scope="module")
