@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
-    from adaptsim_jax.diagnosis.run import Page
-    from adaptsim_jax.logs.log import Log
     from adaptsim_jax.logs.types import Recording
-    from adaptsim_jax.mechanisms.spec import Source
 
 EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
@@ -73,24 +72,19 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import output
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.logs.recording import read_recording
 
-    check_apart(Path(args.data), Path(args.out))
+    data = Path(args.data)
+    check_apart(data, Path(args.out))
     if args.strict:
         raise BadInput(STRICT)
-    if args.model is None and (task := of_trials(Path(args.data))):
-        return run_trials(args, task)
-    if args.model is not None or of_a_mechanism(Path(args.data)):
-        return run_mechanism(args)
-    without = split_names(args.without)
-    recording = read_recording(args.data, without=without)  # refused within a second, and before JAX is loaded
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
+    task = of_trials(data) if args.model is None else None
+    read = trials if task else mechanism if args.model is not None or of_a_mechanism(data) else pendulum
+    judge = read(args, split_names(args.without))  # refused before anything is written
     with output(args.out) as out, progress("diagnose") as report:
-        result = diagnose(
-            recording, out=out, exclude=args.exclude, progress=report, without=without, as_declared=args.as_declared
-        )
-    return say(args, result, out)
+        result = judge(out=out, exclude=tuple(args.exclude), progress=report)
+    return say(args, result, out, replays=task is None)
 
 
 STRICT = (
@@ -133,86 +127,57 @@ def of_trials(data: Path) -> str | None:
     return task if task in TRIALS else None
 
 
-def run_trials(args: argparse.Namespace, task: str) -> int:
-    """Measured pushes or scoops: effects judged one by one, the mended model, and the trials that tell a class apart."""
+Judge = Callable[..., dict[str, Any]]
+"""What is left to do of recordings that were read: `(out, exclude, progress) -> report`."""
+
+
+def pendulum(args: argparse.Namespace, without: list[str]) -> Judge:
+    """A recording of the double pendulum, refused within a second and before JAX is loaded."""
+    from adaptsim_jax.logs.recording import read_recording
+
+    return partial(diagnose, read_recording(args.data, without=without), without=without, as_declared=args.as_declared)
+
+
+def trials(args: argparse.Namespace, without: list[str]) -> Judge:
+    """Measured pushes, scoops or tosses: effects judged one by one, the mended model, and the trials that tell a class apart."""
     from importlib import import_module
 
-    from adaptsim_jax.commands.common import output
-    from adaptsim_jax.core import compile_flags
-    from adaptsim_jax.core.progress import progress
-
-    data, room = Path(args.data), f"adaptsim_jax.tasks.{TRIALS[task]}"
-    if "jax" not in sys.modules:
-        compile_flags.small_steps()
+    data, task = Path(args.data), str(of_trials(Path(args.data)))
+    room = f"adaptsim_jax.tasks.{TRIALS[task]}"
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import RECORDED
 
-        recorded = RECORDED[task](data, args.as_declared, split_names(args.without))
-    else:  # refused before anything is written
-        recorded = import_module(f"{room}.read").read(data, args.as_declared, split_names(args.without))
-    from adaptsim_jax.report.diagnosis import print_summary, write_diagnosis
+        recorded = RECORDED[task](data, args.as_declared, without)
+    else:
+        recorded = import_module(f"{room}.read").read(data, args.as_declared, without)
+    from adaptsim_jax.report.diagnosis import write_diagnosis
 
-    judge = import_module(f"{room}.diagnose").diagnose
-    with output(args.out) as folder, progress("diagnose") as report:
-        result = judge(
-            recorded, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis, named=str(data)
-        )
-    if args.json:
-        from adaptsim_jax.commands.common import print_file
-
-        print_file(folder / "report.json")
-        return 0
-    from rich.console import Console
-
-    print_summary(result, Console(), folder)
-    return 0
+    return partial(import_module(f"{room}.diagnose").diagnose, recorded, page=write_diagnosis, named=str(data))
 
 
-def run_mechanism(args: argparse.Namespace) -> int:
+def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     """Any mechanism: effects judged one by one, and the model file with what is named."""
-    from adaptsim_jax.commands.common import output
-    from adaptsim_jax.core import compile_flags
-    from adaptsim_jax.core.progress import progress
     from adaptsim_jax.logs.read import joined, read_source_and_log
 
-    if "jax" not in sys.modules:
-        compile_flags.small_steps()
-    source, log = read_source_and_log(args.data, args.model)  # refused before anything is written
+    source, log = read_source_and_log(args.data, args.model)
     from adaptsim_jax.attribution.choice import base_moves
+    from adaptsim_jax.report.diagnosis import write_diagnosis
 
-    if (
-        args.simulator or log.meta.simulator or ("mujoco" if base_moves(log) or log.meta.channels else "tree")
-    ) == "mujoco":
-        return run_by_mujoco(args, source, log)
+    needed = "mujoco" if base_moves(log) or log.meta.channels else "tree"
+    if (args.simulator or log.meta.simulator or needed) == "mujoco":
+        from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
+
+        log = log.pick([t.name for t in log.trials if t.name not in without]) if without else log
+        return partial(by_mujoco, source, log, page=write_diagnosis)
     joined(source, log)
-    from adaptsim_jax.attribution import diagnose as machines
-    from adaptsim_jax.report.diagnosis import write_diagnosis
-
-    with output(args.out) as folder, progress("diagnose") as report:
-        result = machines.diagnose(
-            args.data, model=args.model, out=folder, exclude=tuple(args.exclude), without=tuple(split_names(args.without)),
-            progress=report, page=write_diagnosis, as_declared=args.as_declared, horizon=args.horizon, yardstick=args.yardstick,
-        )  # fmt: skip
-    return say(args, result, folder)
+    return partial(
+        diagnose, args.data, model=args.model, without=tuple(without), as_declared=args.as_declared, horizon=args.horizon,
+        yardstick=args.yardstick,
+    )  # fmt: skip
 
 
-def run_by_mujoco(args: argparse.Namespace, source: Source, log: Log) -> int:
-    """A mechanism that MuJoCo itself simulates."""
-    from adaptsim_jax.commands.common import output
-    from adaptsim_jax.core.progress import progress
-    from adaptsim_jax.report.diagnosis import write_diagnosis
-    from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
-
-    without = split_names(args.without)
-    if without:
-        log = log.pick([t.name for t in log.trials if t.name not in without])
-    with output(args.out) as folder, progress("diagnose") as report:
-        result = by_mujoco(source, log, out=folder, exclude=tuple(args.exclude), progress=report, page=write_diagnosis)
-    return say(args, result, folder)
-
-
-def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
-    """The summary for a person and what to do next, or all of the report as JSON."""
+def say(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
+    """The summary for a person and what to do next, or all of the report as JSON; replays: whether `replay` takes the model."""
     from adaptsim_jax.commands.common import next_step, print_file
 
     if args.json:
@@ -224,7 +189,7 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path) -> int:
 
     print_summary(result, Console(), out)
     model = next((out / name for name in ("model.toml", "model.xml") if (out / name).exists()), None)
-    if model is not None and args.model is None:
+    if replays and model is not None and args.model is None:
         which = "mended" if result["effects"] else "fitted"
         next_step(f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the {which} model over a recording")
     return 0
@@ -242,7 +207,9 @@ def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
     Returns:
         The report, as `report.json` holds it (`diagnosis.schema`). Raises BadInput where the data or the model cannot be read.
     """
-    options.setdefault("page", page_of(options.get("out")))
+    from adaptsim_jax.report.diagnosis import write_diagnosis
+
+    options.setdefault("page", write_diagnosis)
     if isinstance(data, (str, Path)) and (options.get("model") is not None or of_a_mechanism(Path(data))):
         from adaptsim_jax.attribution.diagnose import diagnose as of_mechanism
 
@@ -251,16 +218,3 @@ def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
     from adaptsim_jax.commands.task_reward import task_reward
 
     return diagnose_pendulum(data, reward=task_reward, **options)
-
-
-def page_of(out: str | Path | None) -> Page:
-    """Report and page, with the command that was given: the diagnosis does not know the folder that it is for."""
-    from adaptsim_jax.report.diagnosis import write_diagnosis
-
-    def page(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
-        given = shlex.join(["--out", str(out)])
-        for told in (report["run"], evidence["run"]):
-            told["command"] = told["command"].replace("--out again", given)
-        write_diagnosis(folder, report, evidence)
-
-    return page
