@@ -5,7 +5,6 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -18,12 +17,10 @@ from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import Columns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
-from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.quality.jitter import jitter
 from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
-
-V = TypeVar("V")
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
@@ -257,8 +254,8 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
         q=q,
         v=v,
         u=inputs.of(columns, names, meta, at),
-        group=_of(meta.group, raw.name, "") or raw.group,
-        payload=_of(meta.payload, raw.name, 0.0),
+        group=of_trial(meta.group, raw.name, "") or raw.group,
+        payload=of_trial(meta.payload, raw.name, 0.0),
         extra=extra,
         base=columns.base,
         channels=columns.channels,
@@ -276,13 +273,6 @@ def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[s
         f"them): rows are taken as read evenly, every {1e3 * step:.4g} ms"
     )
     return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
-
-
-def _of(table: Mapping[str, V], trial: str, default: V) -> V:
-    """What `[trials]` gives a trial: its own name counts before patterns."""
-    if trial in table:
-        return table[trial]
-    return next((value for pattern, value in table.items() if fnmatch.fnmatchcase(trial, pattern)), default)
 
 
 def _notes(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> tuple[str, ...]:

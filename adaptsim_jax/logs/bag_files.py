@@ -16,11 +16,11 @@ from adaptsim_jax.logs.mcap_file import McapBag
 ENDINGS = (".bag", ".mcap", ".db3")
 
 
-def bags(folder: Path) -> list[Path]:
-    """The bags that a folder holds: files, or folders with `metadata.yaml`; the folder itself where it is one."""
-    if is_bag(folder):
-        return [folder]
-    return sorted(p for p in folder.iterdir() if is_bag(p) and not p.name.startswith("."))
+def bags(path: Path) -> list[Path]:
+    """The bags that a folder holds: files, or folders with `metadata.yaml`; the path itself where it is one."""
+    if is_bag(path):
+        return [path]
+    return sorted(p for p in path.iterdir() if is_bag(p) and not p.name.startswith(".")) if path.is_dir() else []
 
 
 def is_bag(path: Path) -> bool:

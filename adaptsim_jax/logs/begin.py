@@ -15,12 +15,12 @@ from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.columns import role
 from adaptsim_jax.logs.guess import Guess, array_name, guess, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
-from adaptsim_jax.logs.list_cells import STEMS, stem_and_place
+from adaptsim_jax.logs.list_cells import stem_and_place
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.meta import SHORT_TRIALS
-from adaptsim_jax.logs.read import META, read_log
+from adaptsim_jax.logs.read import META, names_of, read_log
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.tables import ENDINGS, column_names, list_columns, read_archive, table_files
+from adaptsim_jax.logs.tables import ENDINGS, column_names, list_columns, table_files
 
 MODELS = (".xml", ".mjcf", ".urdf")
 
@@ -41,10 +41,10 @@ class Begun:
 def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is one, or no data."""
     folder = _folder(data, out)
-    names = _model_names(model)
+    names = names_of(str(model))[1] if model else None
     columns, ros_topics, chosen = _columns(data, topics, names.joints if names else ())
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
-    arrays = _arrays(data)
+    arrays = next(map(_lists, _state_files(data)), {})
     found = replace(
         found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
         ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
@@ -88,15 +88,6 @@ def _folder(data: Path, out: Path | None) -> Path:
     return folder
 
 
-def _model_names(model: Path | None) -> ModelNames | None:
-    if model is None:
-        return None
-    from adaptsim_jax.logs.model_names import model_names
-    from adaptsim_jax.mechanisms.spec import read_source
-
-    return model_names(read_source(model))
-
-
 def _only_model(data: Path) -> Path | None:
     """The one MJCF or URDF file beside the data, if there is one."""
     if not data.is_dir():
@@ -120,7 +111,7 @@ def _columns(
     files = _state_files(data)
     if files:
         return _table_columns(files[0]), [], {}
-    bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
+    bags = ros.bags(data)
     if not bags:
         raise BadInput(f"{data}: holds no recordings ({', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set)")
     there, chosen = ros.bag_topics(bags[0], topics, joints)
@@ -130,48 +121,30 @@ def _columns(
 
 def _state_files(data: Path) -> list[Path]:
     """Tables of the data, without those that seem to hold the commands of another."""
-    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    files = table_files(data)
     commands = command_files.suspected(files).values()
     return [path for path in files if path not in commands]
 
 
-def _arrays(data: Path) -> dict[str, str | None]:
-    """Arrays `[T, n]` of the first file, by name: what each seems to be to us (`q` gives q1 to qn), None where nothing."""
-    files = _state_files(data)
+def _lists(path: Path) -> dict[str, str | None]:
+    """Lists and arrays `[T, n]` of a file, by name: what each seems to be to us (`q` gives q1 to qn), None where nothing."""
     found: dict[str, str | None] = {}
-    if files and files[0].suffix.lower() != ".npz":
-        for name in list_columns(files[0]):
-            ours = STEMS.get(name.lower()) or array_name(name)
-            found[name] = None if ours in found.values() else ours
-        return found
-    if not files:
-        return {}
-    for name, array in read_archive(files[0]).items():
-        if array.dtype.kind in "fiu" and array.ndim == 2:
-            ours = array_name(name)
-            found[name] = None if ours in found.values() else ours
+    for name in list_columns(path):
+        ours = array_name(name)
+        found[name] = None if ours in found.values() else ours
     return found
 
 
 def _table_columns(path: Path) -> dict[str, np.ndarray]:
-    """Every column of numbers; others are left out. An array `[T, n]` of joints is n columns by our name of it."""
-    if path.suffix.lower() == ".npz":
-        out: dict[str, np.ndarray] = {}
-        named = _arrays(path)
-        for name, array in read_archive(path).items():
-            if array.dtype.kind in "fiu" and array.ndim == 1:
-                out[name] = array.astype(np.float64)
-            elif ours := named.get(name):
-                out |= {f"{ours}{i + 1}": array[:, i].astype(np.float64) for i in range(array.shape[1])}
-        return out
+    """Every column of numbers; others are left out. A list or an array `[T, n]` of joints is n columns by our name of it."""
     names = tuple(dict.fromkeys(column_names(path)))
     try:
-        return _placed(read_table(path, names).columns, path)
+        return _placed(read_table(path, names, ours={}).columns, path)
     except BadInput as error:
         out = {}
         for name in names:  # one column of words must not hide the others, nor cells that another topic leaves empty
             try:
-                out |= read_table(path, (name,), gaps=(name,)).columns
+                out |= read_table(path, (name,), ours={}, gaps=(name,)).columns
             except BadInput:
                 continue
         if not out:
@@ -181,7 +154,7 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
 
 def _placed(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
     """With places of lists by our name of these; lists that seem to be nothing are left out."""
-    lists = _arrays(path)
+    lists = _lists(path)
     out = {}
     for name, values in columns.items():
         part = stem_and_place(name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +12,8 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import TIME, role
+from adaptsim_jax.logs.joined import COMMANDS, LINE
+from adaptsim_jax.logs.log_meta import of_trial
 from adaptsim_jax.logs.tables import RawTrial, column_names, read_file
 
 WORDS = (
@@ -29,8 +30,6 @@ WORDS = (
     "setpoints",
 )
 STATE_WORDS = ("state", "states", "motor", "joint", "joints", "measured", "log", "data", "feedback")
-INPUTS = ("target", "ctrl", "tau_commanded", "u", "i")
-LINE = "q_line of the file"
 
 
 def suspected(files: Sequence[Path]) -> dict[str, Path]:
@@ -89,9 +88,7 @@ def with_commands(
     trial: RawTrial, files: Mapping[str, Path], rename: Mapping[str, str], ignore: tuple[str, ...]
 ) -> RawTrial:
     """A trial with the commands of its file, held from when they came: its angles there are targets."""
-    path = files.get(trial.name) or next(
-        (p for pattern, p in files.items() if fnmatch.fnmatchcase(trial.name, pattern)), None
-    )
+    path = of_trial(dict[str, Path | None](files), trial.name, None)
     if path is None:
         return trial
     header = column_names(path)
@@ -99,7 +96,7 @@ def with_commands(
     commands = {}
     for name, values in told.columns.items():
         found = role(name)
-        if found is None or found.stem not in ("q", *INPUTS):
+        if found is None or found.stem not in ("q", *COMMANDS):
             continue
         rest = re.sub(r"^[A-Za-z]+", "", name)
         commands[f"target{rest}" if found.stem == "q" else name] = values

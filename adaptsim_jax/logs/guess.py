@@ -28,21 +28,7 @@ WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "commands": "target", "targets": "target", "actions": "target",
     "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
 }  # fmt: skip
-TARGETS = (
-    "commands",
-    "targets",
-    "actions",
-    "target",
-    "command",
-    "cmd",
-    "desired",
-    "des",
-    "goal",
-    "reference",
-    "ref",
-    "setpoint",
-    "action",
-)
+TARGETS = {word for word, stem in WORDS.items() if stem == "target"}
 CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
 
 
@@ -108,7 +94,7 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     if not found or (set(tokens) & {"error", "err", "std", "min", "max", "raw"}):
         return None
     # "elbow_pos_desired" is a target, whatever quantity is desired
-    stem = "target" if set(found) & set(TARGETS) else WORDS[found[-1]]
+    stem = "target" if set(found) & TARGETS else WORDS[found[-1]]
     if stem == "target" and {"tau", "torque", "effort"} & set(found):
         return None
     if (

@@ -46,7 +46,7 @@ class Inputs:
         out = []
         for index, actuator in enumerate(self.actuators):
             told = columns.ctrl.get(actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint)))
-            if told is None and _idle(columns, actuator, names):
+            if told is None and not _told(columns, actuator, index, names):
                 told = np.zeros(len(columns.time))
             elif told is None:
                 j = names.joints.index(actuator.joint)
@@ -96,9 +96,10 @@ def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: Log
     kind: InputKind = meta.input or next((k for k in PREFERRED if all(k in have for have in kinds)), "none")  # type: ignore[assignment]
     for columns, have in zip(trials, kinds, strict=True):
         if kind == "none" and have and not meta.input:
+            has = " and ".join(sorted(have))
             other = next(t.raw.name for t, h in zip(trials, kinds, strict=True) if not have & h)
             raise BadInput(
-                f"{columns.raw.path}: has {_word(have)} columns, trial {other} has none of them; log the same in all trials, "
+                f"{columns.raw.path}: has {has} columns, trial {other} has none of them; log the same in all trials, "
                 'leave trials out by [trials] exclude, or write input = "none" in meta.toml'
             )
         if kind != "none" and kind not in have:
@@ -132,10 +133,6 @@ def _kinds(columns: Columns) -> set[str]:
     have = {kind for kind, stem in STEM.items() if stem in columns.by_joint}
     have |= {"torque"} if "tau_commanded" in columns.by_joint else set()
     return have | ({"command"} if columns.ctrl else set())
-
-
-def _word(kinds: set[str]) -> str:
-    return " and ".join(sorted(kinds))
 
 
 def _notes(kind: str, kinds: list[set[str]], meta: LogMeta) -> tuple[str, ...]:
@@ -206,12 +203,6 @@ def _told(columns: Columns, actuator: ActuatorName, index: int, names: ModelName
     if actuator.kind not in ("position", "general") or actuator.joint not in names.joints:
         return False
     return names.joints.index(actuator.joint) in columns.by_joint.get("target", {})
-
-
-def _idle(columns: Columns, actuator: ActuatorName, names: ModelNames) -> bool:
-    """Whether nothing was logged that an actuator may have been told."""
-    servo = actuator.kind in ("position", "general") and actuator.joint in names.joints
-    return not (servo and names.joints.index(actuator.joint) in columns.by_joint.get("target", {}))
 
 
 def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> None:

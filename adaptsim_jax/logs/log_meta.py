@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput
@@ -14,6 +15,7 @@ from adaptsim_jax.logs.columns import CHANNEL
 from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
 from adaptsim_jax.logs.log_units import Unit, check_unit
 
+V = TypeVar("V")
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
 TABLES = ("columns", "channels", "units", "angles", "hold", "commands", "known", "fit", "noise", "trials", "ros")
@@ -206,3 +208,10 @@ def _groups(
 def _payloads(path: Path, value: Any) -> dict[str, float]:
     given = _numbers(path, "trials.payload", value, "payload = {trial_03 = 0.2}, in kg")
     return {name: not_negative(path, f"trials.payload.{name}", mass, "a mass in kg") for name, mass in given.items()}
+
+
+def of_trial(table: Mapping[str, V], trial: str, default: V) -> V:
+    """What a table of `[trials]` gives a trial: its own name counts before patterns."""
+    if trial in table:
+        return table[trial]
+    return next((value for pattern, value in table.items() if fnmatch.fnmatchcase(trial, pattern)), default)

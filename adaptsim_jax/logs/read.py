@@ -46,7 +46,7 @@ def read_log(
     source, meta, notes = _declared(source, meta)
     names = ModelNames(tuple(model)) if model is not None and not isinstance(model, ModelNames) else model
     if names is None and meta.model:
-        names = _names_of(meta.model)[1]
+        names = names_of(meta.model)[1]
     return _read(source, names, meta, notes)
 
 
@@ -66,7 +66,7 @@ def read_source_and_log(
     if path is None:
         where = meta.path or source
         raise BadInput(f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by --model')
-    file, names = _names_of(path)
+    file, names = names_of(path)
     return file, _read(source, names, meta, notes)
 
 
@@ -86,7 +86,8 @@ def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Pa
     return source, *_meta(source, meta)
 
 
-def _names_of(path: str) -> tuple[Source, ModelNames]:
+def names_of(path: str) -> tuple[Source, ModelNames]:
+    """A model file, and what a reader of logs must know of it."""
     from adaptsim_jax.mechanisms.spec import read_source
 
     source = read_source(path)
@@ -120,13 +121,13 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
         if trials:
             lerobot.check_named(data, trials[0], joints)
         return trials + [t for t in whole if not t.columns]
-    files = table_files(data) if data.is_dir() else [data] if data.suffix.lower() in ENDINGS else []
+    files = table_files(data)
     folder = data if data.is_dir() else data.parent
     commands = command_files.declared(meta.commands, folder, meta.path)
     files = [path for path in files if path not in commands.values()]
     if not commands and data.is_dir():
         command_files.check_suspected(files)
-    bags = ros.bags(data) if data.is_dir() else [data] if ros.is_bag(data) else []
+    bags = ros.bags(data)
     if not files and not bags:
         if data.is_dir():
             raise BadInput(f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there")

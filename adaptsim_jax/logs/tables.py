@@ -37,13 +37,10 @@ class RawTrial:
     doubt: dict[str, str] = field(default_factory=dict)
 
 
-def table_files(folder: Path) -> list[Path]:
-    """The CSV and NPZ files of a folder, by name with numbers in their order."""
-    found = [
-        p
-        for p in folder.iterdir()
-        if p.suffix.lower() in ENDINGS and not p.name.startswith((".", "~$")) and p.is_file()
-    ]
+def table_files(path: Path) -> list[Path]:
+    """The CSV and NPZ files of a folder, by name with numbers in their order; a file of these itself."""
+    found = [p for p in (path.iterdir() if path.is_dir() else [path]) if p.suffix.lower() in ENDINGS and p.is_file()]
+    found = [p for p in found if p == path or not p.name.startswith((".", "~$"))]
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
@@ -101,9 +98,9 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
 
 
 def list_columns(path: Path) -> list[str]:
-    """Columns of a CSV whose cells hold lists."""
+    """Columns of a CSV whose cells hold lists; arrays `[T, n]` of numbers in an archive."""
     if path.suffix.lower() == ".npz":
-        return []
+        return [name for name, array in read_archive(path).items() if array.ndim == 2 and array.dtype.kind in "fiu"]
     first: dict[str, str] = {}
     rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
     for row in rows[1:]:
@@ -115,7 +112,7 @@ def list_columns(path: Path) -> list[str]:
 
 def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str, str]:
     """Columns of a CSV that hold lists of all joints by their usual names: theirs -> our stem."""
-    lists = [name for name in list_columns(path) if role(name) is None]
+    lists = [] if path.suffix.lower() == ".npz" else [name for name in list_columns(path) if role(name) is None]
     out = {name: STEMS[name.lower()] for name in lists if name.lower() in STEMS}
     taken = set(rename) | {name for name in header if name not in lists}
     return {name: stem for name, stem in out.items() if stem not in taken}

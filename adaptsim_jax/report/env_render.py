@@ -5,26 +5,17 @@ A process of its own, since MuJoCo's OpenGL is chosen by the environment at impo
 
 import importlib
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.report.env_video import HOLD, Clip
 from adaptsim_jax.report.push_render import with_text
-from adaptsim_jax.report.push_video import read_clips
-from adaptsim_jax.report.video_file import write_video
+from adaptsim_jax.report.push_video import program
 
 WIDTH, HEIGHT, BAND = 480, 360, 36
-
-
-def main(clips: str, film: str) -> None:
-    """Read the clips, write the film; any error ends the process with a code other than 0."""
-    read = read_clips(clips, Clip)
-    write_video(frames(read), Path(film), float(read[0].fps))
 
 
 def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
@@ -53,6 +44,4 @@ def _model(mujoco: Any, raw: np.ndarray) -> Any:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
-    sys.stdout.flush()
-    os._exit(0)  # as `push_render` does, and why
+    program(Clip, frames)

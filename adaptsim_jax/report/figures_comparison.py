@@ -11,11 +11,9 @@ from matplotlib.ticker import MaxNLocator
 from adaptsim_jax.report import figures as look
 
 
-def reward_over_iterations(
-    results: Mapping[str, Any], methods: Sequence[str] = (), bottom: float | None = None
-) -> Figure:
+def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = ()) -> Figure:
     """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
-    bottom = look.least(results) if bottom is None else bottom
+    bottom = look.least(results)
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
     by = {r["method"]: r["trials"] for r in rows} if "trials_axis" in results else {}
     settings = list(dict.fromkeys(r["setting"] for r in rows))
@@ -55,9 +53,9 @@ def _curve(
     ax.plot(iterations, median, linewidth=1.7, label=label, **style)
 
 
-def rewards(results: Mapping[str, Any], left: float | None = None) -> Figure:
+def rewards(results: Mapping[str, Any]) -> Figure:
     """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one seed none), and every seed."""
-    left = look.least(results) if left is None else left
+    left = look.least(results)
     known = () if "reward" in results else ("udr", "best_in_omega")  # 0 and 1 by definition where normalised
     rows = [r for r in results["rows"] if r["method"] not in known]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
@@ -88,11 +86,10 @@ def _dots(ax, y: float, r: Mapping[str, Any], left: float) -> None:
     ax.plot(r["mean"], y, look.marker(r["method"]), color=colour, markersize=5.5, markeredgecolor="white")
 
 
-def parameter_map(
-    reward_map: Any, target: Sequence[float], found: Mapping[str, np.ndarray], bottom: float = -0.5
-) -> Figure:
+def parameter_map(reward_map: Any, target: Sequence[float], found: Mapping[str, np.ndarray]) -> Figure:
     """Figure 5 of the paper: colours are the best reward possible at two parameters, marks what methods found `[S, 2]`."""
     figure, (ax,) = look.new_figure(4.6, 3.7)
+    bottom = -0.5
     levels = np.linspace(bottom, 1.0, 16)
     filled = ax.contourf(
         reward_map.x, reward_map.y, np.clip(reward_map.reward, bottom, 1.0), levels=levels, cmap="cividis"
@@ -116,15 +113,15 @@ def parameter_map(
     return figure
 
 
-def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: str, bottom: float = -0.4) -> Figure:
+def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: str) -> Figure:
     """Reward over iterations for one row of results a curve, as the step-size figure of the appendix."""
     shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#CC79A7"]
     figure, (ax,) = look.new_figure(4.2, 3.0)
     for i, (r, name) in enumerate(zip(rows, names, strict=True)):
         line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
-        _curve(ax, r["curve"], line, name, bottom)
+        _curve(ax, r["curve"], line, name, -0.4)
     look.quiet(ax)
-    ax.set_ylim(bottom, 1.08)
+    ax.set_ylim(-0.4, 1.08)
     ax.set_xlabel("adaptation iteration", fontsize=9)
     ax.set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=9)
     ax.set_title(title, fontsize=9.5, color=look.INK)

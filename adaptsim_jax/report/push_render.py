@@ -5,27 +5,19 @@ A process of its own, since MuJoCo's OpenGL is chosen by the environment at impo
 
 import importlib
 import itertools
-import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.report.push_video import FPS, Clip, plate, read_clips, shown
-from adaptsim_jax.report.video_file import write_video
+from adaptsim_jax.report.push_video import FPS, Clip, plate, program, shown
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene as pushing_scene
 
 WIDTH, HEIGHT = 640, 360
 YELLOW, WAY = (0.95, 0.75, 0.05, 1.0), (0.0, 0.35, 0.6, 1.0)
 CAMERA = {"azimuth": 115.0, "elevation": -44.0, "distance": 0.64, "lookat": (0.78, 0.07, 0.03)}
-
-
-def main(clips: str, film: str) -> None:
-    """Read the clips, write the film; any error ends the process with a code other than 0."""
-    write_video(frames(read_clips(clips, Clip)), Path(film), FPS)
 
 
 def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
@@ -95,6 +87,4 @@ def with_text(frame: np.ndarray, text: str, time: str) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
-    sys.stdout.flush()
-    os._exit(0)  # OpenGL contexts that end after their driver complain or crash; the film is whole by now
+    program(Clip, frames, FPS)

@@ -36,9 +36,9 @@ class Clip:
     text: str
 
 
-def write_push_video(clips: Sequence[Clip], folder: Path, name: str = "push") -> tuple[Path, str]:
+def write_push_video(clips: Sequence[Clip], folder: Path) -> tuple[Path, str]:
     """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
-    return filmed("adaptsim_jax.report.push_render", clips, folder / name, drawn_frames, "above and the side", FPS)
+    return filmed("adaptsim_jax.report.push_render", clips, folder / "push", drawn_frames, "above and the side", FPS)
 
 
 def filmed(
@@ -86,6 +86,28 @@ def read_clips(path: str | Path, kind: Any) -> list[Any]:
         return [kind(*(data[f"{key}_{i}"] for key in kind.__annotations__)) for i in range(count)]
 
 
+def program(kind: Any, frames: Callable[[list[Any]], Iterator[np.ndarray]], fps: float | None = None) -> None:
+    """What a renderer does that is run as `python -m RENDERER clips.npz film.mp4`: clips of the dataclass `kind` to a film, of `fps`
+    frames a second (None: as the clips have it). Any error ends the process with a code other than 0."""
+    read, film = read_clips(sys.argv[1], kind), Path(sys.argv[2])
+    write_video(frames(read), film, float(read[0].fps) if fps is None else fps)
+    sys.stdout.flush()
+    os._exit(0)  # OpenGL contexts that end after their driver complain or crash; the film is whole by now
+
+
+def canvas_of(figure: Any) -> Callable[[], np.ndarray]:
+    """What draws a figure of matplotlib, each time anew: its pixels `[H, W, 3]` uint8."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+
+    def pixels() -> np.ndarray:
+        canvas.draw()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+    return pixels
+
+
 def shown(clips: Sequence[Clip]) -> Iterator[tuple[Clip, int, int]]:
     """The clip and row of each picture, and for how many frames it stays: every second row, and the last one for a while."""
     for clip in clips:
@@ -96,12 +118,10 @@ def shown(clips: Sequence[Clip]) -> Iterator[tuple[Clip, int, int]]:
 
 def drawn_frames(clips: Sequence[Clip]) -> Iterator[np.ndarray]:
     """`[360, 640, 3]` uint8 frames: the table from above and from the side."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     for clip, row, times in shown(clips):
         figure = Figure(figsize=(6.4, 3.6), dpi=100, facecolor="white")
-        canvas = FigureCanvasAgg(figure)
         # 5 inches to the metre in both
         above, side = (
             figure.add_axes((0.125, 0.365, 0.78125, 2.0 / 3.6)),
@@ -111,8 +131,7 @@ def drawn_frames(clips: Sequence[Clip]) -> Iterator[np.ndarray]:
         _draw_side(side, clip, row)
         figure.text(0.125, 0.945, clip.text, fontsize=11, color=look.INK)
         figure.text(0.906, 0.945, f"{0.01 * (row + 1):.2f} s", fontsize=11, color=look.MUTED, ha="right")
-        canvas.draw()
-        yield from [np.asarray(canvas.buffer_rgba())[..., :3].copy()] * times
+        yield from [canvas_of(figure)()] * times
 
 
 def plate(action: Any, row: int) -> tuple[float, float, float]:

@@ -4,26 +4,17 @@ A process of its own, since MuJoCo's OpenGL is chosen by the environment at impo
 """
 
 import importlib
-import os
-import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.report.push_render import HEIGHT, WIDTH, with_text
-from adaptsim_jax.report.push_video import read_clips
+from adaptsim_jax.report.push_video import program
 from adaptsim_jax.report.scoop_video import FPS, ScoopClip, shown, verdict
-from adaptsim_jax.report.video_file import write_video
 from adaptsim_jax.tasks.scooping import model
 
 CAMERA = {"azimuth": 112.0, "elevation": -16.0, "distance": 0.24, "lookat": (-0.03, 0.0, 0.022)}
-
-
-def main(clips: str, film: str) -> None:
-    """Read the clips, write the film; any error ends the process with a code other than 0."""
-    write_video(frames(read_clips(clips, ScoopClip)), Path(film), FPS)
 
 
 def scene(params: Any) -> str:
@@ -77,6 +68,4 @@ def frames(clips: Sequence[ScoopClip]) -> Iterator[np.ndarray]:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
-    sys.stdout.flush()
-    os._exit(0)  # OpenGL contexts that end after their driver complain or crash; the film is whole by now
+    program(ScoopClip, frames, FPS)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.push_video import filmed
+from adaptsim_jax.report.push_video import canvas_of, filmed
 from adaptsim_jax.tasks.scooping import model
 
 FPS, FRAMES, HOLD = 20.0, 50, 14  # 0.4 times real time; frames of a trial, and how many its end stays
@@ -31,9 +31,9 @@ class ScoopClip:
     text: str
 
 
-def write_scoop_video(clips: Sequence[ScoopClip], folder: Path, name: str = "scoop") -> tuple[Path, str]:
+def write_scoop_video(clips: Sequence[ScoopClip], folder: Path) -> tuple[Path, str]:
     """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
-    return filmed("adaptsim_jax.report.scoop_render", clips, folder / name, drawn_frames, "the side", FPS)
+    return filmed("adaptsim_jax.report.scoop_render", clips, folder / "scoop", drawn_frames, "the side", FPS)
 
 
 def shown(clips: Sequence[ScoopClip]) -> Iterator[tuple[ScoopClip, int, float, int]]:
@@ -79,11 +79,11 @@ def _turned(points: np.ndarray, angle: float) -> np.ndarray:
     return points @ np.array([[c, -s], [s, c]])
 
 
-def draw_scoop(ax: Any, clip: ScoopClip, row: int, middle: float | None = None) -> None:
-    """The scene from the side into matplotlib's `ax`, about the tip or about x = `middle` m."""
+def draw_scoop(ax: Any, clip: ScoopClip, row: int) -> None:
+    """The scene from the side into matplotlib's `ax`, about the tip."""
     from matplotlib.patches import Polygon
 
-    middle = float(np.asarray(clip.tip)[row, 0]) if middle is None else middle
+    middle = float(np.asarray(clip.tip)[row, 0])
     ax.set_xlim(middle - BACK, middle + AHEAD)
     ax.set_ylim(DOWN, UP)
     ax.set_aspect("equal")
@@ -103,14 +103,11 @@ def draw_scoop(ax: Any, clip: ScoopClip, row: int, middle: float | None = None) 
 
 def drawn_frames(clips: Sequence[ScoopClip]) -> Iterator[np.ndarray]:
     """`[360, 640, 3]` uint8 frames: the spatula from the side, the view going with it over a table with marks each 2 cm."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     for clip, row, time, times in shown(clips):
         figure = Figure(figsize=(6.4, 3.6), dpi=100, facecolor="white")
-        canvas = FigureCanvasAgg(figure)
         draw_scoop(figure.add_axes((0.0, 0.0, 1.0, 1.0)), clip, row)
         figure.text(0.025, 0.925, verdict(clip, row), fontsize=11, color=look.INK)
         figure.text(0.975, 0.925, f"{time:.2f} s", fontsize=11, color=look.MUTED, ha="right")
-        canvas.draw()
-        yield from [np.asarray(canvas.buffer_rgba())[..., :3].copy()] * times
+        yield from [canvas_of(figure)()] * times
