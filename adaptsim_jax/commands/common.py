@@ -76,6 +76,12 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
     return path.stem, task.space.values(table, str(path)), None
 
 
+def settable(parser: argparse.ArgumentParser | argparse._ArgumentGroup, example: str = "") -> None:
+    """The option `--set`, by which one key of a config is changed."""
+    text = f"change one key of the config{example}; repeatable"
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
+
+
 def seed(text: str) -> int:
     """A seed of JAX: an integer in [0, 2^32)."""
     return _whole(text, 0, MAX_SEED)

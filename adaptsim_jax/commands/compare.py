@@ -25,7 +25,7 @@ ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx o
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import positive
+    from adaptsim_jax.commands.common import positive, settable
 
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml")
     parser.add_argument(
@@ -37,13 +37,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
     parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
     parser.add_argument("--json", action="store_true", help="print results.json")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change one key of the config, such as iterations=5 or train.phase1.trajectories=2000; repeatable",
-    )
+    settable(parser, ", such as iterations=5 or train.phase1.trajectories=2000")
 
 
 def run(args: argparse.Namespace) -> int:

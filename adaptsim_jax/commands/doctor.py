@@ -21,25 +21,16 @@ def run(args: argparse.Namespace) -> int:
     """0 where everything that the core needs works here, else 1."""
     from adaptsim_jax.commands import doctor_checks as doctor
     from adaptsim_jax.commands.common import next_step
+    from adaptsim_jax.commands.doctor_costs import costs, line
 
     found = doctor.examine()
-    if args.costs and args.json:
-        found["costs"] = list(_costs())
+    rows = costs() if args.costs else iter(())
     if args.json:
-        print(json.dumps(found, indent=1))
-    else:
-        doctor.show(found)
-    if args.costs and not args.json:
-        from adaptsim_jax.commands.doctor_costs import line
-
-        for row in _costs():
-            print(line(row), flush=True)
-    if not args.json and not found["faults"]:
+        print(json.dumps(found | ({"costs": list(rows)} if args.costs else {}), indent=1))
+        return 1 if found["faults"] else 0
+    doctor.show(found)
+    for row in rows:
+        print(line(row), flush=True)
+    if not found["faults"]:
         next_step("demo    the tour, a few minutes")
     return 1 if found["faults"] else 0
-
-
-def _costs():
-    from adaptsim_jax.commands.doctor_costs import costs
-
-    return costs()

@@ -85,18 +85,10 @@ def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:
 
 def describe(effect: Any) -> dict[str, Any]:
     """An effect of the catalogue as plain data; bounds are for a torque scale of 1 N m."""
-    return {
-        "name": effect.name,
-        "place": effect.place,
-        "scope": effect.scope,
-        "physics": effect.physics,
-        "formula": effect.formula,
-        "parameters": [_parameter(parameter) for parameter in effect.parameters],
-        "look_alikes": list(effect.look_alikes),
-        "contains": list(effect.contains),
-        "excitation": effect.excitation,
-        "smooth": effect.smooth,
-    }
+    told = lambda *names: {name: getattr(effect, name) for name in names}
+    parameters = {"parameters": [_parameter(parameter) for parameter in effect.parameters]}
+    head = told("name", "place", "scope", "physics", "formula")
+    return head | parameters | told("look_alikes", "contains", "excitation", "smooth")
 
 
 def _parameter(parameter: Any) -> dict[str, Any]:

@@ -62,7 +62,9 @@ def run(args: argparse.Namespace) -> int:
     if args.words[0] == "show":
         if len(args.words) != 2:
             raise BadInput("show: write `adaptsim sweep show DIR`")
-        return _show(Path(args.words[1]), args.json)
+        from adaptsim_jax.adaptation.sweep_folder import SweepFolder
+
+        return _finish(SweepFolder.load(Path(args.words[1])), args.json)
     if len(args.words) != 1:
         raise BadInput(f"'{args.words[1]}': one SPEC.toml at a time; or write `adaptsim sweep show DIR`")
     if not args.out and not args.estimate:
@@ -166,12 +168,6 @@ def _finish(folder: Any, as_json: bool) -> int:
     print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures, and {page}")
     next_step(f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs")
     return 0
-
-
-def _show(path: Path, as_json: bool) -> int:
-    from adaptsim_jax.adaptation.sweep_folder import SweepFolder
-
-    return _finish(SweepFolder.load(path), as_json)
 
 
 def _print(found: dict[str, Any]) -> None:

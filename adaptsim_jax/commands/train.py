@@ -22,6 +22,8 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    from adaptsim_jax.commands.common import settable
+
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml")
     parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
@@ -30,13 +32,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
     names = "paper-pendulum, paper-pushing, native-pushing, mjx-pushing, hydro-scooping, mjx-scooping"
     start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change one key of the config; repeatable",
-    )
+    settable(parser)
 
 
 def run(args: argparse.Namespace) -> int:

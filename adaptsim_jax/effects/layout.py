@@ -1,6 +1,6 @@
 """The catalogue of effects, and a model's choice of them as one flat vector (`Layout`). What an effect is: `base.py`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.effects.base import Effect, Parameter
+from adaptsim_jax.effects.base import Effect
 
 
 class Instance(NamedTuple):
@@ -51,13 +51,10 @@ class Layout:
                 return i
         raise BadInput(f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what is")
 
-    def vector(self, pick: Callable[[Parameter, Instance], float]) -> np.ndarray:
-        """`[E]` of one number a parameter."""
-        return np.array([pick(p, i) for i in self.instances for p in i.effect.parameters], float)
-
     def off(self) -> np.ndarray:
         """`[E]`: every amplitude at its off value, every shape at its default."""
-        return self.vector(lambda p, i: p.default if p.off is None else p.off)
+        every = (p for i in self.instances for p in i.effect.parameters)
+        return np.array([p.default if p.off is None else p.off for p in every], float)
 
     def names(self) -> list[tuple[str, str, str]]:
         """(effect, where, parameter) of each entry of the vector."""

@@ -254,7 +254,7 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
         q=q,
         v=v,
         u=inputs.of(columns, names, meta, at),
-        group=of_trial(meta.group, raw.name, "") or raw.group,
+        group=of_trial(meta.group, raw.name, ""),
         payload=of_trial(meta.payload, raw.name, 0.0),
         extra=extra,
         base=columns.base,

@@ -138,15 +138,8 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     gone = [path for path in (*files, *bags) if out(_stem(path))]
     files, bags = ([path for path in some if path not in gone] for some in (files, bags))
     # in a folder of both, [columns] speaks of the tables
-    servos = (
-        {
-            f"ctrl{k}": a.joint
-            for k, a in enumerate(names.actuators or (), 1)
-            if a.kind == "position" and a.joint not in names.slides
-        }
-        if names
-        else {}
-    )
+    actuators = enumerate((names and names.actuators) or (), 1)
+    servos = {f"ctrl{k}": a.joint for k, a in actuators if a.kind == "position" and a.joint not in names.slides}
     wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()), servos)
     recorded = [ros.read_bag(path, wanted) for path in bags]
     tables = [

@@ -12,8 +12,8 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.meta import Meta, read_meta
-from adaptsim_jax.logs.table import check_time, read_table
-from adaptsim_jax.logs.table_checks import LIMIT, check_size, check_time_unit, from_zero
+from adaptsim_jax.logs.table import read_table
+from adaptsim_jax.logs.table_checks import LIMIT, check_clock, check_size, check_time_unit, from_zero
 from adaptsim_jax.logs.tables import table_files
 from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.logs.units import check_units
@@ -92,7 +92,7 @@ def _read_trial(path: Path, trial_name: str, meta: Meta) -> tuple[Trial, str, tu
             mend = "record both joints, one cannot be diagnosed" if one else "needed are time, q1, q2, tau1, tau2"
             raise BadInput(f"{path}: column {need!r} is missing; {hint}{mend}")
     columns = {key: values * meta.scale[key] for key, values in table.columns.items()}
-    check_time(path, table)
+    check_clock(path, table.columns["time"], table.lines, table.row_word)
     check_time_unit(path, columns["time"], meta.scale["time"])
     for name, values in columns.items():
         check_size(path, name, values, table.lines, table.row_word, MOST_TIME if name == "time" else LIMIT)

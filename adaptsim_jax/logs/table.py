@@ -15,7 +15,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.joined import apart
 from adaptsim_jax.logs.list_cells import part_name, split
-from adaptsim_jax.logs.table_checks import MIN_ROWS, check_clock, check_missing, without_blank
+from adaptsim_jax.logs.table_checks import MIN_ROWS, check_missing, without_blank
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
@@ -279,8 +279,3 @@ def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> Table:
         raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
     n = max(lengths.values(), default=0)
     return Table(columns, np.arange(1, n + 1), _others(list(archive), wanted), row_word="row")
-
-
-def check_time(path: str | Path, table: Table) -> None:
-    """Raise `BadInput` naming the first row at which time does not increase, or digits that it lost."""
-    check_clock(path, table.columns["time"], table.lines, table.row_word)

@@ -12,7 +12,8 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.list_cells import STEMS, is_list, stem_and_place
-from adaptsim_jax.logs.table import MIN_ROWS, Table, check_time, read_archive, read_bytes, read_table, rows_of
+from adaptsim_jax.logs.table import MIN_ROWS, Table, read_archive, read_bytes, read_table, rows_of
+from adaptsim_jax.logs.table_checks import check_clock
 
 ENDINGS = (".csv", ".npz")
 __all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
@@ -33,7 +34,6 @@ class RawTrial:
     row_word: str = "line"
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    group: str = ""
     doubt: dict[str, str] = field(default_factory=dict)
 
 
@@ -88,7 +88,7 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     by_label = _labelled(path, labels, table) if labels else [(name, table)]
     trials = []
     for label, part in by_label:
-        check_time(path, Table({"time": part.columns[time]}, part.lines, (), part.row_word))
+        check_clock(path, part.columns[time], part.lines, part.row_word)
         notes = part.notes
         if lists:
             said = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())

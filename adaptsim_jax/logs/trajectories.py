@@ -67,12 +67,17 @@ def sampled(series: Series, rows: np.ndarray) -> Series:
     return Series(time, columns)
 
 
-def _points(plan: Plan, joint: str) -> list[tuple[float, float, float]]:
+Point = tuple[float, float, float]
+
+
+def _points(plan: Plan, joint: str) -> tuple[list[Point], list[Point]]:
+    """Time, angle and speed of a joint's points that are past when a trajectory takes over, and of those ahead."""
     if joint not in plan.joints:
-        return []
-    j = plan.joints.index(joint)
-    speed = lambda v: float(v[j]) if len(v) == len(plan.joints) else np.nan
-    return [(t, float(q[j]), speed(v)) for t, q, v in plan.points if len(q) == len(plan.joints)]
+        return [], []
+    j, whole = plan.joints.index(joint), len(plan.joints)
+    speed = lambda v: float(v[j]) if len(v) == whole else np.nan
+    points = [(t, float(q[j]), speed(v)) for t, q, v in plan.points if len(q) == whole]
+    return [p for p in points if p[0] <= plan.takes_over], [p for p in points if p[0] > plan.takes_over]
 
 
 def _held(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float], list[float]]:
@@ -83,9 +88,7 @@ def _held(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float],
         k = int(np.searchsorted(time, at))
         now = value[k - 1] if k else None
         time, value = time[:k], value[:k]
-        points = _points(plan, joint)
-        passed = [p for p in points if p[0] <= at]
-        ahead = [p for p in points if p[0] > at]
+        passed, ahead = _points(plan, joint)
         if passed:
             ahead = [(at, *passed[-1][1:]), *ahead]
         elif now is None:
@@ -105,9 +108,7 @@ def _ramped(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float
         speed = (value[k] - value[k - 1]) / (time[k] - time[k - 1]) if 0 < k < len(time) else 0.0
         begins = not time
         time, value = time[:k], value[:k]
-        points = _points(plan, joint)
-        passed = [p for p in points if p[0] <= at]
-        ahead = [p for p in points if p[0] > at]
+        passed, ahead = _points(plan, joint)
         if passed and not ahead:  # no time to move is given: a step
             time = [*time, at, at + STEP] if not begins else [at]
             value = [*value, here, passed[-1][1]] if not begins else [passed[-1][1]]

@@ -139,10 +139,7 @@ def _marks(stages: Mapping[str, Mapping | None]) -> list[dict[str, Any]]:
 
 
 def power_rows(report: Mapping) -> list[dict[str, str]]:
-    """What would have been found: `power: [{name, where, size, unit, power}]`, where it has this form."""
-    rows = report.get("power")
-    rows = [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
-    rows = [row for row in rows if {"name", "size", "power"} <= set(row)]
+    """What would have been found: `power: [{name, where, size, unit, power}]`."""
     return [
         {
             "name": words.plain(str(row["name"])),
@@ -150,7 +147,7 @@ def power_rows(report: Mapping) -> list[dict[str, str]]:
             "size": fmt.quantity(row["size"], row.get("unit")),
             "power": fmt.percent(row["power"]),
         }
-        for row in rows
+        for row in report.get("power") or []
     ]
 
 

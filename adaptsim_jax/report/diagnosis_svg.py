@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from html import escape
 from typing import Any
 
 import matplotlib
@@ -84,14 +85,8 @@ def themed(svg: str, label: str) -> str:
     svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     head = re.search(r'viewBox="[^"]*"', svg)
     box = head.group() if head else ""
-    opening = f'<svg {box} role="img" aria-label="{_attribute(label)}" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    opening = f'<svg {box} role="img" aria-label="{escape(label)}" xmlns:xlink="http://www.w3.org/1999/xlink">'
     return re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1)
-
-
-def _attribute(text: str) -> str:
-    for plain, escaped in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
-        text = text.replace(plain, escaped)
-    return text
 
 
 def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:

@@ -237,16 +237,9 @@ def todo(report: Mapping) -> str:
 
 
 def next_words(report: Mapping) -> str:
-    """What the next experiment is for, in the report's own words where it has them."""
-    given: Any = report.get("next_experiment")
-    if isinstance(given, str) and given.strip():
-        return given
-    if isinstance(given, Mapping):
-        for key in ("message", "why", "what", "description"):
-            if isinstance(given.get(key), str) and given[key].strip():
-                return given[key]
-    names = given.get("separates") if isinstance(given, Mapping) else None
-    return f"Commanded torques chosen to tell {fmt.listing([plain(n) for n in names])} apart." if names else ""
+    """What the next experiment is for; empty where there is none."""
+    given: Any = report.get("next_experiment") or ""
+    return given["message"] if isinstance(given, Mapping) else given
 
 
 def _skill(report: Mapping) -> float:

@@ -1,12 +1,13 @@
 """The declared double pendulum as `quality.hypotheses` needs it: torque by unit of p1, p3, h1, h2, and what its lengths may be."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
-    Late,
     Told,
     Words,
     contradiction,
@@ -59,12 +60,8 @@ def of_recording(recording: Recording) -> tuple[list[Track], Design] | None:
     return tracks, design(geometry["l1"], geometry.get("g", GRAVITY), down)
 
 
-def pendulum_contradiction(recording: Recording) -> Told | None:
+def _contradiction(recording: Recording, tracks: Sequence[Track], declared: Design) -> Told | None:
     """See `contradictions.contradiction`."""
-    found = of_recording(recording)
-    if found is None:
-        return None
-    tracks, declared = found
     l1, g = recording.geometry["l1"], recording.geometry.get("g", GRAVITY)
     down = 1.0 if recording.angle_zero == "hanging" else -1.0
     more = []
@@ -91,12 +88,6 @@ def pendulum_contradiction(recording: Recording) -> Told | None:
     return contradiction(tracks, declared, WORDS, more, chain=(-1, 0), zeros=(1,))
 
 
-def pendulum_lateness(recording: Recording) -> Late | None:
-    """See `contradictions.lateness`."""
-    found = of_recording(recording)
-    return None if found is None else lateness(*found)
-
-
 def pendulum_trials(recording: Recording) -> Differ | None:
     """See `trials_differ.trials_differ`."""
     found = of_recording(recording)
@@ -105,8 +96,10 @@ def pendulum_trials(recording: Recording) -> Differ | None:
 
 def check_conventions(recording: Recording) -> tuple[Finding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with what to write instead."""
-    if told := pendulum_contradiction(recording):
+    if (found := of_recording(recording)) is None:
+        return ()
+    if told := _contradiction(recording, *found):
         raise BadInput(f"{recording.path}: {told.message}; {AS_DECLARED}")
-    late = pendulum_lateness(recording)
+    late = lateness(*found)
     step = float(np.median([t.dt for t in recording.trials]))
     return () if late is None else late_finding(recording.path, late, step, ("tau1", "tau2"))

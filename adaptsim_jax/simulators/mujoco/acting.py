@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field
-from adaptsim_jax.simulators.mujoco.stretches import Stretches
+from adaptsim_jax.simulators.mujoco.stretches import Stretches, late
 
 SHIFT, WIND = "command.offset", "wind"
 READ, BIAS, TURN, LATE = "reading.offset", "imu.bias", "imu.turn", "imu.late"
@@ -32,16 +32,16 @@ class Acting:
 def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting:
     """By values [B, P] of the fields."""
     model, count = made.model, len(values)
-    late, shift, force = np.zeros(count), np.zeros((count, model.nu)), None
+    delay, shift, force = np.zeros(count), np.zeros((count, model.nu)), None
     for f, value in zip(fields, values.T, strict=True):
         if f.field == DELAY:
-            late = value
+            delay = value
         elif f.field == SHIFT:
             shift[:, f.elements[0]] += value
         elif f.field == WIND and np.any(value):
             force = np.zeros((count, model.nv)) if force is None else force
             force[:, f.elements[0] + f.index] += value
-    return Acting(late, shift, force)
+    return Acting(delay, shift, force)
 
 
 def control_of(made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Acting | None) -> tuple[np.ndarray, int]:
@@ -49,12 +49,7 @@ def control_of(made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Actin
     model, control = made.model, stretches.control[lanes]
     command = control.shape[2] == model.nu and model.nu > 0
     if by is not None and np.any(by.late):
-        both = np.concatenate([stretches.past[lanes], control], 1)
-        before, count, last = stretches.past.shape[1], control.shape[1], both.shape[1] - 1
-        at = np.clip(before + np.arange(count) - (by.late / float(model.opt.timestep))[:, None], 0, last)
-        low = np.floor(at).astype(int)
-        share, row = (at - low)[..., None], np.arange(len(lanes))[:, None]
-        control = (1.0 - share) * both[row, low] + share * both[row, np.minimum(low + 1, last)]
+        control = late(stretches.past[lanes], control, by.late / float(model.opt.timestep))
     if by is not None and command and np.any(by.shift):
         control = control + by.shift[:, None]
     spec = int(mujoco.mjtState.mjSTATE_CTRL if command else mujoco.mjtState.mjSTATE_QFRC_APPLIED)

@@ -5,6 +5,7 @@ A name is KIND:ELEMENT.FIELD with MuJoCo's own names of the fields of its model,
 be a pattern (`geom:*foot*.friction[0]`), which gives one number to all that it names.
 """
 
+import copy
 import fnmatch
 import re
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
 OF_DOF = ("damping", "armature", "frictionloss", "invweight0")
 KINDS = {kind: (f"{kind if kind != 'joint' else 'jnt'}_", getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"))
          for kind in ("joint", "body", "geom", "actuator", "tendon", "site")}  # fmt: skip
+TYPICAL = {"armature": 0.01, "stiffness": 1.0}  # sizes of numbers that the model has at zero, of others 0.1
 POSITIVE = ("mass", "inertia", "friction", "damping", "armature", "frictionloss", "stiffness", "kp", "kv", STRENGTH)
 CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
 """Fields from which MuJoCo derives others, which then are made anew."""
@@ -67,26 +69,18 @@ def field(model: mujoco.MjModel, name: str) -> Field:
         )
     kind, element, option, what, index = found[1], found[2], found[3], found[4], int(found[5] or 0)
     elements = (0,) if option else _elements(model, name, kind, element)
-    made = Field(name, what if option is None else f"opt.{what}", tuple(elements), index, 0.0, -np.inf, np.inf, 1.0)
-    made = made if option else Field(**{**made.__dict__, "field": f"{kind}.{what}"})
+    made = Field(name, f"{'opt' if option else kind}.{what}", tuple(elements), index, 0.0, -np.inf, np.inf, 1.0)
     values = [_get(model, made, e) for e in made.elements]
     neutral = float(np.mean(values))
     low = 0.0 if what in POSITIVE else -np.inf
-    size = abs(neutral) if neutral else _typical(what)
+    size = abs(neutral) or TYPICAL.get(what, 0.1)
     return Field(name, made.field, made.elements, index, neutral, low, np.inf, STEP * size)
 
 
 def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:
     if kind not in KINDS:
         raise BadInput(f"quantity {name!r}: {suggest(kind, KINDS)}")
-    count = {
-        "joint": model.njnt,
-        "body": model.nbody,
-        "geom": model.ngeom,
-        "actuator": model.nu,
-        "tendon": model.ntendon,
-        "site": model.nsite,
-    }[kind]
+    count = getattr(model, {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}"))
     names = [mujoco.mj_id2name(model, KINDS[kind][1], i) or f"{kind}{i}" for i in range(count)]
     some = [i for i, n in enumerate(names) if n == pattern] or [
         i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)
@@ -94,11 +88,6 @@ def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list
     if not some:
         raise BadInput(f"quantity {name!r}: the model has no {kind} {pattern!r}; {suggest(pattern, names)}")
     return some
-
-
-def _typical(what: str) -> float:
-    """A size for a number that the model has at zero."""
-    return {"frictionloss": 0.1, "damping": 0.1, "armature": 0.01, "stiffness": 1.0, "mass": 0.1}.get(what, 0.1)
 
 
 def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray, int, int]:
@@ -162,8 +151,6 @@ def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None
 
 def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence[float]) -> mujoco.MjModel:
     """A copy of the model with these numbers; a mass keeps its shape, so that its moments go with it."""
-    import copy
-
     out = copy.copy(model)
     anew = False
     for made, value in zip(fields, values, strict=True):

@@ -5,7 +5,7 @@ Pereyra, 1973), intervals come from leaving trials out one by one (the jackknife
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
 from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
 from adaptsim_jax.simulators.mujoco.starts import fitted
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut, delayed
+from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut, late
 
 BUDGET = 4e6  # steps of one linearisation
 ROUNDS, TRIES = 10, 5
@@ -105,10 +105,13 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
 
 def _at(made: Stepped, stretches: Stretches, fields: Sequence[Field], values: np.ndarray) -> tuple[Stepped, Stretches]:
     """Model and stretches with these numbers; a delay moves the commands."""
-    late = [float(v) for f, v in zip(fields, values, strict=True) if f.name == DELAY]
+    delay = [float(v) for f, v in zip(fields, values, strict=True) if f.name == DELAY]
     own = [(f, v) for f, v in zip(fields, values, strict=True) if f.name != DELAY]
     model = with_values(made.model, [f for f, _ in own], [v for _, v in own]) if own else made.model
-    return made.with_model(model), delayed(stretches, late[0], float(model.opt.timestep)) if late else stretches
+    if delay:
+        steps = np.full(stretches.count, delay[0] / float(model.opt.timestep))
+        stretches = replace(stretches, control=late(stretches.past, stretches.control, steps))
+    return made.with_model(model), stretches
 
 
 def _weights(off: np.ndarray) -> np.ndarray:

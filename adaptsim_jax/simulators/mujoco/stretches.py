@@ -1,6 +1,6 @@
 """A recording cut into stretches on the grid of a model's own time step, each with a start of its own."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -279,12 +279,10 @@ def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
     return out
 
 
-def delayed(stretches: Stretches, late: float, step: float) -> Stretches:
-    """The same with commands that act `late` s later (below zero: earlier), between steps as a mix of both."""
-    both = np.concatenate([stretches.past, stretches.control], 1)
-    before, count = stretches.past.shape[1], stretches.control.shape[1]
-    at = np.clip(before + np.arange(count) - late / step, 0, both.shape[1] - 1)
+def late(past: np.ndarray, control: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Commands [W, S, nu] that act so many `steps` [W] later (below zero: earlier), between steps as a mix of both."""
+    both, before, last = np.concatenate([past, control], 1), past.shape[1], past.shape[1] + control.shape[1] - 1
+    at = np.clip(before + np.arange(control.shape[1]) - steps[:, None], 0, last)
     low = np.floor(at).astype(int)
-    share = (at - low)[None, :, None]
-    high = np.minimum(low + 1, both.shape[1] - 1)
-    return replace(stretches, control=(1.0 - share) * both[:, low] + share * both[:, high])
+    share, row = (at - low)[..., None], np.arange(len(steps))[:, None]
+    return (1.0 - share) * both[row, low] + share * both[row, np.minimum(low + 1, last)]
