@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 EXAMPLES = """
@@ -53,14 +53,9 @@ def _show_pushing(found: dict[str, Any]) -> None:
         f"pushing: {found['samples']} random pushes of {found['seconds']:g} s, friction {found['friction']};\n"
         f"distance between final positions of the bottle, mm\n"
     )
-    print(f"{'pair':28} {'median':>8} {'p90':>8} {'p99':>8} {'max':>8} {'compared':>9}")
-    for row in found["pairs"]:
-        name = " - ".join(row["pair"])
-        if not row["compared"]:
-            print(f"{name:28} no push went well in both")
-            continue
-        numbers = " ".join(f"{row[key]:8.3f}" for key in ("median_mm", "p90_mm", "p99_mm", "max_mm"))
-        print(f"{name:28} {numbers} {row['compared']:9}")
+    keys = ("median_mm", "p90_mm", "p99_mm", "max_mm")
+    head = f"{'median':>8} {'p90':>8} {'p99':>8} {'max':>8}"
+    _pairs(found, 28, head, "push", lambda row: " ".join(f"{row[key]:8.3f}" for key in keys))
     print("\ndrake - drake_other_step is the ceiling: one engine at steps of 2 and 2.5 ms\n")
     print(f"{'engine':18} {'pushes/s':>10} {'pushes/CPU s':>13} {'first call':>11}")
     for row, wrong in _that_ran(found["engines"]):
@@ -72,13 +67,8 @@ def _show_scooping(found: dict[str, Any]) -> None:
     print(
         f"scooping: {found['samples']} random trials of {found['seconds']:g} s; share that ended alike, with 95 % intervals\n"
     )
-    print(f"{'pair':36} {'alike':>6} {'interval':>14} {'compared':>9}")
-    for row in found["pairs"]:
-        name = " - ".join(row["pair"])
-        if not row["compared"]:
-            print(f"{name:36} no trial went well in both")
-            continue
-        print(f"{name:36} {row['alike']:6.3f} {row['low']:6.3f} - {row['high']:5.3f} {row['compared']:9}")
+    interval = lambda row: f"{row['alike']:6.3f} {row['low']:6.3f} - {row['high']:5.3f}"
+    _pairs(found, 36, f"{'alike':>6} {'interval':>14}", "trial", interval)
     print("\ndrake with itself at another mesh or step is the ceiling; low: hardly any dissipation\n")
     print(
         f"{'engine':18} {'success':>8} {'ellipsoid':>9} {'cylinder':>9} {'trials/s':>9} {'per CPU s':>9} {'first call':>11}"
@@ -87,6 +77,14 @@ def _show_scooping(found: dict[str, Any]) -> None:
         shapes = " ".join(f"{'-' if v is None else f'{v:.3f}':>9}" for v in row["success_by_shape"].values())
         speeds = f"{row['trials_per_second']:9.1f} {row['trials_per_cpu_second']:9.1f} {row['first_call_s']:9.1f} s"
         print(f"{row['engine']:18} {row['success']:8.3f} {shapes} {speeds}{wrong}")
+
+
+def _pairs(found: dict[str, Any], wide: int, head: str, noun: str, numbers: Callable[[dict[str, Any]], str]) -> None:
+    """The table of pairs of engines, their names `wide`; noun: what went well in neither where nothing was compared."""
+    print(f"{'pair':{wide}} {head} {'compared':>9}")
+    for row in found["pairs"]:
+        told = f"{numbers(row)} {row['compared']:9}" if row["compared"] else f"no {noun} went well in both"
+        print(f"{' - '.join(row['pair']):{wide}} {told}")
 
 
 def _that_ran(engines: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], str]]:

@@ -11,48 +11,28 @@ from matplotlib.figure import Figure
 from adaptsim_jax.core.files import write_bytes
 
 # Okabe and Ito's palette: told apart with any common colour blindness, and in grey by the line styles below.
-COLOURS = {
-    "adaptsim": "#0072B2",
-    "adaptsim_state": "#56B4E9",
-    "adaptsim_analytic": "#332288",
-    "sysid_bayes": "#D55E00",
-    "sysid_bayes_state": "#E69F00",
-    "sysid_point": "#009E73",
-    "sysid_point_state": "#6FBF8F",
-    "gradient": "#CC79A7",
-    "bayesopt": "#B8A300",
-    "udr": "#777777",
-    "udr_target": "#8C6BB1",
-    "learn_in_target": "#A6761D",
-    "cma_es": "#7A9A01",
-    "sbi": "#E69F00",
-    "fine_tune": "#A6761D",
-    "nominal": "#999999",
-    "udr_wide": "#AAAAAA",
-    "oracle": "#000000",
-    "best_in_omega": "#000000",
+METHODS = {
+    "adaptsim": ("#0072B2", "AdaptSim"),
+    "adaptsim_state": ("#56B4E9", "AdaptSim-State"),
+    "adaptsim_analytic": ("#332288", "AdaptSim, analytic gradient"),
+    "sysid_bayes": ("#D55E00", "SysID-Bayes"),
+    "sysid_bayes_state": ("#E69F00", "SysID-Bayes-State"),
+    "sysid_point": ("#009E73", "SysID-Point"),
+    "sysid_point_state": ("#6FBF8F", "SysID-Point-State"),
+    "gradient": ("#CC79A7", "Gradient (of the target)"),
+    "bayesopt": ("#B8A300", "BayesOpt"),
+    "udr": ("#777777", "UDR"),
+    "udr_target": ("#8C6BB1", "UDR+Target"),
+    "learn_in_target": ("#A6761D", "LearnInTarget"),
+    "cma_es": ("#7A9A01", "CMA-ES"),
+    "sbi": ("#E69F00", "Posterior by sbi"),
+    "fine_tune": ("#A6761D", "Fine-tuning in the target"),
+    "nominal": ("#999999", "Trained at nominal values"),
+    "udr_wide": ("#AAAAAA", "UDR, wider box"),
+    "oracle": ("#000000", "Oracle (best actions)"),
+    "best_in_omega": ("#000000", "Best in Ω"),
 }
-LABELS = {
-    "adaptsim": "AdaptSim",
-    "adaptsim_state": "AdaptSim-State",
-    "adaptsim_analytic": "AdaptSim, analytic gradient",
-    "sysid_bayes": "SysID-Bayes",
-    "sysid_bayes_state": "SysID-Bayes-State",
-    "sysid_point": "SysID-Point",
-    "sysid_point_state": "SysID-Point-State",
-    "gradient": "Gradient (of the target)",
-    "bayesopt": "BayesOpt",
-    "udr": "UDR",
-    "udr_target": "UDR+Target",
-    "learn_in_target": "LearnInTarget",
-    "cma_es": "CMA-ES",
-    "sbi": "Posterior by sbi",
-    "fine_tune": "Fine-tuning in the target",
-    "nominal": "Trained at nominal values",
-    "udr_wide": "UDR, wider box",
-    "oracle": "Oracle (best actions)",
-    "best_in_omega": "Best in Ω",
-}
+"""Method -> colour and label, in the order in which they are listed."""
 MARKERS = {"adaptsim": "o", "sysid_bayes": "s", "sysid_point": "^", "gradient": "D"}
 SETTINGS = {"wd": "WD"} | {f"ood-{i}": f"OOD-{i}" for i in range(1, 5)}
 INK, MUTED, GRID = "#20262e", "#5d6875", "#dde2e8"
@@ -87,17 +67,17 @@ def setting(name: str) -> str:
 
 
 def colour(method: str) -> str:
-    return COLOURS.get(method, MUTED)
+    return METHODS[method][0] if method in METHODS else MUTED
 
 
 def in_order(methods: Iterable[str]) -> list[str]:
     """Ours as they are listed, then those of other packages by name."""
-    known = list(COLOURS)
+    known = list(METHODS)
     return sorted(methods, key=lambda m: (known.index(m) if m in known else len(known), m))
 
 
 def label(method: str) -> str:
-    return LABELS.get(method, method)
+    return METHODS[method][1] if method in METHODS else method
 
 
 def style(method: str) -> dict:
