@@ -31,7 +31,7 @@ WITHIN = {
         "model_file",
     ),
     "logs": (
-        "extras", "types", "local_motion", "columns", "beside", "declared", "meta", "log_units", "model_file", "table_checks",
+        "extras", "types", "local_motion", "columns", "beside", "declared", "log_units", "meta", "model_file", "table_checks",
         "sent", "quality", "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "tables", "recording",
         "command_files", "angles", "messages", "stamps", "trajectories", "lerobot", "log_checks", "model_names", "followed",
         "pendulum_log", "joint_columns", "scales", "guess", "bag", "mcap_file", "bag_files", "topics", "ros", "inputs", "assemble",

@@ -82,6 +82,7 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
         if step == "next":
             return ask(args, session)
         {"record": failed if args.failed else record, "undo": undo}[step](args, session)
+        print(f"next: adaptsim robot next --dir {args.dir}")
         return stands(session)
 
 
@@ -186,7 +187,6 @@ def record(args: argparse.Namespace, session: Session) -> None:
     best = ", the best so far" if bool(info.best) else ""
     print(f"{turn} {len(after)} of {total}: return {float(info.score):.6g}{best}")
     session.part.told(session, tried, state, trajectory, len(after) >= total)
-    print(f"next: adaptsim robot next --dir {args.dir}")
 
 
 def failed(args: argparse.Namespace, session: Session) -> None:
@@ -203,7 +203,6 @@ def failed(args: argparse.Namespace, session: Session) -> None:
         sessions.save(session, state, after)
         rest = f"; with it {given_up - 1} more of the same start are given up" if given_up > 1 else ""
         print(f"{turn} {len(history) + 1} of {total} failed: no return{rest}")
-    print(f"next: adaptsim robot next --dir {args.dir}")
 
 
 def undo(args: argparse.Namespace, session: Session) -> None:
@@ -225,7 +224,6 @@ def undo(args: argparse.Namespace, session: Session) -> None:
     gone = history[len(earlier)]
     what = gone["file"] or "a failure"
     print(f"taken back: {what}, of {session.part.turn} {len(earlier) + 1}")
-    print(f"next: adaptsim robot next --dir {args.dir}")
 
 
 def _not_done(session: Session) -> tuple[Any, list[dict[str, Any]], int]:

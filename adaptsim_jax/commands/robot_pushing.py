@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import config_of, opened, physical, say_parameters, write_actions
+from adaptsim_jax.commands.robot_trials import config_of, opened, policy_file, remembered, say_parameters, write_actions
 from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
@@ -18,13 +18,6 @@ HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that s
 write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""
 ENOUGH = 6  # pushes from which a diagnosis may say something; 12 to 24 serve
 GRID = 24  # goals in best_actions.csv
-
-
-def policy_file(session: Session, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `tasks.pushing.measured.read_policy` reads it."""
-    from adaptsim_jax.tasks.pushing.measured import policy_table
-
-    return policy_table(policy, config_of(session))
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
@@ -81,19 +74,9 @@ def read(session: Session, state: Any, path: Path) -> Any:
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
-    """The pushes and what came of them, for figures and for people."""
-    import numpy as np
-
-    pushes = _pushes(session, before)
-    plain = lambda x: np.asarray(x, float).round(6).tolist()
-    rows = zip(pushes.numbers, pushes.goals, pushes.actions, trajectory.points, trajectory.rewards, strict=True)
-    return {
-        "params": physical(session, before.mean),
-        "pushes": [
-            {"trial": int(n), "goal": plain(g), "action": plain(a), "points": plain(p), "reward": plain(r)}
-            for n, g, a, p, r in rows
-        ],
-    }
+    """The pushes and what came of them."""
+    rows = zip(*_pushes(session, before), trajectory.points, trajectory.rewards, strict=True)
+    return remembered(session, before.mean, "pushes", ("goal", "action", "points", "reward"), rows)
 
 
 def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import config_of, opened, physical, say_parameters, write_actions
+from adaptsim_jax.commands.robot_trials import config_of, opened, policy_file, remembered, say_parameters, write_actions
 from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
@@ -17,13 +17,6 @@ COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")  # of actions.csv,
 HOW = """for each, lay the piece at that place (m from the middle of a box of 8 x 6 cm, x along the spatula's way), start at
 that pitch and distance, scoop with that pitch rate at 0.25 s, and track the piece for {seconds:g} s; write one CSV for all of them
 with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""
-
-
-def policy_file(session: Session, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `tasks.scooping.measured.read_policy` reads it."""
-    from adaptsim_jax.tasks.scooping.measured import policy_table
-
-    return policy_table(policy, config_of(session))
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
@@ -85,18 +78,9 @@ def read(session: Session, state: Any, path: Path) -> Any:
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
-    """The scoops and what came of them, for figures and for people."""
-    import numpy as np
-
-    plain = lambda x: np.asarray(x, float).round(6).tolist()
+    """The scoops and what came of them."""
     rows = zip(*_scoops(session, before), trajectory.points, trajectory.success, strict=True)
-    return {
-        "params": physical(session, before.mean),
-        "scoops": [
-            {"trial": int(n), "place": plain(p), "action": plain(a), "points": plain(t), "success": float(s)}
-            for n, p, a, t, s in rows
-        ],
-    }
+    return remembered(session, before.mean, "scoops", ("place", "action", "points", "success"), rows)
 
 
 def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:

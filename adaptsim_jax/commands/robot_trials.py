@@ -24,6 +24,25 @@ def opened(many: str) -> Callable[[Session, int], str]:
     return lambda session, total: f"session of {total} iterations of {config_of(session).trajectories} {many}"
 
 
+def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+    """What `policy.toml` holds beside the parameters; `read_policy` of the task's module `measured` reads it."""
+    from importlib import import_module
+
+    measured = import_module(f"adaptsim_jax.tasks.{session.trained.phase1.task.name}.measured")
+    return measured.policy_table(policy, config_of(session))
+
+
+def remembered(
+    session: Session, mean: Any, many: str, keys: tuple[str, ...], trials: Iterable[tuple]
+) -> dict[str, Any]:
+    """The parameters and the trials of an iteration, for figures and for people: of each its number and what `keys` call."""
+    import numpy as np
+
+    plain = lambda x: np.asarray(x, float).round(6).tolist()
+    rows = [{"trial": int(n)} | dict(zip(keys, map(plain, parts), strict=True)) for n, *parts in trials]
+    return {"params": physical(session, mean), many: rows}
+
+
 def physical(session: Session, mean: Any) -> dict[str, float]:
     """Parameters by name at the mean `[D]` of E."""
     space = session.trained.phase1.task.space

@@ -13,8 +13,7 @@ from adaptsim_jax.logs.angles import finite_without_turns
 from adaptsim_jax.logs.columns import BASE, Role, role
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.log_units import column_unit
-from adaptsim_jax.logs.meta import ANGLE_UNITS
+from adaptsim_jax.logs.log_units import ANGLE_UNITS, column_unit
 from adaptsim_jax.logs.quality.turns import followed_turns
 from adaptsim_jax.logs.table_checks import check_size, check_time_unit, from_zero
 from adaptsim_jax.logs.tables import RawTrial

@@ -13,8 +13,19 @@ import numpy as np
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
-from adaptsim_jax.logs.meta import ANGLE_UNITS, SPELLED, TIME_UNITS, TORQUE_UNITS, VELOCITY_UNITS
 
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+ANGLE_UNITS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
+VELOCITY_UNITS = {
+    "rad/s": 1.0,
+    "mrad/s": 1e-3,
+    "deg/s": math.pi / 180,
+    "rev/s": 2 * math.pi,
+    "rpm": 2 * math.pi / 60,
+    "rad/ms": 1e3,
+    "deg/ms": 1e3 * math.pi / 180,
+}
+TORQUE_UNITS = {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kgfcm": 0.0980665, "kgcm": 0.0980665}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SPEED_UNITS = {f"{name}/s": scale for name, scale in LENGTH_UNITS.items()}
 FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
@@ -30,7 +41,21 @@ QUANTITIES = {
     "voltage": VOLT_UNITS,
     "current": AMPERE_UNITS,
 }
-SPELT = SPELLED | {"meters": "m", "millimeters": "mm", "metres": "m", "millimetres": "mm", "volts": "V", "amperes": "A"}
+SPELT = {
+    "seconds": "s",
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "radians": "rad",
+    "degrees": "deg",
+    "revolutions": "rev",
+    "meters": "m",
+    "millimeters": "mm",
+    "metres": "m",
+    "millimetres": "mm",
+    "volts": "V",
+    "amperes": "A",
+}
+"""Units written out, as people do; `degrees/s` is read too."""
 HINGE = {"q": "angle", "v": "velocity", "tau": "torque", "tau_commanded": "torque", "target": "angle"}
 SLIDE = {"q": "length", "v": "velocity", "tau": "force", "tau_commanded": "force", "target": "length"}
 INPUT = {"u": "voltage", "i": "current"}

@@ -1,6 +1,5 @@
 """The schema of `meta.toml`: what a person declares about a recording, checked key by key."""
 
-import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief
 from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
+from adaptsim_jax.logs.log_units import ANGLE_UNITS, SPELT, TIME_UNITS, TORQUE_UNITS, VELOCITY_UNITS, column_unit
 from adaptsim_jax.mechanisms.registry import MECHANISMS
 
 ANGLE_ZEROS = ("upright", "hanging")
@@ -19,28 +19,7 @@ CHANNELS = ("q1", "q2", "v1", "v2", "tau1", "tau2")
 GROUPS = {"q": "angle", "v": "velocity", "tau": "torque"}
 """Column stem -> the unit group that it belongs to."""
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ANGLE_UNITS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
-VELOCITY_UNITS = {
-    "rad/s": 1.0,
-    "mrad/s": 1e-3,
-    "deg/s": math.pi / 180,
-    "rev/s": 2 * math.pi,
-    "rpm": 2 * math.pi / 60,
-    "rad/ms": 1e3,
-    "deg/ms": 1e3 * math.pi / 180,
-}
-TORQUE_UNITS = {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kgfcm": 0.0980665, "kgcm": 0.0980665}
 UNITS = {"time": TIME_UNITS, "angle": ANGLE_UNITS, "velocity": VELOCITY_UNITS, "torque": TORQUE_UNITS}
-SPELLED = {
-    "seconds": "s",
-    "milliseconds": "ms",
-    "microseconds": "us",
-    "radians": "rad",
-    "degrees": "deg",
-    "revolutions": "rev",
-}
-"""Units written out, as people do; `degrees/s` is read too."""
 
 TASKS = ("pendulum", "mechanism", "pushing", "scooping", "toss")
 MISSING = "missing; `adaptsim init DATA --model FILE` writes one of a mechanism, that of a double pendulum has task, model, angle_zero"
@@ -182,26 +161,16 @@ def _scales(path: Path, raw: dict) -> dict[str, float]:
     The velocity follows the angle of its joint unless it is declared.
     """
     known(path, raw, (*UNITS, *GROUPS, *CHANNELS), "units")
-    chosen = {key: _unit(path, key, value) for key, value in raw.items()}
-
-    def unit(column: str) -> str | None:
-        stem = column.rstrip("12")
-        words = (column, stem, GROUPS[stem])
-        return next((chosen[w] for w in words if w in chosen), None)
-
-    columns = {c: unit(c) for c in CHANNELS}
-    for joint in "12":
-        if columns[f"v{joint}"] is None and columns[f"q{joint}"] is not None:
-            columns[f"v{joint}"] = f"{columns[f'q{joint}']}/s"
-    scale = {c: UNITS[GROUPS[c.rstrip("12")]].get(name or "", 1.0) for c, name in columns.items()}
-    commanded = {f"{c}_commanded": scale[c] for c in ("tau1", "tau2")}
-    return {"time": TIME_UNITS.get(chosen.get("time", ""), 1.0), **scale, **commanded}
+    units = {key: _unit(path, key, value) for key, value in raw.items()}
+    of = lambda column: column_unit(f"{path}: {column}", units, column.rstrip("12"), (column,), slides=False).scale
+    scale = {column: of(column) for column in ("time", *CHANNELS)}
+    return scale | {f"{c}_commanded": scale[c] for c in ("tau1", "tau2")}
 
 
 def _unit(path: Path, key: str, value: Any) -> str:
     """The unit that a line of `[units]` names, by its short name."""
     words = "".join(c for c in text(path, f"units.{key}", value) if c not in " *.·").split("/")
-    name = "/".join(SPELLED.get(w, w) for w in words)
+    name = "/".join(SPELT.get(w, w) for w in words)
     table = UNITS[key if key in UNITS else GROUPS[key.rstrip("12")]]
     if name not in table:
         raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(table))}")
