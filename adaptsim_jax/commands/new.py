@@ -19,18 +19,12 @@ NEXT = {
     "baseline": "python {file}    tries it in one target",
     "environment": "adaptsim train {file} --run runs/{name}",
 }
-KNOWN = {  # entry points: group, name, object, and where it then stands
-    "effect": ("effects", ("{name}",), "EFFECT", "`adaptsim effects mechanism`, `adaptsim diagnose`"),
-    "task": ("tasks", ("{name}",), "TASK", "`adaptsim train {name}`, `adaptsim compare {name}`"),
-    "engine": ("backends", ("pendulum.{name}",), "ENGINE", "`adaptsim parity pendulum`"),
-    "baseline": ("baselines", ("exact.{name}",), "{name}", "`adaptsim compare pendulum --methods {name}`"),
-}
-REGISTRIES = {
-    "effect": "adaptsim_jax.effects.registry:EFFECTS",
-    "task": "adaptsim_jax.tasks.registry:TASKS",
-    "engine": "adaptsim_jax.tasks.pendulum.engines.registry:BACKENDS",
-    "baseline": "adaptsim_jax.baselines.registry:EXACT",
-}
+KNOWN = {  # entry point: group, name, object, where it then stands, and the registry that it is in
+    "effect": ("effects", "{name}", "EFFECT", "`adaptsim effects mechanism`, `adaptsim diagnose`", "effects.registry:EFFECTS"),
+    "task": ("tasks", "{name}", "TASK", "`adaptsim train {name}`, `adaptsim compare {name}`", "tasks.registry:TASKS"),
+    "engine": ("backends", "pendulum.{name}", "ENGINE", "`adaptsim parity pendulum`", "tasks.pendulum.engines.registry:BACKENDS"),
+    "baseline": ("baselines", "exact.{name}", "{name}", "`adaptsim compare pendulum --methods {name}`", "baselines.registry:EXACT"),
+}  # fmt: skip
 PYPROJECT = """[project]
 name = "{project}"
 version = "0.1"
@@ -85,16 +79,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _names(kind: str) -> tuple[str, ...]:
     """What is known of a kind."""
-    return tuple(EntryPoint(kind, REGISTRIES[kind], "").load().own) if kind in REGISTRIES else ()
+    return tuple(EntryPoint(kind, f"adaptsim_jax.{KNOWN[kind][-1]}", "").load().own) if kind in KNOWN else ()
 
 
 def _make_known(kind: str, name: str, folder: Path) -> None:
     """A pyproject.toml whose entry points make the object one of ours; the lines for it where there is a file already."""
     from adaptsim_jax.core.files import write_bytes
 
-    group, names, thing, where = KNOWN[kind]
-    lines = "".join(f'"{each}" = "{name}:{thing}"\n' for each in names).format(name=name)
-    lines = f'[project.entry-points."adaptsim.{group}"]\n{lines}'
+    group, point, thing, where, _ = KNOWN[kind]
+    lines = f'[project.entry-points."adaptsim.{group}"]\n"{point}" = "{name}:{thing}"\n'.format(name=name)
     file = folder / "pyproject.toml"
     if file.exists():
         print(f"add to {file}, and '{name}' to its py-modules or packages:\n\n{lines}")

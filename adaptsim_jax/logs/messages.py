@@ -27,16 +27,6 @@ Said = tuple[tuple[str, ...], Mapping[str, Any]]
 """Names of joints (none where the message gives none), and their values by stem of our columns."""
 
 
-def state_of(kind: str) -> Callable[[Any], Said] | None:
-    """What reads states of joints from messages of a type; None where these hold none."""
-    return STATES.get(kind)
-
-
-def command_of(kind: str) -> Callable[[Any], Said] | None:
-    """What reads commands from messages of a type, but for trajectories; None where these hold none."""
-    return COMMANDED.get(kind)
-
-
 def _joint_state(m: Any) -> Said:
     get = lambda field: _numbers(getattr(m, field, ()))
     return tuple(getattr(m, "name", ())), {stem: get(field) for field, stem in FIELDS.items()}
@@ -115,13 +105,16 @@ def _numbers(values: Any) -> np.ndarray:
         return np.array([_number(value) for value in values])
 
 
-STATES: dict[str, Callable[[Any], Said]] = {
+Read = Callable[[Any], Said]
+STATES: dict[str, Read] = {
     STATE: _joint_state, DYNAMIC: _dynamic, **dict.fromkeys(CONTROLLERS, _actual), **dict.fromkeys(FOXGLOVE, _joint_states),
 }  # fmt: skip
-COMMANDED: dict[str, Callable[[Any], Said]] = {
+"""What reads states of joints from messages of a type."""
+COMMANDED: dict[str, Read] = {
     STATE: _commanded, **dict.fromkeys(CONTROLLERS, _desired), **dict.fromkeys(FOXGLOVE, _commanded_states),
     **dict.fromkeys(ARRAYS, _array),
 }  # fmt: skip
+"""What reads commands from messages of a type, but for trajectories."""
 
 
 def stamp_of(message: Any) -> int:

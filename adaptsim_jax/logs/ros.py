@@ -20,7 +20,7 @@ from adaptsim_jax.logs.bag import Bag, Topic
 from adaptsim_jax.logs.bag_files import ENDINGS, bags, is_bag, opened
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import role
-from adaptsim_jax.logs.messages import ARRAYS, TRAJECTORIES, command_of, nanoseconds, stamp_of, state_of
+from adaptsim_jax.logs.messages import ARRAYS, COMMANDED, STATES, TRAJECTORIES, nanoseconds, stamp_of
 from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.quality.servo_fit import unexplained
 from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
@@ -104,7 +104,7 @@ def bag_topics(
 
 def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> int:
     """How many joints of the model the first messages of a topic name."""
-    read = state_of(topic.kind)
+    read = STATES.get(topic.kind)
     first = itertools.islice(bag.messages(topic.name), FIRST) if read and joints else ()
     return len(set(joints) & {name for _, m in first for name in read(m)[0]})
 
@@ -121,8 +121,7 @@ def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]
 
 def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]]:
     arrived, stamps, messages = _messages(bag, topic)
-    read = state_of(topic.kind)
-    assert read is not None
+    read = STATES[topic.kind]
     said = [(names if any(names) else (), values) for names, values in map(read, messages)]
     notes: list[str] = []
     if twice := next((n for names, _ in said for n in names if names.count(n) > 1), None):
@@ -182,8 +181,7 @@ def _commands(
             begins = nanoseconds(m.goal.trajectory.header.stamp) if hasattr(m, "goal") else s
             plans.append(plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a)))
         return _trajectory(path, topic, plans, states, wanted, notes)
-    read = command_of(topic.kind)
-    assert read is not None
+    read = COMMANDED[topic.kind]
     times = np.where(own, stamps, came)
     rows = []
     for time, m in zip(times.tolist(), messages, strict=True):

@@ -8,7 +8,7 @@ from pathlib import Path
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.bag import Topic
-from adaptsim_jax.logs.messages import CONTROLLERS, STATE, TRAJECTORIES, command_of, state_of
+from adaptsim_jax.logs.messages import COMMANDED, CONTROLLERS, STATE, STATES, TRAJECTORIES
 
 COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "setpoint")
 
@@ -24,7 +24,7 @@ def choose(
             raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
     state, notes = _state_topic(path, topics, options, knows)
     foreign = [
-        t for t in topics if t.encoding and t is not state and (t.unread or not (_commands_of(t) or state_of(t.kind)))
+        t for t in topics if t.encoding and t is not state and (t.unread or not (_commands_of(t) or t.kind in STATES))
     ]
     if foreign:
         names = ", ".join(f"{t.name} ({t.kind or 'no type'}, {t.encoding})" for t in foreign)
@@ -54,11 +54,11 @@ def _state_topic(
     then that with most messages."""
     if chosen := options.get("state_topic"):
         state = next(topic for topic in topics if topic.name == chosen)
-        if not state_of(state.kind) or state.unread:
+        if state.kind not in STATES or state.unread:
             raise BadInput(f"{path}: topic {chosen} is {_what(state)}; name one of sensor_msgs/JointState")
         return state, ()
     able = [
-        t for t in topics if t.count and state_of(t.kind) and not t.unread and t.name != options.get("command_topic")
+        t for t in topics if t.count and t.kind in STATES and not t.unread and t.name != options.get("command_topic")
     ]
     states = [t for t in able if t.kind == STATE] or [t for t in able if t.kind not in CONTROLLERS] or able
     if options.get("command_topic") and not states:
@@ -82,7 +82,7 @@ def _what(topic: Topic) -> str:
 
 
 def _commands_of(topic: Topic) -> bool:
-    return not topic.unread and (topic.kind in TRAJECTORIES or command_of(topic.kind) is not None)
+    return not topic.unread and topic.kind in (*TRAJECTORIES, *COMMANDED)
 
 
 def _is_command(topic: Topic) -> bool:

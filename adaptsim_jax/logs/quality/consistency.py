@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Agreement:
-    """`second = gain first(t - lag) + offset`; `r2`: the share of the variance that this explains.
+    """`second = gain first(t - lag)`, and a constant; `r2`: the share of the variance that this explains.
 
     `enough`: there is signal enough to judge by, and they are related; `loud`: there is signal enough.
     `spread`: standard error of the gain.
@@ -15,14 +15,13 @@ class Agreement:
 
     gain: float
     lag: float
-    offset: float
     r2: float
     enough: bool
     loud: bool = True
     spread: float = 0.0
 
 
-NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, 0.0, False, False)
+NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, False, False)
 SPAN = 0.1
 """Stretch in s over which slopes are taken: long enough for the noise of the angle to average out."""
 
@@ -42,11 +41,11 @@ def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreem
     bend = (v[span:] - v[:-span]) / width
     if np.std(slope) == 0 or np.std(mean_v) == 0:
         return NOT_ENOUGH
-    (inverse, lead, offset), spread, r2 = _regress(mean_v, bend, slope, span)
+    (inverse, lead, _), spread, r2 = _regress(mean_v, bend, slope, span)
     loud = bool(np.std(slope) > 6.0 * _angle_noise(q) / float(np.median(width)))
     if inverse == 0 or r2 < 0.5:
-        return Agreement(0.0, 0.0, 0.0, r2, False, loud)
-    return Agreement(1 / inverse, lead / inverse, -offset / inverse, r2, True, loud, spread / inverse**2)
+        return Agreement(0.0, 0.0, r2, False, loud)
+    return Agreement(1 / inverse, lead / inverse, r2, True, loud, spread / inverse**2)
 
 
 def _angle_noise(q: np.ndarray) -> float:
@@ -94,7 +93,7 @@ def command_agreement(time: np.ndarray, command: np.ndarray, measured: np.ndarra
         shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
     gain = float(shifted[:, best] @ y / power[best])
     lag = float((lags[best] + shift) * np.median(np.diff(time)))
-    return Agreement(gain, lag, float(measured.mean() - gain * command.mean()), float(r2[best]), bool(r2[best] > 0.3))
+    return Agreement(gain, lag, float(r2[best]), bool(r2[best] > 0.3))
 
 
 def lattice_step(x: np.ndarray) -> float:
