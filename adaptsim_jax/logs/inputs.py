@@ -41,17 +41,13 @@ class Inputs:
             u[:, [joint not in self.driven for joint in names.joints]] = 0.0
             _complete(columns, self.kind, names.joints, u)
             return np.where(flipped_joints(names, meta), -u, u)[:, kept]
-        targets = columns.stacked("target", len(names.joints))
-        angles = model_angles(targets, names, meta)
+        angles = model_angles(columns.stacked("target", len(names.joints)), names, meta)
         out = []
         for index, actuator in enumerate(self.actuators):
             told = columns.ctrl.get(actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint)))
-            if told is None and not _told(columns, actuator, index, names):
-                told = np.zeros(len(columns.time))
-            elif told is None:
-                j = names.joints.index(actuator.joint)
-                told = (angles if actuator.kind in ("position", "general") else targets)[:, j]
-            out.append(told)
+            if told is None and _told(columns, actuator, index, names):
+                told = angles[:, names.joints.index(actuator.joint)]
+            out.append(np.zeros(len(columns.time)) if told is None else told)
         u = np.stack([_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)], axis=1)
         _complete(columns, self.kind, self.names, u)
         return u
@@ -59,9 +55,8 @@ class Inputs:
 
 def _sent(columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, told: np.ndarray) -> np.ndarray:
     """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as `[commands]` says."""
-    if actuator.kind not in ("position", "general") or actuator.joint not in names.joints:
+    if (j := _servo(actuator, names)) is None:
         return told
-    j = names.joints.index(actuator.joint)
     q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
     if not np.isfinite(q).any():  # of a joint that is held
         return told
@@ -196,13 +191,16 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], 
     return Inputs("command", "target", tuple(a.name for a in actuators), driven, actuators, notes)
 
 
+def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:
+    """The number of the joint that a servo drives to an angle; None where that is not what it does."""
+    servo = actuator.kind in ("position", "general") and actuator.joint in names.joints
+    return names.joints.index(actuator.joint) if servo else None
+
+
 def _told(columns: Columns, actuator: ActuatorName, index: int, names: ModelNames) -> bool:
     """Whether a trial has what an actuator was told: its own column, or a servo the target of its joint."""
-    if {actuator.name, actuator.joint, index} & set(columns.ctrl):
-        return True
-    if actuator.kind not in ("position", "general") or actuator.joint not in names.joints:
-        return False
-    return names.joints.index(actuator.joint) in columns.by_joint.get("target", {})
+    own = {actuator.name, actuator.joint, index} & set(columns.ctrl)
+    return bool(own) or _servo(actuator, names) in columns.by_joint.get("target", {})
 
 
 def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> None:

@@ -143,7 +143,8 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
                 columns |= _named(stem, names, values)
                 continue
             written = _written(feature)
-            columns |= {column: values[:, k] for column, k in _unnamed(name, stem, written, width).items()}
+            # numbers of joints; where info.json names others, names that only [columns] makes joints of
+            columns |= {f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)}
             if written:
                 said = ", ".join(dict.fromkeys(written))
                 doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({said})"
@@ -173,14 +174,6 @@ def _written(feature: Any) -> list[str]:
     if isinstance(names, dict):
         names = [n for k, v in names.items() for n in (v if isinstance(v, list) else [k])]
     return [str(name) for name in names] if isinstance(names, list) else []
-
-
-def _unnamed(vector: str, stem: str, written: list[str], width: int) -> dict[str, int]:
-    """Columns of a vector whose entries have no names of their own: numbers of joints; where info.json names others, names that
-    only `[columns]` makes joints of."""
-    if written:
-        return {f"{vector}[{k}]": k for k in range(width)}
-    return {f"{stem}_{k + 1}": k for k in range(width)}
 
 
 def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:
