@@ -32,7 +32,7 @@ class TorqueCriteria:
     tried: int = 6
     gain: float = 0.02
     level: float = 0.01
-    steady: float = 1.0
+    steady: float = 2.0
     slowest: float = 0.15
     worth: float = 0.03
     seen: float = 0.003
