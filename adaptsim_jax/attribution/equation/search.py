@@ -5,7 +5,8 @@ Everything is linear but for a few shapes, which lie on grids, so that no set of
 of sets are judged in seconds.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -91,13 +92,15 @@ def witness(
         if best is None:
             break
         added = [*added, best]
-    added, quiet = _backward(state, added, steps)
-    while (simpler := _one_for_two(state, added, every, steps)) is not None:
-        added, quiet = _backward(state, simpler, steps)
-    stay, final, errors = needed(state, added, [c for c in added if c not in quiet])
-    why = "with all shapes fitted its interval includes none of it"
-    steps += [Step("dropped", c, None, why) for c in added if c not in stay]
-    added = stay
+    asked = Counter(k.effect for c in added for k in c.split())
+    stay: list[Candidate] | None = None
+    while stay is None or len(stay) < len(added):  # what stands beside one that goes is judged anew
+        added, quiet = _backward(state, added if stay is None else stay, steps, asked)
+        while (simpler := _one_for_two(state, added, every, steps)) is not None:
+            added, quiet = _backward(state, simpler, steps, asked)
+        stay, final, errors = needed(state, added, [c for c in added if c not in quiet])
+        why = "with all shapes fitted its interval includes none of it"
+        steps += [Step("dropped", c, None, why) for c in added if c not in stay]
     whole = state.set_of(added)
     kept = []
     for c in (c for c in added if c not in quiet and not only_read(state, whole, c)):
@@ -179,10 +182,11 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
 
 
 def _backward(
-    state: Searched, added: Sequence[Candidate], steps: list[Step]
+    state: Searched, added: Sequence[Candidate], steps: list[Step], asked: Mapping[str, int]
 ) -> tuple[list[Candidate], list[Candidate]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that stay are not shown by themselves:
-    what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone."""
+    what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone.
+    asked: of each effect at how many joints it was looked for."""
     added, own = [k for c in added for k in c.split()], state.limits
     while True:
         whole = state.set_of(added)
@@ -193,7 +197,8 @@ def _backward(
         failing, quiet = [], []
         for c, test in tests:
             least = state.criteria.described if state.problem.effect(c.effect).describes else own.gain * len(c.entries)
-            level = level_of([t.p for k, t in tests if k.effect == c.effect], own) if c.effect in FIRST else own.level
+            like = [t.p for k, t in tests if k.effect == c.effect]
+            level = level_of(like, own, asked[c.effect]) if c.effect in FIRST else own.level
             if why := why_not(state, whole, c, test, least, level):
                 if c.effect in FIRST and test.gain > 0.0 and len([k for k, _ in tests if k.effect == c.effect]) > 1:
                     quiet.append(c)

@@ -10,10 +10,10 @@ from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 
 
-def level_of(p: Sequence[float], own: TorqueCriteria) -> float:
-    """Up to which p an effect that like drives have is taken at each of them, by how many joints show it."""
+def level_of(p: Sequence[float], own: TorqueCriteria, asked: int) -> float:
+    """Up to which p an effect that like drives have is taken at each of them, by how many of the joints that were `asked` show it."""
     ranked = np.sort(p)
-    good = ranked <= own.discovery * np.arange(1, len(p) + 1) / len(p)
+    good = ranked <= own.discovery * np.arange(1, len(p) + 1) / asked
     return max(own.level, float(ranked[good].max()) if good.any() else 0.0)
 
 
