@@ -28,7 +28,8 @@ At = Mapping[str, np.ndarray]  # parameters of an effect, [n] each
 Driven = tuple[np.ndarray, np.ndarray]
 AT_END = 0.05  # rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at most
 OF_RANGE = 0.02  # of its width
-CUT = 0.02  # of an actuator's limit, from which on what it cuts of spikes is not told
+CUT = 0.05  # of a joint's usual force, from which on what a limit cuts of spikes is not told
+NEAR = 0.98  # of an actuator's limit, from which on it is at it
 LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
 PUSHED, LEAST = (
     0.01,
@@ -120,8 +121,9 @@ def _told(balance: Balance, values: Values) -> np.ndarray:
     law = np.asarray(values.actuator)[..., 0]
     limit = np.abs(law[4:6]).min(0)[:, None] * np.abs(values.gear)
     force, smooth = actuator_force(balance, values)[0], actuator_force(balance, values, (balance.u, none))[0]
-    at_limit = (law[2] != 0.0)[:, None] & (np.abs(smooth) >= (1.0 - CUT) * limit)
-    return (np.abs(force - smooth) <= CUT * limit) & ~at_limit
+    at_limit = (law[2] != 0.0)[:, None] & (np.abs(smooth) >= NEAR * limit)
+    usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
+    return (np.abs(force - smooth) <= CUT * usual) & ~at_limit
 
 
 def _known(

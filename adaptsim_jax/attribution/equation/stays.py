@@ -9,6 +9,8 @@ from adaptsim_jax.attribution.equation.solve import Compared, Solved
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 
+GAINS = ("torque_gain", "position_gain")
+
 
 def level_of(p: Sequence[float], own: TorqueCriteria, asked: int) -> float:
     """Up to which p an effect that like drives have is taken at each of them, by how many of the joints that were `asked` show it."""
@@ -23,6 +25,8 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
         return "left-out blocks do not confirm it"
     if state.commanded and len(c.joints) < state.balance.joints and only_read(state, whole, c):
         return "a joint that is late by so little is how its rows are read"
+    if state.follows and c.effect in GAINS and np.max(np.abs(whole.step[_numbers(whole, c)])) < state.limits.share:
+        return f"a gain that is off by less than {100 * state.limits.share:g} % is how exactly speeds are read"
     if test.gain * state.carry(c) < least:
         return f"takes less than {100 * least:.0f} % off the squared missing torque"
     if test.overall < 0.0:
