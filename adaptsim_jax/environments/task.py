@@ -48,8 +48,8 @@ class Tuned(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What is made once: what the trainer learned (None where nothing is), how what is seen is shown to the adaptation, and what starts
-    are worth `[3]`: mean and standard deviation of the policy's value of them, and the return that a unit of it is worth."""
+    """What is made once: what the trainer learned (None where nothing is), how what is seen is shown to the adaptation, and what
+    starts are worth `[3]`: mean and standard deviation of the policy's value of them, and the return that a unit of it is worth."""
 
     learned: Any
     shown: Shown
@@ -254,7 +254,8 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
         learned = setting.trainer.init(init_key)
         rounds = setting.config.training.rounds
         learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND)
-    blank = Prepared(learned, Shown(jnp.zeros(0), jnp.zeros((0, 0))), jnp.array([0.0, 1e9, 1.0]))  # a start's luck is its value
+    nothing = Shown(jnp.zeros(0), jnp.zeros((0, 0)))
+    blank = Prepared(learned, nothing, jnp.array([0.0, 1e9, 1.0]))  # a start's luck is its value
     acting = acting_of(setting, blank)
     policy_of = policies_of(setting, learned)
 
@@ -362,6 +363,7 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         train=train,
         rollout=rollout,
         rehearse=rehearse,
+        doubt=config.doubt,
         observe=lambda trajectory: prepared.shown(trajectory.features),
         score=lambda trajectory: trajectory.score - trajectory.luck,
         reference=reference,

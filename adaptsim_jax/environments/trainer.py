@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.interface import Live, Play
-from adaptsim_jax.learners.ppo import Actor, Batch, PPOConfig, PPOHyper, PPOState, carried, make_ppo
+from adaptsim_jax.learners.ppo import Batch, PPOConfig, PPOHyper, PPOState, carried, make_ppo
 from adaptsim_jax.space import Space
 
 

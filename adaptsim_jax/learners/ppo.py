@@ -2,7 +2,8 @@
 
 A Gaussian about the policy's output, clipped into `[-1, 1]^d`; a value network of its own. Observations are standardised by what was
 seen so far, rewards by the spread of discounted returns. What a policy may know beside the observation (`extra`) goes to both
-networks as it is, with weights that begin at 0: a policy that is told something later goes on from what it did. Sizes are static (`PPOConfig`), rates traced (`PPOHyper`).
+networks as it is, with weights that begin at 0: a policy that is told something later goes on from what it did. Sizes are static
+(`PPOConfig`), rates traced (`PPOHyper`).
 """
 
 from collections.abc import Callable

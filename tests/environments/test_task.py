@@ -17,7 +17,16 @@ from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.rollout import Acting, Rollout, Steps, look
-from adaptsim_jax.environments.task import Law, environment_task, everywhere, ready, setting_of, starts_of, task_of, trained_in
+from adaptsim_jax.environments.task import (
+    Law,
+    environment_task,
+    everywhere,
+    ready,
+    setting_of,
+    starts_of,
+    task_of,
+    trained_in,
+)
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper
 from tests.environments.cart import Cart, State
