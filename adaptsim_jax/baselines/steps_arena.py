@@ -91,7 +91,11 @@ class StepsArena:
     def _rolled(self, name: str, policies) -> Told:
         own = isinstance(policies, Tuned)
         if (name, own) not in self._run:
-            acting = network_acting(self.setting) if own else acting_of(self.setting, self.prepared)
+            acting = (
+                network_acting(self.setting)
+                if own
+                else acting_of(self.setting, self.prepared.learned, self.prepared.starts)
+            )
             self._run[name, own] = jax.jit(self._runner(name, acting))
         count = len(jax.tree.leaves(policies)[0])
         visits = jax.random.fold_in(jax.random.key(self.seed), len(self.own) + 1)

@@ -26,7 +26,7 @@ def gradient(bout: Bout) -> Trip:
     every = [setting.targets[name].values for name in arena.names]
     sim = environment(setting.env, setting.fields, setting.config.length)
     play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
-    slope = make_slope(play, acting_of(setting, arena.prepared), Law)
+    slope = make_slope(play, acting_of(setting, arena.prepared.learned), Law)
     starts = jax.random.split(jax.random.fold_in(jax.random.key(int(bout.seeds[0])), 300), 4)
     at, stride = np.full((T, setting.space.dim), 0.5, np.float32), np.full(T, STRIDE)
     best, base, way = np.full(T, -np.inf), at.copy(), np.zeros_like(at)

@@ -80,7 +80,7 @@ def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Pat
         )
     run = RunFolder.open(found["run"])
     prepared = learned(task_of(setting), made, run.config.get("seed", 0), run.path, make=False)  # type: ignore[arg-type]
-    acting = acting_of(setting, prepared)
+    acting = acting_of(setting, prepared.learned)
     start, best = map(int, chosen_visit(result.history, setting.config.doubt))
     policies = [jax.tree.map(lambda x, i=i: x[start, i], result.history.policy) for i in (0, best)]
     takes = [filmed_episode(setting, acting, policy, name) for policy in policies]

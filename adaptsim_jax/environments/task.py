@@ -177,16 +177,16 @@ def visit_shape(setting: Setting) -> int:
     return 3 * min(4, setting.sim.length) * (obs + act) + 12 * obs + 2
 
 
-def acting_of(setting: Setting, prepared: Prepared) -> Acting:
-    """How the task's policies act, given what was learned."""
+def acting_of(setting: Setting, learned: Any, starts: Any = (0.0, 0.0, 0.0)) -> Acting:
+    """How the task's policies act, given what the trainer learned, and what `starts` are worth (`Prepared`)."""
     if setting.config.policy == "planned":
         return make_planner(setting.play, setting.space, setting.config.planner)
-    learned = setting.trainer.policy(prepared.learned)
-    shared = None if setting.config.policy == "tuned" else learned
-    mean, spread, worth = jnp.asarray(prepared.starts)
+    critic = setting.trainer.policy(learned)
+    shared = None if setting.config.policy == "tuned" else critic
+    mean, spread, worth = jnp.asarray(starts)
 
     def luck(obs):
-        value = setting.trainer.value(learned, obs, jnp.zeros(setting.space.dim))
+        value = setting.trainer.value(critic, obs, jnp.zeros(setting.space.dim))
         return worth * jnp.clip(value - mean, -3.0 * spread, 3.0 * spread)
 
     def act(key, policy, memory, live):
@@ -254,9 +254,7 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
         learned = setting.trainer.init(init_key)
         rounds = setting.config.training.rounds
         learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND)
-    nothing = Shown(jnp.zeros(0), jnp.zeros((0, 0)))
-    blank = Prepared(learned, nothing, jnp.array([0.0, 1e9, 1.0]))  # a start's luck is its value
-    acting = acting_of(setting, blank)
+    acting = acting_of(setting, learned, (0.0, 1e9, 1.0))  # a start's luck is its value
     policy_of = policies_of(setting, learned)
 
     @jax.jit
@@ -312,7 +310,8 @@ def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
 def ready(setting: Setting, prepared: Prepared) -> Task:
     """The task with its policy trained."""
     config, space = setting.config, setting.space
-    acting, policy_of = acting_of(setting, prepared), policies_of(setting, prepared.learned)
+    acting = acting_of(setting, prepared.learned, prepared.starts)
+    policy_of = policies_of(setting, prepared.learned)
 
     def init_policy(key):
         return policy_of(jnp.full(space.dim, 0.5))
@@ -436,7 +435,8 @@ def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
     """The task with its rollouts in the target called `name`, whatever the parameters say; rewards are scaled in it."""
     target = setting.targets[name]
     task, (play, values) = ready(setting, prepared), play_in(setting, target)
-    acting, policy_of = acting_of(setting, prepared), policies_of(setting, prepared.learned)
+    acting = acting_of(setting, prepared.learned, prepared.starts)
+    policy_of = policies_of(setting, prepared.learned)
 
     def rollout(key, policy, params):
         return visit(key, play, acting, policy, values, setting.config.trials)
