@@ -118,7 +118,6 @@ def comparison(options: dict[str, Any], small: bool) -> Any:
     base = default_comparison("environment")
     train = replace(base.train, task=options)
     if small:
-        train = replace(train, phase1=replace(train.phase1, trajectories=300))
         sysid = replace(base.sysid, simulations=100)
         return replace(
             base, train=train, sysid=sysid, starts=1, iterations=10, steps=replace(base.steps, tests=12, points=16)
@@ -234,14 +233,13 @@ def main() -> None:
     parser.add_argument("--tasks", default=",".join(TASKS))
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument(
-        "--small", action="store_true", help="fewer steps, and a tenth of Phase 1: a seed of a task in minutes"
-    )
+    parser.add_argument("--first", type=int, default=0, help="the first of the seeds")
+    parser.add_argument("--small", action="store_true", help="fewer steps and one start: a seed of a task in minutes")
     parser.add_argument("--show", action="store_true", help="figure and table of what is there; nothing is run")
     args = parser.parse_args()
     if not args.show:
         for task in args.tasks.split(","):
-            for seed in range(args.seeds):
+            for seed in range(args.first, args.first + args.seeds):
                 run(args.out, configs.pick("task", task, TASKS), seed, here(args.methods.split(",")), args.small)
     for path in show(args.out):
         print(f"written: {path}")

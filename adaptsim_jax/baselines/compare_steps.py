@@ -1,17 +1,19 @@
 """`adaptsim compare` for policies over many steps: every method in every target, by what it would deploy after so many target trials.
 
-A method that tries policies deploys the one whose own trials returned most; SysID and fine-tuning the newest; UDR what it has. What is
-deployed is scored by episodes that chose nothing, and normalised: 0 what UDR earns in that target, 1 the oracle or the best in Omega,
-whichever is more.
+A method that tries policies deploys the one whose own trials, smoothed over all means that it tried, returned most; SysID and
+fine-tuning the newest; UDR what it has. What is deployed is scored by episodes that chose nothing, and normalised: 0 what UDR earns in
+that target, 1 the oracle or the best in Omega, whichever is more.
 """
 
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.adaptation.phase2 import smoothed
 from adaptsim_jax.adaptation.prepared import learned
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.learned import Bout, Trip
@@ -125,11 +127,22 @@ def deployed_of(method: str, trip: Trip, arena: StepsArena) -> Deployed:
         own = np.stack([s.reshape(T, -1) for s in arena.own], -1)  # [T, N, I]
         order = lambda x: np.moveaxis(x, 1, 2).reshape(T, -1)  # as they were made: all starts of a visit, then the next
         told, tests = order(np.where(np.isfinite(own), own, -np.inf)), order(rewards)
-        best = np.array([[np.argmax(told[t, : n + 1]) for n in range(told.shape[1])] for t in range(T)])
+        best = np.array([[np.argmax(x) for x in _expected(told[t], trip, t, arena)] for t in range(T)])
         return Deployed((trials * np.arange(1, told.shape[1] + 1), np.take_along_axis(tests, best, 1)))
     if method.startswith("sysid"):
         return Deployed((trials * np.arange(rewards.shape[2]), rewards[:, 0]))
     return Deployed((np.asarray(trip.spent), rewards[:, 0]))
+
+
+def _expected(told: np.ndarray, trip: Trip, t: int, arena: StepsArena) -> Iterator[np.ndarray]:
+    """Of the returns `told [n]` in target t those that are expected after each visit: all so far, smoothed by `phase2.smoothed`."""
+    if trip.means is None:
+        yield from (told[: n + 1] for n in range(len(told)))
+        return
+    means = jnp.asarray(np.moveaxis(trip.means[t, 0], 0, 1).reshape(len(told), -1), jnp.float32)
+    for n in range(len(told)):
+        unknown = jnp.where(jnp.arange(len(told)) <= n, jnp.asarray(told), -jnp.inf)  # one program for all
+        yield np.asarray(smoothed(means, unknown, arena.setting.config.doubt))[: n + 1]
 
 
 def bounds_of(found: dict[str, list[Deployed]]) -> tuple[np.ndarray, np.ndarray]:

@@ -91,7 +91,11 @@ class StepsArena:
     def _rolled(self, name: str, policies) -> Told:
         own = isinstance(policies, Tuned)
         if (name, own) not in self._run:
-            acting = network_acting(self.setting) if own else acting_of(self.setting, self.prepared.learned)
+            acting = (
+                network_acting(self.setting)
+                if own
+                else acting_of(self.setting, self.prepared.learned, self.prepared.starts)
+            )
             self._run[name, own] = jax.jit(self._runner(name, acting))
         count = len(jax.tree.leaves(policies)[0])
         visits = jax.random.fold_in(jax.random.key(self.seed), len(self.own) + 1)
@@ -106,11 +110,11 @@ class StepsArena:
         def run(keys, policies):
             def one(key, policy):
                 every = jnp.concatenate([jax.random.split(key, trials), fixed])
-                return jax.vmap(lambda k: look(one_episode(k, play, acting, policy, values)[0]))(every)
+                return jax.vmap(lambda k: look(one_episode(k, play, acting, policy, values)[0], acting))(every)
 
             found = jax.vmap(one)(keys, policies)
             mean = jax.tree.map(lambda x: x[:, :trials].mean(1), found)
-            return jax.vmap(task.observe)(mean), mean.score, found.score[:, trials:].mean(1)
+            return jax.vmap(task.observe)(mean), jax.vmap(task.score)(mean), found.score[:, trials:].mean(1)
 
         return run
 

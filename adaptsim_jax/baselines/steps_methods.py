@@ -61,7 +61,7 @@ def _untried(bout: Bout, name: str, worlds_of: Callable[[Any], Worlds]) -> Trip:
 def _network(bout: Bout, name: str, worlds_of: Callable[[Any], Worlds]) -> Tuned:
     if name not in bout.cache:
         setting, seed = bout.arena.setting, int(bout.seeds[0])  # type: ignore[attr-defined]
-        init_key, key = jax.random.split(jax.random.fold_in(jax.random.key(seed), len(name)))
+        key, init_key, _ = jax.random.split(jax.random.key(seed), 3)  # as `prepared_of`: luck in training is shared
         rounds = setting.config.training.rounds
         learned = trained_in(
             setting.trainer, key, setting.trainer.init(init_key), worlds_of(setting), rounds, bout.report

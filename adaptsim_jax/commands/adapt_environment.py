@@ -61,7 +61,7 @@ def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Pat
     import jax
     import numpy as np
 
-    from adaptsim_jax.adaptation.phase2 import best_visit
+    from adaptsim_jax.adaptation.phase2 import chosen_visit
     from adaptsim_jax.adaptation.prepared import learned
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
@@ -81,7 +81,7 @@ def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Pat
     run = RunFolder.open(found["run"])
     prepared = learned(task_of(setting), made, run.config.get("seed", 0), run.path, make=False)  # type: ignore[arg-type]
     acting = acting_of(setting, prepared.learned)
-    start, best = map(int, best_visit(result.history.score))
+    start, best = map(int, chosen_visit(result.history, setting.config.doubt))
     policies = [jax.tree.map(lambda x, i=i: x[start, i], result.history.policy) for i in (0, best)]
     takes = [filmed_episode(setting, acting, policy, name) for policy in policies]
     means = np.asarray(result.history.score)[start, [0, best]]

@@ -23,6 +23,7 @@ class EnvironmentConfig:
     policy: `knows` E's mean, trained once; `tuned` from it at each visit for `tune` updates; `planned` by sampling, not trained.
     spread: of E's samples when a policy is tuned, as a share of each range. training: PPO. planner: of `planned`.
     references: policies that a target's reward is scaled with. components: of what is observed.
+    doubt: variance of a visit's return by luck, over that by E's mean; 0 deploys what returned most once.
     targets: for each by name a table of values of any field, Omega's or not, and of the engine (`environments/targets.py`).
     """
 
@@ -39,14 +40,16 @@ class EnvironmentConfig:
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     references: int = 8
     components: int = 12
+    doubt: float = 0.3
     targets: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
         for name in ("trials", "tune", "references", "components"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name} = {getattr(self, name)}: give at least 1")
-        if self.wide < 0 or self.length < 0 or self.spread < 0:
-            raise BadInput(f"wide = {self.wide}, length = {self.length}, spread = {self.spread}: give 0 or more")
+        for name in ("wide", "length", "spread", "doubt"):
+            if getattr(self, name) < 0:
+                raise BadInput(f"{name} = {getattr(self, name)}: give 0 or more")
 
 
 def read_env(path: str | Path) -> dict[str, Any]:

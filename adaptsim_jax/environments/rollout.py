@@ -13,16 +13,20 @@ WINDOWS, EARLY, LATE = 4, 8, 4
 
 
 class Acting(NamedTuple):
-    """A policy at work: `start(policy) -> memory`, `act(key, policy, memory, live) -> (action [A], memory)`; pure."""
+    """A policy at work: `start(policy) -> memory`, `act(key, policy, memory, live) -> (action [A], memory)`; pure.
+    luck: `(obs [O]) -> []`, by how much a start is worth more than others, as a return."""
 
     start: Callable[[Any], Any]
     act: Callable[[jax.Array, Any, Any, Live], tuple[jax.Array, Any]]
+    luck: Callable[[jax.Array], jax.Array] = lambda obs: jnp.zeros(())
 
 
 class Rollout(NamedTuple):
-    """Of one visit, means over its episodes: return `score []`, `length []` in steps, `features [K]`."""
+    """Of one visit, means over its episodes: return `score []`, `luck []`, which of it the start brought, `length []` in steps,
+    `features [K]`."""
 
     score: jax.Array
+    luck: jax.Array
     length: jax.Array
     features: jax.Array
 
@@ -54,7 +58,7 @@ def episode(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax
     return steps, live
 
 
-def look(steps: Steps) -> Rollout:
+def look(steps: Steps, acting: Acting) -> Rollout:
     """What is kept of an episode: means, spreads and step changes of each observed channel and action in each of four quarters, and
     the observation at twelve moments, most of them early, where a policy has not yet forgotten where it began."""
     T = steps.obs.shape[0]
@@ -74,12 +78,12 @@ def look(steps: Steps) -> Rollout:
     snaps = steps.obs[moments] * steps.on[moments][:, None]
     score, length = steps.reward.sum(), steps.on.sum()
     flat = [x.reshape(-1) for x in (mean, spread, change, snaps, score / T, length / T)]
-    return Rollout(score, length, jnp.concatenate(flat))
+    return Rollout(score, acting.luck(steps.obs[0]), length, jnp.concatenate(flat))
 
 
 def visit(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array, trials: int) -> Rollout:
     """`trials` episodes from fresh starts, averaged."""
-    one = lambda k: look(episode(k, play, acting, policy, values)[0])
+    one = lambda k: look(episode(k, play, acting, policy, values)[0], acting)
     if trials == 1:
         return one(key)
     return jax.tree.map(lambda x: x.mean(0), jax.vmap(one)(jax.random.split(key, trials)))

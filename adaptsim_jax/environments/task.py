@@ -30,6 +30,7 @@ from adaptsim_jax.tasks.base import Preparation, Task
 
 PAIRS, CHUNK = 512, 10
 BLIND = 0.5  # of training, at its start: told E at once, a policy stops at worse ways to swing up than one that is told nothing
+FORM = 2  # of what is learned: what was learned in another is learned anew
 LEAST_SPREAD = 0.02  # of a target's best return: policies that differ by less are told apart by luck alone
 
 
@@ -47,10 +48,12 @@ class Tuned(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What is made once: what the trainer learned (None where nothing is), and how what is seen is shown to the adaptation."""
+    """What is made once: what the trainer learned (None where nothing is), how what is seen is shown to the adaptation, and what
+    starts are worth `[3]`: mean and standard deviation of the policy's value of them, and the return that a unit of it is worth."""
 
     learned: Any
     shown: Shown
+    starts: jax.Array
 
 
 class Setting(NamedTuple):
@@ -134,7 +137,7 @@ def task_of(setting: Setting) -> Task:
     def blank(key):
         k = visit_shape(setting)
         shown = Shown(jnp.zeros(k), jnp.zeros((setting.config.components, k)))
-        return Prepared(setting.trainer.init(key) if trained else None, shown)
+        return Prepared(setting.trainer.init(key) if trained else None, shown, jnp.zeros(3))
 
     zeros = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(blank, jax.random.key(0)))
     make = lambda key, report=silent: prepared_of(setting, key, report)
@@ -154,6 +157,7 @@ def _digest(setting: Setting) -> str:
         config.planner,
         config.components,
         BLIND,
+        FORM,
     )
     found = hashlib.sha256(repr((*told, config.env, config.options)).encode())
     if setting.sim.native is not None:
@@ -173,17 +177,23 @@ def visit_shape(setting: Setting) -> int:
     return 3 * min(4, setting.sim.length) * (obs + act) + 12 * obs + 2
 
 
-def acting_of(setting: Setting, learned: Any) -> Acting:
-    """How the task's policies act, given what the trainer learned."""
+def acting_of(setting: Setting, learned: Any, starts: Any = (0.0, 0.0, 0.0)) -> Acting:
+    """How the task's policies act, given what the trainer learned, and what `starts` are worth (`Prepared`)."""
     if setting.config.policy == "planned":
         return make_planner(setting.play, setting.space, setting.config.planner)
-    shared = None if setting.config.policy == "tuned" else setting.trainer.policy(learned)
+    critic = setting.trainer.policy(learned)
+    shared = None if setting.config.policy == "tuned" else critic
+    mean, spread, worth = jnp.asarray(starts)
+
+    def luck(obs):
+        value = setting.trainer.value(critic, obs, jnp.zeros(setting.space.dim))
+        return worth * jnp.clip(value - mean, -3.0 * spread, 3.0 * spread)
 
     def act(key, policy, memory, live):
         actor = policy.actor if shared is None else shared
         return setting.trainer.act(actor, live.obs, 2.0 * policy.mean - 1.0), memory
 
-    return Acting(lambda policy: (), act)
+    return Acting(lambda policy: (), act, luck)
 
 
 def policies_of(setting: Setting, learned: Any) -> Callable[[jax.Array], Any]:
@@ -244,20 +254,30 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
         learned = setting.trainer.init(init_key)
         rounds = setting.config.training.rounds
         learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND)
-    acting = acting_of(setting, learned)
+    acting = acting_of(setting, learned, (0.0, 1e9, 1.0))  # a start's luck is its value
     policy_of = policies_of(setting, learned)
 
     @jax.jit
     @jax.vmap
     def seen(key, mean, u):
-        return visit(key, setting.play, acting, policy_of(mean), setting.space.physical(u), 1).features
+        return visit(key, setting.play, acting, policy_of(mean), setting.space.physical(u), 1)
 
     count = PAIRS if setting.config.policy != "planned" else 64
     points = jnp.asarray(qmc.Sobol(2 * setting.space.dim, rng=0).random(count), jnp.float32)
-    features = np.asarray(seen(jax.random.split(look_key, count), *jnp.split(points, 2, 1)))
+    found = seen(jax.random.split(look_key, count), *jnp.split(points, 2, 1))
+    features = np.asarray(found.features)
     if not np.isfinite(features).any(1).all():
         raise BadInput("env: what policies show is not finite; mend the reward, or narrow the fields' ranges")
-    return Prepared(learned, whitened(features, setting.config.components))
+    return Prepared(learned, whitened(features, setting.config.components), starts_of(found))
+
+
+def starts_of(found: Rollout) -> jax.Array:
+    """`Prepared.starts` of visits `found [N]` whose luck is the value of their start, by least squares."""
+    score, value = (np.asarray(x, float) for x in (found.score, found.luck))
+    sound = np.isfinite(score) & np.isfinite(value)
+    score, value = score[sound], value[sound]
+    slope = np.cov(score, value)[0, 1] / (value.var() + 1e-12)
+    return jnp.asarray([value.mean(), value.std(), max(slope, 0.0)], jnp.float32)
 
 
 def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
@@ -290,7 +310,8 @@ def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
 def ready(setting: Setting, prepared: Prepared) -> Task:
     """The task with its policy trained."""
     config, space = setting.config, setting.space
-    acting, policy_of = acting_of(setting, prepared.learned), policies_of(setting, prepared.learned)
+    acting = acting_of(setting, prepared.learned, prepared.starts)
+    policy_of = policies_of(setting, prepared.learned)
 
     def init_policy(key):
         return policy_of(jnp.full(space.dim, 0.5))
@@ -307,13 +328,24 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
     def rollout(key, policy, params):
         return visit(key, setting.play, acting, policy, params, config.trials)
 
+    def own_key(params):
+        """Of a target's own starts, which Phase 1 judges every policy from: luck with a start is no merit."""
+        bits = jax.lax.bitcast_convert_type(jnp.sum(jnp.asarray(params, jnp.float32)), jnp.uint32)
+        return jax.random.fold_in(jax.random.key(0), bits)
+
+    def rehearse(key, policy, params):
+        """What `rollout` shows, with the return from the target's own starts."""
+        both = jax.vmap(lambda k: rollout(k, policy, params))(jnp.stack([key, own_key(params)]))
+        shown, judged = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))
+        return shown._replace(score=judged.score)
+
     means = jnp.asarray(qmc.Sobol(space.dim, rng=1).random(config.references), jnp.float32)
 
     def reference(params):
         """Best and mean return in the target of policies at means spread over Omega, and at the target's own place in it."""
         own = jnp.clip(space.unit(jnp.asarray(params, jnp.float32)), 0.0, 1.0)[None]
         every = jnp.concatenate([means, own])
-        score = jax.vmap(lambda m: rollout(jax.random.key(0), policy_of(m), params).score)(every)
+        score = jax.vmap(lambda m: rollout(own_key(params), policy_of(m), params).score)(every)
         return jnp.stack([score.max(), score[:-1].mean()])
 
     def reward(trajectory, bounds):
@@ -329,13 +361,15 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         init_policy=init_policy,
         train=train,
         rollout=rollout,
+        rehearse=rehearse,
+        doubt=config.doubt,
         observe=lambda trajectory: prepared.shown(trajectory.features),
-        score=lambda trajectory: trajectory.score,
+        score=lambda trajectory: trajectory.score - trajectory.luck,
         reference=reference,
         reward=reward,
         world=lambda name: in_target(setting, prepared, name),
         act=None if config.policy == "planned" else lambda policy, obs: _acts(setting, prepared, policy, obs),
-        read=lambda obs, action, reward: measured(setting, obs, action, reward),
+        read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
     )
 
 
@@ -344,7 +378,7 @@ def _acts(setting: Setting, prepared: Prepared, policy: Any, obs: jax.Array) -> 
     return setting.trainer.act(actor, obs, 2.0 * policy.mean - 1.0)
 
 
-def measured(setting: Setting, obs: Any, action: Any, reward: Any) -> Rollout:
+def measured(setting: Setting, obs: Any, action: Any, reward: Any, acting: Acting) -> Rollout:
     """An episode that was measured, `obs [t, O]`, `action [t, A]`, `reward [t]`, as one that was simulated: where it ended
     early, it is over from there. BadInput names a shape that does not fit."""
     T, A = setting.sim.length, setting.sim.action_dim
@@ -356,7 +390,7 @@ def measured(setting: Setting, obs: Any, action: Any, reward: Any) -> Rollout:
             raise BadInput(f"{name}: the shape is {x.shape}; {shape} of finite numbers is wanted, of 1 to {T} steps")
     full = [np.concatenate([x, np.zeros((T - t, *x.shape[1:]), np.float32)]) for x in rows]
     on = jnp.asarray(np.arange(T) < t, jnp.float32)
-    return look(Steps(jnp.asarray(full[0]), jnp.asarray(full[1]), jnp.asarray(full[2]), on))
+    return look(Steps(jnp.asarray(full[0]), jnp.asarray(full[1]), jnp.asarray(full[2]), on), acting)
 
 
 def _of_omega(space: Space, target: Target) -> dict[str, float]:
@@ -401,7 +435,8 @@ def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
     """The task with its rollouts in the target called `name`, whatever the parameters say; rewards are scaled in it."""
     target = setting.targets[name]
     task, (play, values) = ready(setting, prepared), play_in(setting, target)
-    acting, policy_of = acting_of(setting, prepared.learned), policies_of(setting, prepared.learned)
+    acting = acting_of(setting, prepared.learned, prepared.starts)
+    policy_of = policies_of(setting, prepared.learned)
 
     def rollout(key, policy, params):
         return visit(key, play, acting, policy, values, setting.config.trials)

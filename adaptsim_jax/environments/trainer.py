@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.interface import Live, Play
-from adaptsim_jax.learners.ppo import Actor, Batch, PPOConfig, PPOHyper, PPOState, carried, make_ppo
+from adaptsim_jax.learners.ppo import Batch, PPOConfig, PPOHyper, PPOState, carried, make_ppo
 from adaptsim_jax.space import Space
 
 
@@ -35,6 +35,7 @@ class Trainer(NamedTuple):
     * `train(key, state, worlds, rounds) -> (state, info)`: `rounds`, static, of training on
     * `learned(state) -> learned`; `policy(learned) -> policy`, any pytree
     * `act(policy, obs [O], told [D]) -> action [A]` in [-1, 1]; told: E's mean, -1 to 1 over Omega
+    * `value(policy, obs [O], told [D]) -> []`, more where more is expected from there on, in a unit of its own
     """
 
     init: Callable[[jax.Array], Any]
@@ -43,6 +44,7 @@ class Trainer(NamedTuple):
     learned: Callable[[Any], Any]
     policy: Callable[[Any], Any]
     act: Callable[[Any, jax.Array, jax.Array], jax.Array]
+    value: Callable[[Any, jax.Array, jax.Array], jax.Array]
 
 
 @dataclass(frozen=True)
@@ -192,10 +194,7 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
 
         return jax.lax.scan(on, state, None, rounds)
 
-    def act(policy: Actor, obs, told):
-        return ppo.deployed(policy, obs, told)
-
-    return Trainer(ppo.init, begin, train, lambda state: state.ppo, ppo.actor, act)
+    return Trainer(ppo.init, begin, train, lambda state: state.ppo, ppo.actor, ppo.deployed, ppo.value)
 
 
 def _blank(key: jax.Array, like: jax.ShapeDtypeStruct) -> jax.Array:

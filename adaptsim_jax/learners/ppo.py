@@ -2,7 +2,8 @@
 
 A Gaussian about the policy's output, clipped into `[-1, 1]^d`; a value network of its own. Observations are standardised by what was
 seen so far, rewards by the spread of discounted returns. What a policy may know beside the observation (`extra`) goes to both
-networks as it is. Sizes are static (`PPOConfig`), rates traced (`PPOHyper`).
+networks as it is, with weights that begin at 0: a policy that is told something later goes on from what it did. Sizes are static
+(`PPOConfig`), rates traced (`PPOHyper`).
 """
 
 from collections.abc import Callable
@@ -117,9 +118,14 @@ class Network(nn.Module):
     def __call__(self, x: jax.Array):
         cfg = self.config
 
+        orthogonal = nn.initializers.orthogonal(np.sqrt(2))
+
+        def first(*args):
+            return orthogonal(*args).at[cfg.obs_dim :].set(0.0)
+
         def mlp(y, outputs, scale):
-            for width in cfg.hidden:
-                y = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=nn.initializers.orthogonal(np.sqrt(2)))(y))
+            for i, width in enumerate(cfg.hidden):
+                y = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=orthogonal if i else first)(y))
             return nn.Dense(outputs, kernel_init=nn.initializers.orthogonal(scale))(y)
 
         log_std = self.param("log_std", nn.initializers.constant(-0.5), (cfg.action_dim,))
@@ -133,6 +139,7 @@ class PPO(NamedTuple):
     init: Callable[[jax.Array], PPOState]
     actor: Callable[[PPOState], Actor]
     deployed: Callable[[Actor, jax.Array, jax.Array], jax.Array]
+    value: Callable[[Actor, jax.Array, jax.Array], jax.Array]
     act: Callable[..., tuple[jax.Array, jax.Array]]
     update: Callable[..., tuple[PPOState, PPOInfo]]
 
@@ -142,6 +149,7 @@ def make_ppo(config: PPOConfig) -> PPO:
 
     * `init(key) -> PPOState`; `actor(state) -> Actor`
     * `deployed(actor, obs [..., O], extra [..., X]) -> [..., d]` in [-1, 1], without noise
+    * `value(actor, obs [..., O], extra [..., X]) -> [...]`: what is expected from there on, discounted and in scaled rewards
     * `act(key, actor, obs, extra) -> (action [..., d], log_prob [...])`, with the exploration's noise, not clipped
     * `update(key, state, batch, hyper) -> (state, info)`: one round of epochs over a `Batch`
     """
@@ -164,6 +172,9 @@ def make_ppo(config: PPOConfig) -> PPO:
     def deployed(actor: Actor, obs, extra):
         return jnp.clip(apply(actor.weights, actor.mean, actor.std, obs, extra)[0], -1.0, 1.0)
 
+    def value(actor: Actor, obs, extra):
+        return apply(actor.weights, actor.mean, actor.std, obs, extra)[2]
+
     def act(key, actor, obs, extra):
         mean, log_std, _ = apply(actor.weights, actor.mean, actor.std, obs, extra)
         action = mean + jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1) * jax.random.normal(key, mean.shape)
@@ -172,9 +183,8 @@ def make_ppo(config: PPOConfig) -> PPO:
     def update(key, state, batch, hyper):
         rewards, gain = _scaled(state.gain, batch, hyper.discount)
         told = actor(state._replace(obs=state.obs))
-        value = lambda obs: apply(told.weights, told.mean, told.std, obs, batch.extra)[2]
-        values = value(batch.obs)
-        advantage = gae(rewards, values, value(batch.after), batch, hyper)
+        values = value(told, batch.obs, batch.extra)
+        advantage = gae(rewards, values, value(told, batch.after, batch.extra), batch, hyper)
         rows = jax.tree.map(
             lambda x: x.reshape(-1, *x.shape[2:]),
             (batch.obs, batch.extra, batch.action, batch.log_prob, advantage, advantage + values),
@@ -184,7 +194,7 @@ def make_ppo(config: PPOConfig) -> PPO:
         info = jax.tree.map(jnp.mean, infos)
         return PPOState(weights, opt, _more(state.obs, batch.obs), gain), info
 
-    return PPO(config, init, actor, deployed, act, update)
+    return PPO(config, init, actor, deployed, value, act, update)
 
 
 def gae(reward: jax.Array, value: jax.Array, after: jax.Array, batch: Batch, hyper: PPOHyper) -> jax.Array:

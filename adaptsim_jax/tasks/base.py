@@ -67,6 +67,8 @@ class Task:
     rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
     # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`; None where there is none
     pretrain: Callable[[Array], Policy] | None = None
+    # variance of a visit's return by luck, over that by E's mean: above 0 what is deployed is chosen by smoothed returns
+    doubt: float = 0.0
     # what is learned before all else, and is the same for all that Phase 1 and 2 do; None where nothing is
     preparation: Preparation | None = None
     # (a setting's name) -> the task with rollouts in that target, which has more than parameters of Omega; None: `params` say it all

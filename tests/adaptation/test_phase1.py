@@ -10,7 +10,7 @@ import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config, Phase1Hyper, make_phase1, shape_reward
 from adaptsim_jax.adaptation.phase1_config import POSITIVE, SHARES
-from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts
+from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts, smoothed
 from adaptsim_jax.adaptation.presets import paper_pendulum
 from adaptsim_jax.adaptation.training import TrainConfig, archive_size, traced
 from adaptsim_jax.core.errors import BadInput
@@ -148,6 +148,17 @@ def test_best_of_skips_what_diverged():
 def test_the_first_visit_stands_for_none_that_is_finite():
     assert tuple(map(int, best_visit(jnp.array([[0.1, 0.4, jnp.nan], [jnp.inf, 0.3, 0.2]])))) == (0, 1)
     assert tuple(map(int, best_visit(np.full((2, 3), np.nan)))) == (0, 0)
+
+
+def test_one_lucky_return_among_poor_ones_is_not_deployed():
+    mean = jnp.array([[0.1], [0.15], [0.2], [0.9], [0.95], [1.0]])
+    score = jnp.array([1.0, 8.0, 2.0, 6.0, 7.0, 6.0])
+    assert jnp.argmax(smoothed(mean, score, 0.0)) == 1 and jnp.argmax(smoothed(mean, score, 1.0)) > 2
+    other = 10.0 * smoothed(mean, score, 1.0) - 3.0
+    np.testing.assert_allclose(smoothed(mean, 10.0 * score - 3.0, 1.0), other, rtol=1e-4)
+    failed = smoothed(jnp.concatenate([mean, mean[:1]]), jnp.append(score, -jnp.inf), 1.0)
+    np.testing.assert_allclose(failed[:6], smoothed(mean, score, 1.0), rtol=1e-5)  # of what did not fail alone
+    assert failed[6] == -jnp.inf
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,21 @@
 """Every row of a comparison over many steps, tried on a mass on a rail whose policy takes seconds to train."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.phase1_config import Phase1Config
-from adaptsim_jax.baselines import compare_steps
+from adaptsim_jax.baselines import compare_steps, steps_methods
 from adaptsim_jax.baselines.compare_steps import tried
 from adaptsim_jax.baselines.config import default_comparison
+from adaptsim_jax.baselines.learned import Bout
 from adaptsim_jax.baselines.registry import STEPS
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments import task as environment_tasks
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.task import setting_of, task_of
 from adaptsim_jax.environments.trainer import PPOTraining
@@ -29,8 +33,6 @@ def made():
     training = PPOTraining(steps=32 * 25 * 24, parallel=32, unroll=25, hidden=(8,))
     targets = {"heavy": {"params.mass": 2.5}, "weak": {"params.push": 2.0, "delay": 0.04}}
     setting = setting_of(Cart(), EnvironmentConfig(training=training, targets=targets, references=2, components=4))
-    import jax
-
     task = task_of(setting)
     return setting, task.preparation.make(jax.random.key(0))
 
@@ -57,6 +59,27 @@ def test_a_method_deploys_something_in_every_target(method, made):
         "fine_tune": [0, 2],
     }  # fmt: skip
     assert list(trials) == counted.get(method, [0])
+
+
+def test_a_policy_told_nothing_is_trained_with_the_luck_of_the_one_that_knows_e(monkeypatch):
+    class Enough(Exception): ...
+
+    def begun(trainer, key, learned, *rest, **options):
+        seen.append((jax.random.key_data(key), learned.weights))
+        raise Enough
+
+    setting, seen = setting_of(Cart(), EnvironmentConfig()), []
+    bout = Bout(None, SimpleNamespace(setting=setting, targets=[None]), np.array([3]))  # type: ignore[arg-type]
+    for where, train in (
+        (environment_tasks, lambda: task_of(setting).preparation.make(jax.random.key(3))),  # type: ignore[union-attr]
+        (steps_methods, lambda: steps_methods.udr(bout)),
+    ):
+        monkeypatch.setattr(where, "trained_in", begun)
+        with pytest.raises(Enough):
+            train()
+    (key, weights), (other_key, other_weights) = seen
+    np.testing.assert_array_equal(key, other_key)
+    np.testing.assert_array_equal(weights, other_weights)
 
 
 def test_rows_that_cannot_be_run_are_told_before_anything_is_trained(monkeypatch, capsys):

@@ -16,8 +16,17 @@ from adaptsim_jax.adaptation.session import Session
 from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.rollout import Steps, look
-from adaptsim_jax.environments.task import Law, environment_task, everywhere, setting_of, task_of, trained_in
+from adaptsim_jax.environments.rollout import Acting, Rollout, Steps, look
+from adaptsim_jax.environments.task import (
+    Law,
+    environment_task,
+    everywhere,
+    ready,
+    setting_of,
+    starts_of,
+    task_of,
+    trained_in,
+)
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper
 from tests.environments.cart import Cart, State
@@ -60,7 +69,7 @@ def test_worlds_are_not_told_while_training_is_blind():
         kinds.add(tuple(map(jax.typeof, worlds)))
         return state, TrainerInfo(*[jnp.zeros(rounds)] * 4)
 
-    trainer = Trainer(None, lambda key, learned: learned, train, lambda state: state, None, None)  # type: ignore[arg-type]
+    trainer = Trainer(None, lambda key, learned: learned, train, lambda state: state, None, None, None)  # type: ignore[arg-type]
     worlds = everywhere(setting_of(Cart(), SMALL))
     trained_in(trainer, jax.random.key(0), (), worlds, 40, blind=0.5)
     assert told == [0.0] * 20 + [1.0] * 20
@@ -124,7 +133,7 @@ def test_a_measured_episode_is_read_as_a_simulated_one(made):
     *_, task, _ = made
     rng = np.random.default_rng(0)
     obs, action, reward = rng.normal(size=(25, 2)), rng.uniform(-1, 1, (25, 1)), rng.uniform(size=25)
-    whole = look(Steps(*(jnp.asarray(x, jnp.float32) for x in (obs, action, reward)), jnp.ones(25)))
+    whole = look(Steps(*(jnp.asarray(x, jnp.float32) for x in (obs, action, reward)), jnp.ones(25)), Acting(None, None))  # type: ignore[arg-type]
     read = task.read(obs, action, reward)
     np.testing.assert_allclose(read.features, whole.features, rtol=1e-6)
     short = task.read(obs[:10], action[:10], reward[:10])
@@ -132,6 +141,33 @@ def test_a_measured_episode_is_read_as_a_simulated_one(made):
     with pytest.raises(BadInput, match="action: the shape is"):
         task.read(obs, action[:5], reward)
     assert task.act(Law(jnp.full(2, 0.5)), jnp.array([0.5, 0.0])).shape == (1,)
+
+
+def test_what_a_start_brought_is_taken_off_the_return(made):
+    *_, task, _ = made
+    rng = np.random.default_rng(0)
+    value, merit = rng.normal(3.0, 2.0, 400), rng.normal(0.0, 1.0, 400)
+    zero = np.zeros(400)
+    mean, spread, worth = starts_of(Rollout(5.0 * value + merit, value, zero, zero))  # type: ignore[arg-type]
+    assert (mean, spread, worth) == pytest.approx((value.mean(), value.std(), 5.0), rel=0.02)
+    assert starts_of(Rollout(-5.0 * value, value, zero, zero))[2] == 0.0  # type: ignore[arg-type]
+    shown = Rollout(jnp.asarray(7.0), jnp.asarray(2.0), jnp.zeros(()), jnp.zeros(3))
+    assert task.score(shown) == 5.0
+
+
+def test_phase_1_judges_policies_in_a_target_from_the_same_starts(made):
+    class Anywhere(Cart):
+        def reset_env(self, key, params):
+            state = State(jax.random.uniform(key), jnp.zeros(()))
+            return self.seen(state), state
+
+    task = ready(setting_of(Anywhere(), SMALL), made[1])
+    one, other = (task.space.physical(jnp.array(u)) for u in ([0.5, 0.5], [0.2, 0.5]))
+    run = jax.jit(lambda key, target: task.rehearse(key, Law(jnp.full(2, 0.5)), target))
+    first, again = (run(jax.random.key(k), one) for k in (0, 1))
+    assert first.score == again.score and first.score != run(jax.random.key(0), other).score
+    assert jnp.abs(first.features - again.features).max() > 0.0
+    assert task.reference(one)[0] >= first.score - 1e-4
 
 
 def test_an_environment_without_a_step_or_a_model_is_refused():

@@ -85,6 +85,19 @@ def test_it_finds_the_best_action_for_what_it_is_told():
     assert rewards[0] < 0.5 and jnp.abs(best - told).max() < 0.1
 
 
+def test_what_is_told_changes_nothing_until_it_was_learned_from():
+    ppo = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=1, minibatches=2))
+    state = ppo.init(jax.random.key(0))
+    obs, some, other = jnp.ones((4, 3)), jnp.ones((4, 2)), -jnp.ones((4, 2))
+    batch = batch_of(np.random.default_rng(0))
+    untold = ppo.update(jax.random.key(1), state, batch._replace(extra=0.0 * batch.extra), PPOHyper())[0]
+    told = ppo.update(jax.random.key(1), state, batch, PPOHyper())[0]
+    for ask in (ppo.deployed, ppo.value):
+        for after in (state, untold):
+            np.testing.assert_array_equal(ask(ppo.actor(after), obs, some), ask(ppo.actor(after), obs, other))
+        assert jnp.abs(ask(ppo.actor(told), obs, some) - ask(ppo.actor(told), obs, other)).max() > 0.0
+
+
 def test_it_maps_over_seeds_and_sizes_are_checked():
     ppo = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=1, minibatches=2))
     states = jax.vmap(ppo.init)(jax.random.split(jax.random.key(0), 2))
