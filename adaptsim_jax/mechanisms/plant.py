@@ -11,7 +11,7 @@ Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,14 +21,6 @@ from scipy.optimize import lsq_linear
 from adaptsim_jax.core.once import once
 
 Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
-
-
-class Physical(NamedTuple):
-    """A declared physical parameter; `value` is None where the data cannot fix it."""
-
-    value: float | None
-    unit: str
-    identifiable: bool
 
 
 @dataclass(frozen=True)
@@ -50,7 +42,6 @@ class Plant:
     push: Callable
     gravity: Callable
     momentum_push: Callable
-    declared: Callable
     constants: Mapping[str, np.ndarray]
     low: np.ndarray  # [P]
     high: np.ndarray  # [P]; low == high marks a known parameter
@@ -59,12 +50,6 @@ class Plant:
     @property
     def joints(self) -> tuple[str, ...]:
         return tuple(f"joint{i + 1}" for i in range(self.joint_dim))
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the measured channels: positions, then velocities."""
-        n = self.joint_dim
-        return tuple(f"q{i + 1}" for i in range(n)) + tuple(f"v{i + 1}" for i in range(n))
 
     def deriv(self, theta: jax.Array, x: jax.Array, u: jax.Array, force: jax.Array, inertia: jax.Array) -> jax.Array:
         """Time derivative of `x: [S, ...]` (positions, then velocities) under command `u: [U, ...]` N m, generalized
@@ -75,10 +60,6 @@ class Plant:
         """`deriv` a state at a time: all that is stacked there is a sequence here."""
         n = self.joint_dim
         return [*x[n:], *_accelerations(self, theta, list(x), [u[i] + force[i] for i in range(n)], list(inertia))]
-
-    def output(self, x: jax.Array) -> jax.Array:
-        """What the sensors would see of `x: [S, ...]`: positions, then velocities."""
-        return x
 
     def gravity_force(self, theta: jax.Array, q: jax.Array) -> jax.Array:
         """Generalized force of gravity `[n, ...]` at `q: [n, ...]`; a tilt of the base adds to the first angle."""
@@ -113,10 +94,6 @@ class Plant:
         low[0] = high[0] = 1.0
         return replace(self, low=low, high=high)
 
-    def physical(self, theta: np.ndarray, known: Mapping[str, float] | None = None) -> dict[str, Physical]:
-        """Declared physical parameters behind `theta: [P]`, each with whether the data (and `known`) fix it."""
-        return self.declared(self.constants, np.asarray(theta), dict(known or {}))
-
 
 jax.tree_util.register_dataclass(
     Plant,
@@ -131,7 +108,6 @@ jax.tree_util.register_dataclass(
         "push",
         "gravity",
         "momentum_push",
-        "declared",
         "sound",
     ],
 )

@@ -17,8 +17,8 @@ from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.mechanisms import dynamics
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
-from adaptsim_jax.mechanisms.double_pendulum.rigid import Geometry, base_gravity
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
+from adaptsim_jax.mechanisms.registry import make_plant
 from tests.logs.measured_files import real_rig
 
 THETA = np.array([0.12, 0.03, 0.4, 0.12, 0.01, 0.02])
@@ -34,12 +34,12 @@ def test_written_as_mjcf_it_has_the_same_base_parameters_and_gravity(tmp_path, z
     np.testing.assert_allclose(tree.damping, THETA[4:])
     q = np.array([0.4, -1.1])
     with jax.enable_x64(True):
-        geometry = Geometry(L1, angle_zero=zero)
+        plant = make_plant("rigid_body", zero, {"l1": L1})
         # a tilt of the base, as the pendulum's catalogue has it, is one about the world's y axis
         for angle in (0.0, 0.2):
             turned = tilted(np.asarray(tree.gravity), 0.0, angle)
             told = dynamics.gravity_force(tree, jnp.asarray(tree.inertial), jnp.asarray(q), jnp.asarray(turned))
-            right = base_gravity(jnp.asarray(THETA), geometry, jnp.asarray(q + np.array([angle, 0.0])))
+            right = plant.gravity_force(jnp.asarray(THETA), jnp.asarray(q + np.array([angle, 0.0])))
             np.testing.assert_allclose(np.abs(told), np.abs(right), rtol=1e-6)
 
 

@@ -32,7 +32,7 @@ CHANNELS = Channels(WORDS.q, WORDS.tau, WORDS.hinges)
 
 
 def design(l1: float, gravity: float, down: float) -> Design:
-    """Base parameters of `mechanisms.double_pendulum.rigid`; `down`: 1 where zero angle hangs, -1 where it stands upright."""
+    """Base parameters of `mechanisms.double_pendulum.plant`; `down`: 1 where zero angle hangs, -1 where it stands upright."""
 
     def columns(m: Motion, with_gravity: bool) -> np.ndarray:
         (q1, q2), (v1, v2), (a1, a2) = m.q.T, m.v.T, m.a.T

@@ -29,7 +29,7 @@ def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle_zero: str) -> str:
-    """MJCF text of base parameters `theta [6] = p1, p3, h1, h2, b1, b2` (`rigid.py`), geometry `l1` m and `g` m/s^2.
+    """MJCF text of base parameters `theta [6] = p1, p3, h1, h2, b1, b2` (`plant.py`), geometry `l1` m and `g` m/s^2.
 
     Joints `joint1` and `joint2` (relative) turn about the world's y axis; at zero the links hang or stand as `angle_zero` says. Links
     are thin: a body that is as thick as long has no less of a moment than its thickness gives it, however it is fitted.

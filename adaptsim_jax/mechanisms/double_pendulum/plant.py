@@ -1,4 +1,14 @@
-"""The declared double pendulum as the closed loop knows it: the paper's linear one, and the rigid body in base parameters."""
+"""The declared double pendulum as the closed loop knows it: the paper's linear one, and two rigid links in base parameters.
+
+q1 is the angle of link 1 from `angle_zero` (hanging or upright), q2 that of link 2 relative to link 1, both in rad and
+counter-clockwise. All dynamics of rigid links go through six *base parameters* p1, p3, h1, h2 and the joints' dampings b1, b2, the
+most that motion and torque can fix (Gautier & Khalil, "Direct calculation of minimum set of inertial parameters", IEEE T-RA 6(3),
+1990):
+
+    M11 = p1 + 2 l1 h2 cos q2    M12 = p3 + l1 h2 cos q2    M22 = p3
+    p1 = I1 + m1 c1^2 + I2 + m2 (l1^2 + c2^2)    p3 = I2 + m2 c2^2    (kg m^2)
+    h1 = m1 c1 + m2 l1                           h2 = m2 c2           (kg m)
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +18,16 @@ import numpy as np
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.trig import sin_cos
-from adaptsim_jax.mechanisms.plant import Physical, Plant
+from adaptsim_jax.mechanisms.plant import Plant
+
+
+def base_parameters(mass, l1, com, inertia, damping):
+    """`theta [6, ...] = p1, p3, h1, h2, b1, b2` of both links' masses kg, centres along the links m, moments about these kg m^2 and
+    dampings N m s/rad, and the length l1 m; many of these share one theta."""
+    (m1, m2), (c1, c2), (I1, I2) = mass, com, inertia
+    p3 = I2 + m2 * c2**2
+    p1 = I1 + m1 * c1**2 + p3 + m2 * l1**2
+    return jnp.stack([jnp.asarray(x) for x in (p1, p3, m1 * c1 + m2 * l1, m2 * c2, *damping)])
 
 
 def _rigid_mass(c, theta, q):
@@ -60,21 +79,6 @@ def _rigid_momentum_push(c, theta, q, v):
     return jnp.stack([g1 - theta[4] * v[0], g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]])
 
 
-def _rigid_declared(c, theta, known):
-    """Masses, centres and inertias stand behind p1, p3, h1, h2; only with some of them known can the rest be told."""
-    p1, p3, h1, h2, b1, b2 = (float(t) for t in theta)
-    l1 = float(c["l1"])
-    m1, m2 = known.get("m1"), known.get("m2")
-    first = None if m2 is None else h1 - m2 * l1  # m1 lc1
-    lc2 = None if m2 is None else h2 / m2
-    lc1 = None if m1 is None or first is None else first / m1
-    inertia2 = None if m2 is None or lc2 is None else p3 - m2 * lc2**2
-    inertia1 = None if m1 is None or m2 is None or lc1 is None else p1 - p3 - m2 * l1**2 - m1 * lc1**2
-    values = {"m1": (m1, "kg"), "m2": (m2, "kg"), "lc1": (lc1, "m"), "lc2": (lc2, "m")}
-    values |= {"I1": (inertia1, "kg m^2"), "I2": (inertia2, "kg m^2"), "b1": (b1, "N m s/rad"), "b2": (b2, "N m s/rad")}
-    return {k: Physical(v, unit, v is not None) for k, (v, unit) in values.items()}
-
-
 def _linear_mass(c, theta, q):
     m1, m2 = theta[0], theta[1]
     return (m1 + 4.0 * m2, 2.0 * m2), (2.0 * m2, m2)
@@ -96,12 +100,6 @@ def _linear_push(c, theta, q, v):
     return jnp.stack([g1 - theta[2] * v[0], g2 - theta[3] * v[1]])
 
 
-def _linear_declared(c, theta, known):
-    units = ("kg", "kg", "N m s/rad", "N m s/rad")
-    names = ("m1", "m2", "b1", "b2")
-    return {k: Physical(float(t), unit, True) for k, t, unit in zip(names, theta, units, strict=True)}
-
-
 def linearized_pendulum(angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]) -> Plant:
     """Links of unit length about upright; theta = m1, m2 [kg], b1, b2 [N m s/rad]. geometry: g [m/s^2]. A `known` name of theta is
     held at its value."""
@@ -110,8 +108,8 @@ def linearized_pendulum(angle_zero: str, geometry: Mapping[str, float], known: M
     hold(names, known, low, high)
     constants = {"g": np.asarray(float(geometry.get("g", GRAVITY)))}
     return Plant(
-        "pendulum/linearized", 2, 2, names, units, _linear_mass, _linear_push, _linear_gravity, _linear_push, _linear_declared,
-        constants, low, high, None,  # positive masses are enough
+        "pendulum/linearized", 2, 2, names, units, _linear_mass, _linear_push, _linear_gravity, _linear_push, constants,
+        low, high, None,  # positive masses are enough
     )  # fmt: skip
 
 
@@ -133,7 +131,7 @@ def rigid_pendulum(angle_zero: str, geometry: Mapping[str, float], known: Mappin
     constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
     return Plant(
         "pendulum/rigid_body", 2, 2, names, units, _rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push,
-        _rigid_declared, {k: np.asarray(float(v)) for k, v in constants.items()}, low, high, _rigid_sound,
+        {k: np.asarray(float(v)) for k, v in constants.items()}, low, high, _rigid_sound,
     )  # fmt: skip
 
 
