@@ -59,7 +59,7 @@ def of_tree(made: Mechanism, q: np.ndarray, v: np.ndarray, ctrl: dict[str, float
     drive = np.array([within(x, row) for x, row in zip(drive, made.force_limits, strict=True)])
     held_up = dynamics.compensation(tree, q)
     mass = np.asarray(dynamics.mass_matrix(tree, tree.inertial, q)) + np.diag(tree.armature)
-    bias = np.asarray(dynamics.bias_force(tree, tree.inertial, q, v, tree.gravity))
+    bias = np.asarray(dynamics.inverse_dynamics(tree, tree.inertial, q, v, None, tree.gravity))
     passive = np.asarray(dynamics.passive_force(tree, q, v)) + (0.0 if held_up is None else np.asarray(held_up))
     return [mass, bias, passive + drive]
 

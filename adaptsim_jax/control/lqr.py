@@ -1,9 +1,8 @@
-"""Infinite-horizon linear quadratic regulators on top of the Riccati solvers, of continuous and of sampled systems (of the latter
-for users; the tasks here have the former)."""
+"""Infinite-horizon linear quadratic regulators on top of the Riccati solver."""
 
 from typing import Any, NamedTuple
 
-from adaptsim_jax.control.riccati import solve_care, solve_dare
+from adaptsim_jax.control.riccati import solve_care
 from adaptsim_jax.control.small_matrix import mm, solve, transpose
 
 Array = Any
@@ -20,10 +19,3 @@ def lqr_gain(A: Array, B: Array, Q: Array, R: Array) -> LqrGain:
     """Gain that minimises the integral of `x'Qx + u'Ru` under `dx/dt = A x + B u`. As in `solve_care`."""
     P, _, code = solve_care(A, B, Q, R)
     return LqrGain(solve(R, mm(transpose(B), P)), code)
-
-
-def lqr_gain_discrete(A: Array, B: Array, Q: Array, R: Array) -> LqrGain:
-    """Gain that minimises the sum of `x'Qx + u'Ru` under `x+ = A x + B u`. Shapes as in `solve_dare`."""
-    P, _, code = solve_dare(A, B, Q, R)
-    PB = mm(P, B)
-    return LqrGain(solve(R + mm(transpose(B), PB), mm(transpose(PB), A)), code)

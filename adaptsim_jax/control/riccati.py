@@ -6,7 +6,7 @@ works on a whole batch at once (see `small_matrix`) and differentiates by the im
 forward and reverse mode and more than once.
 """
 
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -40,20 +40,17 @@ def riccati_message(code: int) -> str:
     return _MESSAGES[int(code)]
 
 
-def solve_care(A: Array, B: Array, Q: Array, R: Array, *, refine: int = 0) -> RiccatiSolution:
+def solve_care(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
     """Stabilising `P` of `A'P + PA - P B R^-1 B' P + Q = 0`.
 
-    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts. `refine`
-    Newton steps may follow the doubling: they lower the residual, which helps where the doubling's own rounding
-    dominates (single precision, light links) and costs digits where (A, B) is nearly uncontrollable, so none is
-    the default. Values never raise: read `code`.
+    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts. Values never raise: read `code`.
     """
-    return _solution(_care, A, B, Q, R, refine)
+    return _solution(_care, A, B, Q, R)
 
 
-def solve_dare(A: Array, B: Array, Q: Array, R: Array, *, refine: int = 0) -> RiccatiSolution:
-    """Stabilising `P` of `P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q`. Shapes and options as in `solve_care`."""
-    return _solution(_dare, A, B, Q, R, refine)
+def solve_dare(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
+    """Stabilising `P` of `P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q`. Shapes as in `solve_care`."""
+    return _solution(_dare, A, B, Q, R)
 
 
 def care_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
@@ -69,9 +66,9 @@ def dare_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
     return mm(transpose(A), PA) - mm(APB, solve(R + mm(transpose(B), PB), transpose(APB))) + Q - P
 
 
-def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array, refine: int) -> RiccatiSolution:
+def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
     A, B, Q, R = (jnp.asarray(x, jnp.result_type(A, B, Q, R, float)) for x in (A, B, Q, R))
-    P, residual, code = solver(refine, A, B, symmetric(Q), symmetric(R))
+    P, residual, code = solver(A, B, symmetric(Q), symmetric(R))
     return RiccatiSolution(P, residual, code.astype(jnp.int32))
 
 
@@ -116,19 +113,6 @@ def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
     return H, settled
 
 
-def _stein(A: Array, S: Array) -> Array:
-    """`X = A' X A + S` by squared Smith doubling; `A` must be stable. `[n, n, batch]`."""
-
-    def step(carry: Any) -> Any:
-        A, X, k, _ = carry
-        more = mm(transpose(A), mm(X, A))
-        going = jnp.any(norm(more) > 1e-3 * jnp.finfo(A.dtype).eps ** 0.5 * norm(X))
-        return mm(A, A), X + more, k + 1, going
-
-    carry = (A, S, 0, jnp.asarray(True))
-    return lax.while_loop(lambda c: (c[2] < _most_doublings(A.dtype)) & c[3], step, carry)[1]
-
-
 def _cayley(A: Array, G: Array, Q: Array) -> tuple[Array, Array, Array]:
     """Discrete-time A, G, H whose doubling has the CARE's solution as limit.
 
@@ -155,41 +139,20 @@ def _shift(A: Array, G: Array, Q: Array) -> Array:
     return jnp.sqrt(norm(A2) / A.shape[0] ** 0.5)[None, None]
 
 
-def _care_batch(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+def _care_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
     G = symmetric(mm(B, solve(R, transpose(B))))
     # P -> P / scale brings the quadratic and the constant term to the same size.
     scale = jnp.sqrt(norm(Q) / norm(G))[None, None]
     scale = jnp.where(jnp.isfinite(scale) & (scale > 0), scale, 1.0)
     P, settled = _doubling(*_cayley(A, G * scale, Q / scale))
     P = P * scale
-    for _ in range(refine):
-        P = _care_newton(A, G, Q, P)
-    terms = norm(Q) + 2 * norm(mm(P, A)) + norm(mm(P, mm(G, P)))
-    return _judged(P, norm(_care_defect(A, G, Q, P)) / terms, settled)
+    PA, PGP = mm(P, A), mm(P, mm(G, P))
+    terms = norm(Q) + 2 * norm(PA) + norm(PGP)
+    return _judged(P, norm(PA + transpose(PA) - PGP + Q) / terms, settled)
 
 
-def _care_defect(A: Array, G: Array, Q: Array, P: Array) -> Array:
-    PA = mm(P, A)
-    return PA + transpose(PA) - mm(P, mm(G, P)) + Q
-
-
-def _care_newton(A: Array, G: Array, Q: Array, P: Array) -> Array:
-    """One Newton-Kleinman step: the Lyapunov equation of the closed loop, by its Cayley transform."""
-    closed = A - mm(G, P)
-    gamma = (norm(closed) / A.shape[0] ** 0.5)[None, None]
-    T = inverse(closed - gamma * eye_like(A))
-    S = 2 * gamma * mm(transpose(T), mm(_care_defect(A, G, Q, P), T))
-    better = symmetric(P + _stein(eye_like(A) + 2 * gamma * T, S))
-    return jnp.where(jnp.isfinite(norm(better))[None, None], better, P)
-
-
-def _dare_batch(refine: int, A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+def _dare_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
     P, settled = _doubling(A, symmetric(mm(B, solve(R, transpose(B)))), Q)
-    for _ in range(refine):
-        PB = mm(P, B)
-        gain = solve(R + mm(transpose(B), PB), mm(transpose(PB), A))
-        better = symmetric(P + _stein(A - mm(B, gain), dare_residual(A, B, Q, R, P)))
-        P = jnp.where(jnp.isfinite(norm(better))[None, None], better, P)
     terms = norm(Q) + norm(P) + norm(mm(transpose(A), mm(P, A)))
     return _judged(P, norm(dare_residual(A, B, Q, R, P)) / terms, settled)
 
@@ -207,19 +170,19 @@ def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Ar
 
 
 @cache
-def _batched(core: Any, refine: int) -> Any:
-    return jax.jit(batch_last(partial(core, refine)))  # jit for those who call it eagerly
+def _batched(core: Any) -> Any:
+    return jax.jit(batch_last(core))  # jit for those who call it eagerly
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _care(refine: int, A: Array, B: Array, Q: Array, R: Array) -> Any:
-    return _batched(_care_batch, refine)(A, B, Q, R)
+@jax.custom_jvp
+def _care(A: Array, B: Array, Q: Array, R: Array) -> Any:
+    return _batched(_care_batch)(A, B, Q, R)
 
 
 @_care.defjvp
-def _care_jvp(refine: int, primals: Any, tangents: Any) -> Any:
+def _care_jvp(primals: Any, tangents: Any) -> Any:
     A, B, Q, R = primals
-    P, residual, code = _care(refine, A, B, Q, R)
+    P, residual, code = _care(A, B, Q, R)
     _, S = jax.jvp(lambda a, b, q, r: care_residual(a, b, q, r, P), primals, tangents)
     closed = A - mm(B, solve(R, mm(transpose(B), P)))
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
@@ -228,15 +191,15 @@ def _care_jvp(refine: int, primals: Any, tangents: Any) -> Any:
     return (P, residual, code), (symmetric(dP), jnp.zeros_like(residual), jnp.zeros_like(code))
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _dare(refine: int, A: Array, B: Array, Q: Array, R: Array) -> Any:
-    return _batched(_dare_batch, refine)(A, B, Q, R)
+@jax.custom_jvp
+def _dare(A: Array, B: Array, Q: Array, R: Array) -> Any:
+    return _batched(_dare_batch)(A, B, Q, R)
 
 
 @_dare.defjvp
-def _dare_jvp(refine: int, primals: Any, tangents: Any) -> Any:
+def _dare_jvp(primals: Any, tangents: Any) -> Any:
     A, B, Q, R = primals
-    P, residual, code = _dare(refine, A, B, Q, R)
+    P, residual, code = _dare(A, B, Q, R)
     _, S = jax.jvp(lambda a, b, q, r: dare_residual(a, b, q, r, P), primals, tangents)
     PB = mm(P, B)
     closed = A - mm(B, solve(R + mm(transpose(B), PB), mm(transpose(PB), A)))

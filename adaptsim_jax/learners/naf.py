@@ -1,4 +1,4 @@
-"""Normalised advantage functions: Q-learning with actions on a continuum (Gu et al. 2016; paper, appendix A4).
+"""Normalised advantage functions: Q of actions on a continuum, in problems that end after one (Gu et al. 2016; paper, appendix A4).
 
 `Q(s, a) = V(s) - (a - m(s))' P(s) (a - m(s)) / 2` with `P = L L'`, a full positive-definite matrix: L is lower triangular
 with exponentials on its diagonal. Actions live in `[-1, 1]^d`, and the greedy one is the exact maximiser of Q inside
@@ -19,20 +19,12 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import ACTIVATIONS
 from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.learners.naf_box import box_maximiser
-from adaptsim_jax.learners.replay import Transition
-
-LOSSES: dict[str, Callable[[jax.Array], jax.Array]] = {
-    "huber": lambda error: jnp.where(jnp.abs(error) < 1.0, 0.5 * error**2, jnp.abs(error) - 0.5),
-    "square": lambda error: 0.5 * error**2,
-}
 
 
 @dataclass(frozen=True)
 class NAFConfig:
-    """Sizes of the network and what kind of problem it is for; static under jit.
-
-    reach: the mean lies in `[-reach, reach]`. log_diagonal: the diagonal of L lies in `exp(+-log_diagonal)`. one_step: the
-    problem ends after one action (a contextual bandit), so targets are rewards, and the next observation is not looked at.
+    """Sizes of the network; static under jit. reach: the mean lies in `[-reach, reach]`. log_diagonal: the diagonal of L lies in
+    `exp(+-log_diagonal)`.
     """
 
     obs_dim: int
@@ -41,8 +33,6 @@ class NAFConfig:
     activation: str = "relu"
     reach: float = 1.5
     log_diagonal: float = 2.0
-    loss: str = "huber"
-    one_step: bool = True
 
 
 @jax.tree_util.register_dataclass
@@ -50,21 +40,17 @@ class NAFConfig:
 class NAFHyper:
     """Rates of the learner: a pytree, each leaf a scalar, or `[S]` under vmap.
 
-    learning_rate: Adam's; discount: gamma, and tau: share of the online network that enters the target network at each
-    update (neither matters in a one-step problem); max_grad_norm: the gradient is scaled down to this global norm.
+    learning_rate: Adam's; max_grad_norm: the gradient is scaled down to this global norm.
     """
 
     learning_rate: float = 1e-3
-    discount: float = 0.99
-    tau: float = 0.01
     max_grad_norm: float = 1.0
 
 
 class NAFState(NamedTuple):
-    """What the next update needs. Weights are flat `[n]` vectors; `target` is None in a one-step problem."""
+    """What the next update needs. Weights are a flat `[n]` vector."""
 
     online: jax.Array
-    target: jax.Array | None
     opt: optax.OptState
 
 
@@ -124,7 +110,7 @@ def make_naf(config: NAFConfig) -> NAF:
     """Check the sizes and return the learner.
 
     * `init(key) -> NAFState`; `fresh(weights [n]) -> NAFState` starts anew from trained weights
-    * `quadratic(weights, obs [..., obs_dim]) -> Quadratic`, `weights` being `state.online` or `.target`
+    * `quadratic(weights, obs [..., obs_dim]) -> Quadratic`, `weights` being `state.online`
     * `greedy(weights, obs) -> [..., d]`, the maximiser of Q inside `[-1, 1]^d`
     * `act(key, weights, obs, scale) -> [..., d]`: noise of covariance `scale * inverse(P)` about it, clipped into the box
     * `update(state, batch, hyper) -> (NAFState, NAFInfo)`: one Adam step on a `Transition` of `[B, ...]`, actions float
@@ -133,7 +119,7 @@ def make_naf(config: NAFConfig) -> NAF:
     weights_of, quadratic = flat(Network(config), config.obs_dim)
 
     def fresh(weights):
-        return NAFState(weights, None if config.one_step else weights, optax.scale_by_adam().init(weights))
+        return NAFState(weights, optax.scale_by_adam().init(weights))
 
     def init(key):
         return fresh(weights_of(key))
@@ -148,15 +134,13 @@ def make_naf(config: NAFConfig) -> NAF:
         return jnp.clip(best + jnp.sqrt(scale) * _whiten(q.chol, jax.random.normal(key, best.shape)), -1.0, 1.0)
 
     def update(state, batch, hyper):
-        target = batch.reward if config.one_step else _bootstrapped(quadratic, state, batch, hyper.discount)
-        loss_of = lambda w: _loss(config, quadratic(w, batch.obs)(batch.action), target)
+        loss_of = lambda w: _loss(quadratic(w, batch.obs)(batch.action), batch.reward)
         (loss, q), grad = jax.value_and_grad(loss_of, has_aux=True)(state.online)
         norm = optax.tree.norm(grad)
         grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
         step, opt = optax.scale_by_adam().update(grad, state.opt)
         online = state.online - hyper.learning_rate * step
-        slow = None if state.target is None else state.target + hyper.tau * (online - state.target)
-        return NAFState(online, slow, opt), NAFInfo(loss, q, norm)
+        return NAFState(online, opt), NAFInfo(loss, q, norm)
 
     return NAF(config, init, fresh, quadratic, greedy, act, update)
 
@@ -183,14 +167,10 @@ def _whiten(chol: jax.Array, noise: jax.Array) -> jax.Array:
     return jnp.stack(x, -1)
 
 
-def _bootstrapped(quadratic, state: NAFState, batch: Transition, discount: jax.Array) -> jax.Array:
-    """`[B]`: reward and the discounted best Q that the slow network has inside the box at the next observation."""
-    after = quadratic(state.target, batch.next_obs)
-    return batch.reward + discount * batch.bootstrap * after(box_maximiser(after.mean, after.chol))
-
-
-def _loss(config: NAFConfig, q: jax.Array, target: jax.Array):
-    return jnp.mean(LOSSES[config.loss](q - jax.lax.stop_gradient(target))), q.mean()
+def _loss(q: jax.Array, target: jax.Array):
+    """Huber's, and the mean of Q."""
+    error = q - jax.lax.stop_gradient(target)
+    return jnp.mean(jnp.where(jnp.abs(error) < 1.0, 0.5 * error**2, jnp.abs(error) - 0.5)), q.mean()
 
 
 def _check(config: NAFConfig) -> None:
@@ -200,7 +180,5 @@ def _check(config: NAFConfig) -> None:
         raise BadInput(
             f"NAF reach {config.reach} must be at least 1, else the box's corners are out of reach; log_diagonal positive"
         )
-    if config.activation not in ACTIVATIONS or config.loss not in LOSSES:
-        raise BadInput(
-            f"NAF activation is one of {', '.join(ACTIVATIONS)} and loss one of {', '.join(LOSSES)}; got {config}"
-        )
+    if config.activation not in ACTIVATIONS:
+        raise BadInput(f"NAF activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")

@@ -105,7 +105,7 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
     * `tune(key, weights [n], trials [N], used [], updates) -> weights [n]`: one policy from the first `used` of given
       trials, made anywhere; none where there are none
     """
-    _check(naf, config)
+    _check(config)
     shapes = jax.eval_shape(problem.draw, jax.random.key(0))
     action: Any = jax.ShapeDtypeStruct((naf.config.action_dim,), shapes.dtype)
 
@@ -224,9 +224,7 @@ def _over(function, levels: int):
     return function
 
 
-def _check(naf: NAF, config: GoalConfig) -> None:
-    if not naf.config.one_step:
-        raise BadInput("goals reached with one action are a one-step problem; make the NAF with one_step=True")
+def _check(config: GoalConfig) -> None:
     if min(config.block, config.updates, config.batch) < 1:
         raise BadInput(f"training sizes must be positive, got {config}")
     if config.candidates < 1 or config.temperature <= 0:

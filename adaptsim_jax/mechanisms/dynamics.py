@@ -83,11 +83,6 @@ def mass_matrix(tree: Tree, inertial: Array, q: Array) -> jax.Array:
     return _on_both(tree, _mass(whole, still, _up(whole, still.body), _like(tree, inertial, q)))
 
 
-def bias_force(tree: Tree, inertial: Array, q: Array, v: Array, gravity: Array) -> jax.Array:
-    """`[n, ...]`: Coriolis, centrifugal and gravity forces, with the sign of MuJoCo's `qfrc_bias`: M a + bias = force."""
-    return inverse_dynamics(tree, inertial, q, v, None, gravity)
-
-
 def gravity_force(tree: Tree, inertial: Array, q: Array, gravity: Array) -> jax.Array:
     """`[n, ...]`: what gravity does to each joint, minus the bias force at rest."""
     return -inverse_dynamics(tree, inertial, q, None, None, gravity)

@@ -45,7 +45,7 @@ def random_mjcf(seed: int) -> str:
 @jax.jit
 def everything(tree, q, v, a, gravity):
     mass = dynamics.mass_matrix(tree, tree.inertial, q)
-    bias = dynamics.bias_force(tree, tree.inertial, q, v, gravity)
+    bias = dynamics.inverse_dynamics(tree, tree.inertial, q, v, None, gravity)
     pull = -dynamics.gravity_force(tree, tree.inertial, q, gravity)
     return mass, bias, pull, dynamics.regressor(tree, q, v, a, gravity), dynamics.solve(mass, a)
 
