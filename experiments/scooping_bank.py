@@ -12,7 +12,7 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,20 +21,31 @@ import optax
 
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import atomic_file
-from adaptsim_jax.core.progress import progress
+from adaptsim_jax.core.progress import Report, progress, silent
 from adaptsim_jax.tasks.scooping import bank as scooping_bank
-from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.bank import PLACE_UNIT, Bank, Layers, Trials, features, forward
+from adaptsim_jax.tasks.scooping import hydro, model
+from adaptsim_jax.tasks.scooping.bank import BOXES, PLACE_UNIT, Bank, Layers, features, forward, identity
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import MESSAGES, ScoopOptions
 
 CHUNK, CANDIDATES = 2048, 256
+BATCH = 64  # trials side by side
+PLACES = len(model.SEEN_AT)
 SEEDS = {"omega": 0, "wide": 1}
 CHANCE, TRACK = (128, 128, 128), (96, 96)  # hidden layers of the networks
 SIZE, PASSES, RATE, DECAY = 256, 60, 3e-3, 1e-2
 
 
 many = jax.vmap(forward, (None, 0))
+
+
+class Trials(NamedTuple):
+    """`params [N, 4]`, `actions [N, 3]` as executed, `wins [N]` bool, `places [N, 8]` m along the table from where it lay."""
+
+    params: np.ndarray
+    actions: np.ndarray
+    wins: np.ndarray
+    places: np.ndarray
 
 
 class Fit(NamedTuple):
@@ -112,6 +123,29 @@ def _track_loss(out: jax.Array, y: jax.Array) -> jax.Array:
     return jnp.mean(jnp.square(out - y))
 
 
+def simulate(
+    params: np.ndarray, actions: np.ndarray, options: ScoopOptions, numerics: Numerics, report: Report = silent
+) -> tuple[Trials, np.ndarray]:
+    """The trials in the engine, in batches, and their codes `[N]`."""
+    rows = hydro.seen_rows(numerics)
+
+    @jax.jit
+    @jax.vmap
+    def run(params, action):
+        out = hydro.rollout(params, action, options, numerics)
+        return out.success > 0.5, out.piece[rows, 0], out.code
+
+    N = len(params)
+    wins, places, codes = np.zeros(N, bool), np.zeros((N, PLACES)), np.zeros(N, int)
+    for at in range(0, N, BATCH):
+        room = np.minimum(np.arange(at, at + BATCH), N - 1)
+        found = run(*(jnp.asarray(v[room], jnp.float32) for v in (params, actions)))
+        count = min(BATCH, N - at)
+        wins[at : at + count], places[at : at + count], codes[at : at + count] = (np.asarray(f)[:count] for f in found)
+        report(at + count, N, "trials")
+    return Trials(params, actions, wins, places), codes
+
+
 def trials_of(box: str, count: int, keep: Path, options: ScoopOptions, numerics: Numerics) -> tuple[Trials, float]:
     """`count` trials in `box`, a chunk of them a file in `keep`, and the CPU seconds that they took."""
     params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(max(count, 2)))), SEEDS[box], box)
@@ -122,7 +156,7 @@ def trials_of(box: str, count: int, keep: Path, options: ScoopOptions, numerics:
             path = keep / f"{box}-{at:06d}.npz"
             if not path.exists():
                 begin = time.process_time()
-                made, code = scooping_bank.simulate(params[some], actions[some], options, numerics)
+                made, code = simulate(params[some], actions[some], options, numerics)
                 spent = time.process_time() - begin
                 with atomic_file(path) as file:
                     np.savez(file, wins=made.wins, places=made.places.astype(np.float32), code=code, cpu=spent)
@@ -161,7 +195,7 @@ def add_near(parts: dict[str, Trials], lots: int, keep: Path, options: ScoopOpti
         path = keep / f"near-{lot:03d}.npz"
         if not path.exists():
             params, actions = near_points(fit(parts, seed=lot, passes=30).bank, lot, options)
-            made, _ = scooping_bank.simulate(params.astype(np.float32), actions.astype(np.float32), options, numerics)
+            made, _ = simulate(params.astype(np.float32), actions.astype(np.float32), options, numerics)
             with atomic_file(path) as file:
                 np.savez(file, **made._asdict())
         with np.load(path) as found:
@@ -169,6 +203,25 @@ def add_near(parts: dict[str, Trials], lots: int, keep: Path, options: ScoopOpti
         print(f"near, lot {lot}: succeeded: {new.wins.mean():.3f}", flush=True)
         old = parts.get("near")
         parts["near"] = new if old is None else Trials(*(np.concatenate(v) for v in zip(old, new, strict=True)))
+
+
+def save_bank(
+    path: Path, bank: Bank, parts: dict[str, Trials], about: dict[str, Any], options: ScoopOptions, numerics: Numerics
+) -> None:
+    """The outcomes of each part, the networks, and what they belong to; points, too, where they do not follow from a seed."""
+    arrays: dict[str, Any] = {
+        f"{name}_{n}{i}": np.asarray(v, np.float32)
+        for name in Bank._fields
+        for i, layer in enumerate(getattr(bank, name))
+        for n, v in zip("wb", layer, strict=True)
+    }
+    arrays |= {f"wins_{name}": np.packbits(trials.wins) for name, trials in parts.items()}
+    for name in parts.keys() - BOXES.keys():
+        points = np.concatenate([parts[name].params, parts[name].actions], 1)
+        arrays[f"points_{name}"] = points.astype(np.float32)
+    about = {"identity": identity(options, numerics), "clearance": options.clearance} | about
+    with atomic_file(path) as file:
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
 
 
 def main() -> None:
@@ -196,7 +249,7 @@ def main() -> None:
         "log_loss": found.log_loss,
         "track_error": found.track_error,
     }
-    scooping_bank.save_bank(args.out, found.bank, parts, about, options, numerics)
+    save_bank(args.out, found.bank, parts, about, options, numerics)
     print(f"networks on held-out tenths, {time.process_time() - begin:.0f} CPU seconds: {json.dumps(about)}")
     print(f"written: {args.out}, {args.out.stat().st_size / 1e3:.0f} kB")
 

@@ -12,8 +12,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.bank import load_bank
 from adaptsim_jax.tasks.scooping.hydro import Numerics, rollout, steps_of
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.scooping.model_fit import RANGES, make_modulus_fit, scaled, smoothed, track_until, unscaled
+from adaptsim_jax.tasks.scooping.model_fit import RANGES, scaled, smoothed, unscaled
 
 WD, ACTION = np.array([0.3, 5e4, 1.0, 0.02]), np.array([0.10, 0.0, 0.0125])
 CASES = {
@@ -35,6 +36,70 @@ CASES = {
 TIMES = (0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)  # s
 POINTS = ((WD, ACTION), (np.array([0.3, 1e5, 0.0, 0.02]), np.array([0.07, -0.05, 0.014])))
 SPREAD = 0.1
+SHORTEST = 2.0**-10  # share of a Gauss-Newton step below which the search along it is given up
+
+
+class ModulusFit(NamedTuple):
+    """modulus Pa; error: root of the mean squared distance of the tracks m; steps: of Gauss-Newton; moduli: visited `[steps + 1]`."""
+
+    modulus: float
+    error: float
+    steps: int
+    moduli: list[float]
+
+
+def track_until(
+    seconds: float, options: ScoopOptions, numerics: Numerics
+) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """`track(params [4], action [3]) -> [T, 3]`: the piece's x, z m and angle rad, a row a step, for the first `seconds`."""
+    rows = round(seconds / numerics.dt) + 1
+    return lambda params, action: rollout(params, action, options, numerics).piece[:rows]
+
+
+def make_modulus_fit(
+    seconds: float = 0.15,
+    options: ScoopOptions = ScoopOptions(),  # noqa: B008
+    numerics: Numerics = Numerics(),  # noqa: B008
+    steps: int = 30,
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], ModulusFit]:
+    """`fit(seen [T, 2], params [4], action [3])`: the modulus with which the engine's track comes nearest to `seen` (x, z m) in a
+    trial whose other numbers are known.
+
+    Gauss-Newton on the logarithm of the modulus from `params[1]`, with the derivative of the engine; a step is halved until the
+    error falls. `seconds`: how much of the track is used; with a flat bottom it must end soon after the blade met the piece.
+    Runs in the precision that JAX is told to use; float64 is worth its time here.
+    """
+    track = track_until(seconds, options, numerics)
+    low, high = np.log(model.PHYSICAL_LOW[1]), np.log(model.PHYSICAL_HIGH[1])
+
+    def apart(log_modulus, seen, params, action):
+        return (track(params.at[1].set(jnp.exp(log_modulus)), action)[:, :2] - seen).ravel()
+
+    @jax.jit
+    def both(z, *known):
+        return jax.jvp(lambda q: apart(q, *known), (z,), (jnp.ones_like(z),))
+
+    def fit(seen, params, action):
+        known = tuple(jnp.asarray(v, jnp.result_type(float)) for v in (seen, params, action))
+        at = lambda z: tuple(np.asarray(v, float) for v in both(jnp.asarray(z), *known))
+        z = float(np.log(params[1]))
+        (wrong, slope), visited = at(z), [float(np.exp(z))]
+        for _ in range(steps):
+            move = -float(slope @ wrong) / max(float(slope @ slope), 1e-30)
+            move, share = float(np.clip(move, -1.5, 1.5)), 1.0
+            while share > SHORTEST:
+                new = float(np.clip(z + share * move, low, high))
+                now = at(new)
+                if now[0] @ now[0] < wrong @ wrong:
+                    break
+                share /= 2
+            else:
+                break
+            z, (wrong, slope) = new, now
+            visited.append(float(np.exp(z)))
+        return ModulusFit(visited[-1], float(np.sqrt(np.mean(wrong**2))), len(visited) - 1, visited)
+
+    return fit
 
 
 def moduli(case: str, seed: int) -> list[dict[str, Any]]:

@@ -1,4 +1,5 @@
-"""The bank: trials of the hydroelastic engine over pieces and actions, simulated once and shared by all policies.
+"""The bank: trials of the hydroelastic engine over pieces and actions, simulated once and shared by all policies
+(`experiments/scooping_bank.py` makes it).
 
 What an action leads to depends on the piece and the action alone, so that trials may be stored. The bank holds trials at even
 points (scrambled Sobol sequences) of Omega and of the wider box that Phase 1 draws targets from, more of them near actions that
@@ -23,14 +24,11 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import atomic_file
-from adaptsim_jax.core.progress import Report, silent
-from adaptsim_jax.tasks.scooping import hydro, model
+from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
 PATH = Path(__file__).with_name("bank.npz")
-BATCH = 64
 BOXES = {
     "omega": (model.LOW, model.HIGH),
     "wide": ((0.15, 8e3, 0.0, 0.013), (0.5, 1.5e6, 2.0, 0.03)),
@@ -39,19 +37,9 @@ BOXES = {
 REACH = np.array([0.2, 0.25, 0.05])
 """How far beyond their range actions are tried, as a share of it: execution errors leave it."""
 LEAST = np.array([1e-3, -np.inf, 1e-3])  # a pitch of 0 has no edge, a distance of 0 no run-up
-PLACES = len(model.SEEN_AT)
 PLACE_UNIT = 0.1  # m: places come out of the network in units of it
 
 Layers = Sequence[tuple[Any, Any]]
-
-
-class Trials(NamedTuple):
-    """`params [N, 4]`, `actions [N, 3]` as executed, `wins [N]` bool, `places [N, 8]` m along the table from where it lay."""
-
-    params: np.ndarray
-    actions: np.ndarray
-    wins: np.ndarray
-    places: np.ndarray
 
 
 class Bank(NamedTuple):
@@ -104,52 +92,10 @@ def points(count: int, seed: int, box: str = "omega") -> tuple[np.ndarray, np.nd
     return params, np.maximum(low - wide + u[:, 4:] * (high - low + 2 * wide), LEAST)
 
 
-def simulate(
-    params: np.ndarray, actions: np.ndarray, options: ScoopOptions, numerics: Numerics, report: Report = silent
-) -> tuple[Trials, np.ndarray]:
-    """The trials in the engine, in batches, and their codes `[N]`."""
-    rows = hydro.seen_rows(numerics)
-
-    @jax.jit
-    @jax.vmap
-    def run(params, action):
-        out = hydro.rollout(params, action, options, numerics)
-        return out.success > 0.5, out.piece[rows, 0], out.code
-
-    N = len(params)
-    wins, places, codes = np.zeros(N, bool), np.zeros((N, PLACES)), np.zeros(N, int)
-    for at in range(0, N, BATCH):
-        room = np.minimum(np.arange(at, at + BATCH), N - 1)
-        found = run(*(jnp.asarray(v[room], jnp.float32) for v in (params, actions)))
-        count = min(BATCH, N - at)
-        wins[at : at + count], places[at : at + count], codes[at : at + count] = (np.asarray(f)[:count] for f in found)
-        report(at + count, N, "trials")
-    return Trials(params, actions, wins, places), codes
-
-
 def identity(options: ScoopOptions, numerics: Numerics) -> str:
     """What a bank belongs to: all of the engine's settings that change an outcome (execution errors are drawn later)."""
     table = {"clearance": options.clearance, "press": options.press, "numerics": asdict(numerics)}
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def save_bank(
-    path: Path, bank: Bank, parts: dict[str, Trials], about: dict[str, Any], options: ScoopOptions, numerics: Numerics
-) -> None:
-    """The outcomes of each part, the networks, and what they belong to; points, too, where they do not follow from a seed."""
-    arrays: dict[str, Any] = {
-        f"{name}_{n}{i}": np.asarray(v, np.float32)
-        for name in Bank._fields
-        for i, layer in enumerate(getattr(bank, name))
-        for n, v in zip("wb", layer, strict=True)
-    }
-    arrays |= {f"wins_{name}": np.packbits(trials.wins) for name, trials in parts.items()}
-    for name in parts.keys() - BOXES.keys():
-        points = np.concatenate([parts[name].params, parts[name].actions], 1)
-        arrays[f"points_{name}"] = points.astype(np.float32)
-    about = {"identity": identity(options, numerics), "clearance": options.clearance} | about
-    with atomic_file(path) as file:
-        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
 
 
 @cache

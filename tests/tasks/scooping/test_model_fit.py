@@ -10,6 +10,7 @@ from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import model_fit as scooping_fit
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from experiments import scooping_gradient
 
 COARSE = Numerics(dt=0.005, grid=((4, 2), (4, 2), (2, 1), (2, 1)))
 WD, ACTION = np.array([0.3, 5e4, 1.0, 0.02]), np.array([0.10, 0.0, 0.0125])
@@ -46,9 +47,9 @@ def test_the_modulus_is_found_from_an_early_track():
     """Of WD's cylinder, from a start three times too stiff, with the piece's track until shortly after the blade met it."""
     with jax.enable_x64(True):
         seconds = 0.15
-        track = jax.jit(scooping_fit.track_until(seconds, ScoopOptions(), COARSE))
+        track = jax.jit(scooping_gradient.track_until(seconds, ScoopOptions(), COARSE))
         seen = np.asarray(track(jnp.asarray(WD), jnp.asarray(ACTION)))[:, :2]
         start = WD * np.array([1, 3, 1, 1])
-        found = scooping_fit.make_modulus_fit(seconds, numerics=COARSE)(seen, start, ACTION)
+        found = scooping_gradient.make_modulus_fit(seconds, numerics=COARSE)(seen, start, ACTION)
     assert found.modulus == pytest.approx(5e4, rel=0.02)
     assert found.error < 1e-5 and found.moduli[0] == pytest.approx(1.5e5)

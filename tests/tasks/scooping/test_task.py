@@ -113,7 +113,7 @@ def test_the_bank_is_of_this_engine():
         params, actions = scooping_bank.points(2 ** int(np.ceil(np.log2(count))), about["seeds"][box], box)
         params, actions = params[:count], actions[:count]
         some = slice(0, 512)
-        again, codes = scooping_bank.simulate(params[some], actions[some], ScoopOptions(), Numerics())
+        again, codes = bank_experiment.simulate(params[some], actions[some], ScoopOptions(), Numerics())
         # Other processors round otherwise: on one 98.3 % of 2048 end alike, but of the first 64 only 92 %.
         assert np.mean(again.wins == wins[some]) >= 0.95 and np.mean(codes == model.FINE) > 0.95
         each = tuple(jnp.asarray(v, jnp.float32) for v in (params, actions))
@@ -133,7 +133,7 @@ def test_a_fit_learns_what_decides_a_trial():
     params, actions = scooping_bank.points(4096, 5, "wide")
     wins = np.where(params[:, 2] == 0, actions[:, 0] < 0.1, actions[:, 0] > 0.1)
     places = np.linspace(0, 1, 8) * np.where(wins, 0.2, 10 * params[:, 3])[:, None]
-    found = bank_experiment.fit({"wide": scooping_bank.Trials(params, actions, wins, places)}, passes=40)
+    found = bank_experiment.fit({"wide": bank_experiment.Trials(params, actions, wins, places)}, passes=40)
     assert found.accuracy["wide"] > 0.93 and found.log_loss["wide"] < 0.2 and found.track_error < 0.02
     one = jnp.array([0.3, 5e4, 2.0, 0.02])
     assert float(found.bank.logit(one, jnp.array([0.15, 0.0, 0.01]))) > 1.0
@@ -166,11 +166,11 @@ def test_files_that_stand_for_finished_work_are_whole_or_not_there(tmp_path, mon
 
     for name in ("save", "savez", "savez_compressed"):
         monkeypatch.setattr(np, name, full)
-    made = scooping_bank.Trials(np.zeros((1, 4)), np.zeros((1, 3)), np.zeros(1, bool), np.zeros((1, 8)))
-    monkeypatch.setattr(scooping_bank, "simulate", lambda *_: (made, np.zeros(1, int)))
+    made = bank_experiment.Trials(np.zeros((1, 4)), np.zeros((1, 3)), np.zeros(1, bool), np.zeros((1, 8)))
+    monkeypatch.setattr(bank_experiment, "simulate", lambda *_: (made, np.zeros(1, int)))
     one = SimpleNamespace(oracle=lambda world, target: np.ones(2))
     for write in (
-        lambda: scooping_bank.save_bank(
+        lambda: bank_experiment.save_bank(
             tmp_path / "bank.npz", scooping_bank.Bank((), ()), {"omega": made}, {}, ScoopOptions(), Numerics()
         ),
         lambda: bank_experiment.trials_of("omega", 1, tmp_path, ScoopOptions(), Numerics()),
