@@ -1,11 +1,45 @@
 """What records of trials that a camera saw have in common: which trials were asked for, units, and times that run forward."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.table_checks import lost_digits
+
+
+class Seen(NamedTuple):
+    """Of one trial: rows `[R]` of the table, time `[R]` s, track `[R, 2]` m, and how its row k is named."""
+
+    rows: np.ndarray
+    time: np.ndarray
+    track: np.ndarray
+    told: Callable[[int], str]
+
+
+def check_columns(columns: Container[str], needed: Iterable[str], where: object, words: str) -> None:
+    """BadInput where one of the columns `needed` is missing; words: these, with their units."""
+    for name in needed:
+        if name not in columns:
+            raise BadInput(f"{where}: column '{name}' is missing; needed are {words}")
+
+
+def trials_of(
+    columns: Mapping[str, np.ndarray], at: Callable[[int], str], where: str, asked: np.ndarray, most: float
+) -> dict[int, Seen]:
+    """The trials `asked [N]` by number. BadInput where one is missing, two have one track, or one lasts longer than `most` s."""
+    seen = {}
+    for number in map(int, asked):
+        rows = np.flatnonzero(columns["trial"] == number)
+        if not len(rows):
+            known = ", ".join(map(str, asked))
+            raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
+        told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
+        check_times(columns["time"][rows], most, told)
+        seen[number] = Seen(rows, columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1), told)
+    check_different({n: trial.track for n, trial in seen.items()}, where)
+    return seen
 
 
 def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:
@@ -71,6 +105,26 @@ def check_times(time: np.ndarray, most: float, told: Callable[[int], str]) -> No
     check_increasing(time, told)
     if time[-1] - time[0] > most:
         raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
+
+
+def check_gaps(time: np.ndarray, most: float, until: float, told: Callable[[int], str], again: str) -> None:
+    """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`; again: the mend."""
+    for k in np.flatnonzero((np.diff(time) > most) & (time[:-1] < until))[:1] + 1:
+        raise BadInput(
+            f"{told(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {most:g} s can be "
+            f"filled: {again}"
+        )
+
+
+def check_leaps(
+    time: np.ndarray, track: np.ndarray, told: Callable[[int], str], body: str, fastest: float, slip: float = 0.0
+) -> None:
+    """BadInput at the first row of `track [T, C]` m that is farther from the one before than `slip` m and `fastest` m/s allow."""
+    leap = np.linalg.norm(np.diff(track, axis=0), axis=1)
+    for k in np.flatnonzero(leap > fastest * np.diff(time) + slip)[:1] + 1:
+        raise BadInput(
+            f"{told(int(k))}: {body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it"
+        )
 
 
 WHOLE_TURNS, FASTEST_TURN, TURN_SLIP = 30.0, 40.0, 0.5

@@ -10,14 +10,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.table import Table, read_table
-from adaptsim_jax.tasks.camera_record import (
-    check_clock_set,
-    check_different,
-    check_increasing,
-    check_unit,
-    holes,
-    unwrapped,
-)
+from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.trial_clock import began
 from adaptsim_jax.tasks.trial_frozen import check_frozen
 
@@ -93,10 +86,8 @@ def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
 def read_actions(path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str) -> tuple[Table, Callable]:
     """The table of an actions file, and how its row i is named; needed: columns beside `trial` with their units. Raises BadInput."""
     table = read_table(path, ("trial", *needed, *optional), least=1)
-    for name in ("trial", *needed):
-        if name not in table.columns:
-            words = ", ".join(["trial", *[f"{n} ({u})" for n, u in needed.items()]])
-            raise BadInput(f"{path}: column '{name}' is missing; needed are {words}")
+    words = ", ".join(["trial", *[f"{n} ({u})" for n, u in needed.items()]])
+    record.check_columns(table.columns, ("trial", *needed), path, words)
     numbers = table.columns["trial"]
     if len(np.unique(numbers)) < len(numbers):
         raise BadInput(f"{path}: a trial is listed twice; number the {trials} one by one")
@@ -130,7 +121,7 @@ def read_tracks(
             )
     for path, table in tables:
         _read_tracks(path, table, numbers, actions, kind, more, without, as_declared, found)
-    check_different({n: track.places for n, track in found.items()}, place_of(paths))
+    record.check_different({n: track.places for n, track in found.items()}, place_of(paths))
     return found, more
 
 
@@ -151,13 +142,11 @@ def _read_tracks(
     found: Tracks,
 ) -> None:
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
-    for name in ("trial", "time", "x", "y"):
-        if name not in table.columns:
-            raise BadInput(f"{path}: column '{name}' is missing; needed are trial, time, x, y (s and m)")
     c = table.columns
+    record.check_columns(c, ("trial", "time", "x", "y"), path, "trial, time, x, y (s and m)")
     for i in np.flatnonzero(~np.isin(c["trial"], numbers))[:1]:
         raise BadInput(f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its {kind.trial} there")
-    check_unit(c, at, kind.far, kind.trial, kind.usual)
+    record.check_unit(c, at, kind.far, kind.trial, kind.usual)
     for n in np.unique(c["trial"]):
         if f"{n:g}" in without:
             continue
@@ -166,7 +155,7 @@ def _read_tracks(
         if n in found:
             raise BadInput(f"{told(0)}: has a track in {found[n].file} already; keep one")
         t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
-        check_increasing(t, told)
+        record.check_increasing(t, told)
         if t[-1] - t[0] > 60.0:
             raise BadInput(
                 f"{told(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the arm's start"
@@ -182,18 +171,14 @@ def _read_tracks(
         if not free:
             seen = t <= kind.ends
             check_frozen(t[seen], p[seen, :2], told, kind.body)
-        leap = np.linalg.norm(np.diff(p[:, :2], axis=0), axis=1)
-        for k in np.flatnonzero(leap > kind.fastest * np.diff(t) + kind.slip)[:1] + 1:
-            raise BadInput(
-                f"{told(k)}: {kind.body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it"
-            )
+        record.check_leaps(t, p[:, :2], told, kind.body, kind.fastest, kind.slip)
         if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
             raise BadInput(
                 f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {n:g}) or make it again"
             )
-        check_clock_set(t, p[:, :2], told, kind.body)
+        record.check_clock_set(t, p[:, :2], told, kind.body)
         for j in (2 + more.index(name) for name in kind.angles if name in more):
-            p[:, j] = unwrapped(t, p[:, j], told, kind.body)
+            p[:, j] = record.unwrapped(t, p[:, j], told, kind.body)
         keep = (t >= 0.0) & (t <= kind.ends)
         if keep.sum() < LEAST_ROWS:
             raise BadInput(
@@ -209,7 +194,7 @@ def tracked(numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: 
         raise BadInput(
             f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are needed, {serve} serve"
         )
-    gaps = [f"trial {n:g}: {hole}" for n in names for hole in holes(found[n].time)]
+    gaps = [f"trial {n:g}: {hole}" for n in names for hole in record.holes(found[n].time)]
     return names, [f"trial {n:g} has no track and is left out" for n in numbers if n not in found] + gaps
 
 
@@ -237,20 +222,10 @@ def check_starts(names: Sequence[float], aside: np.ndarray, most: float, body: s
 def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times `[T, R]`, places `[T, R, C]` and mask `[T, R]`, each track held after its last row."""
     longest = max(len(found[n].time) for n in names)
-    width = found[names[0]].places.shape[1]
-    time, places, mask = (
-        np.zeros((len(names), longest)),
-        np.zeros((len(names), longest, width)),
-        np.zeros((len(names), longest)),
-    )
-    for k, n in enumerate(names):
-        t, p = found[n].time, found[n].places
-        time[k], places[k] = (
-            np.pad(t, (0, longest - len(t)), "edge"),
-            np.pad(p, ((0, longest - len(t)), (0, 0)), "edge"),
-        )
-        mask[k, : len(t)] = 1
-    return time, places, mask
+    short = [longest - len(found[n].time) for n in names]
+    time = np.stack([np.pad(found[n].time, (0, k), "edge") for n, k in zip(names, short, strict=True)])
+    places = np.stack([np.pad(found[n].places, ((0, k), (0, 0)), "edge") for n, k in zip(names, short, strict=True)])
+    return time, places, np.stack([np.arange(longest) < longest - k for k in short]).astype(float)
 
 
 def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: float) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A trial of a real pendulum as the trajectory that the task's observation and return are made of."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Literal
 
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from adaptsim_jax.logs.quality.pendulum_design import WORDS, design
 from adaptsim_jax.logs.quality.turns import TURN, without_turns
 from adaptsim_jax.logs.table_checks import check_clock, check_time_unit
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, LATE_SNAPSHOTS, SAMPLES, SNAPSHOTS
+from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
 NEEDED = ("time", "q1", "q2", "tau1", "tau2")
@@ -50,15 +51,14 @@ def measured_trajectory(
     angles, and +pi is the same start as -pi. `lines [T]`: what rows are called in messages. Raises BadInput that names
     `where`.
     """
-    missing = [name for name in NEEDED if name not in columns]
-    if missing:
-        raise BadInput(f"{where}: column '{missing[0]}' is missing; needed are {', '.join(NEEDED)}")
+    record.check_columns(columns, NEEDED, where, ", ".join(NEEDED))
     columns = {name: np.asarray(values, float) for name, values in columns.items()}
     time, rows = columns["time"], np.arange(1, len(columns["time"]) + 1)
     check_clock(where, time, rows if lines is None else lines, row_word)
     check_time_unit(where, time, 1.0, "write seconds")
     time = time - time[0]
-    _check_holes(time, lambda k: f"{where}: {row_word} {(rows if lines is None else lines)[k]}")
+    row = lambda k: f"{where}: {row_word} {(rows if lines is None else lines)[k]}"
+    record.check_gaps(time, GAP, HORIZON, row, "run that trial again")
     step = float(np.median(np.diff(time)))
     if time[-1] < HORIZON - 1.5 * step:
         raise BadInput(f"{where}: lasts {time[-1]:.3g} s; {SHORT}")
@@ -66,11 +66,13 @@ def measured_trajectory(
     _check_release(time, columns, where)
     _check_speeds(time, columns, where)
     grid = np.linspace(0.0, HORIZON, SAMPLES)
-    angles = np.stack([np.interp(grid, time, columns[name]) for name in ("q1", "q2")], 1)
+    at_grid = lambda pair: np.stack([np.interp(grid, time, pair[:, j]) for j in range(2)], 1)
+    q, v = _pair(columns, "q"), _speeds(columns)
+    angles = at_grid(q)
     _check_start(angles[0], where)
-    velocities = _velocities(columns, time, grid)
+    velocities = at_grid(np.gradient(q, time, axis=0) if v is None else v)
     held = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(time) - 1)
-    torques = np.stack([np.asarray(columns[name])[held] for name in ("tau1", "tau2")], 1)
+    torques = _pair(columns, "tau")[held]
     cost = sum(float(np.sum(np.square(x))) for x in (angles, velocities, torques))
     indices = SNAPSHOTS if observation == "full" else LATE_SNAPSHOTS
     points = jnp.asarray(angles[np.asarray(indices)], jnp.float32)
@@ -82,9 +84,7 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
     turned, one angle in another unit, torques of no such pendulum. Links of 1 m, whatever their masses."""
     time = np.asarray(columns["time"], float)
     whole = _whole_angles(time, columns)
-    pair = lambda stem, table: np.stack([np.asarray(table[f"{stem}{j}"], float) for j in (1, 2)], 1)
-    v = pair("v", columns) if "v1" in columns and "v2" in columns else None
-    track = Track(time - time[0], pair("q", whole), v, pair("tau", columns))
+    track = Track(time - time[0], _pair(whole, "q"), _speeds(columns), _pair(columns, "tau"))
     plain = design(1.0, GRAVITY, -1.0)
     if told := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
         raise BadInput(
@@ -102,12 +102,8 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
     """What the torques of a trial have of -gain `[2, 4]` @ (q1, q2, v1, v2), in words where it is too little; rows where a torque is
     at its largest, a drive's limit, say nothing."""
     time = np.asarray(columns["time"], float)
-    angles = _whole_angles(time, columns)
-    q = np.stack([angles["q1"], angles["q2"]], 1)
-    if "v1" in columns and "v2" in columns:
-        v = np.stack([np.asarray(columns[name], float) for name in ("v1", "v2")], 1)
-    else:
-        v = np.gradient(gaussian_filter1d(q, 1.0, axis=0), time, axis=0)
+    q, v = _pair(_whole_angles(time, columns), "q"), _speeds(columns)
+    v = np.gradient(gaussian_filter1d(q, 1.0, axis=0), time, axis=0) if v is None else v
     asked = -np.concatenate([q, v], 1) @ np.asarray(gain, float).T
     for j, name in enumerate(("tau1", "tau2")):
         told = np.asarray(columns[name], float)
@@ -121,20 +117,14 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
     return ""
 
 
-def _velocities(columns: Mapping[str, np.ndarray], time: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    if "v1" in columns and "v2" in columns:
-        return np.stack([np.interp(grid, time, columns[name]) for name in ("v1", "v2")], 1)
-    rates = [np.gradient(np.asarray(columns[name], float), time) for name in ("q1", "q2")]
-    return np.stack([np.interp(grid, time, rate) for rate in rates], 1)
+def _pair(columns: Mapping[str, np.ndarray], stem: str) -> np.ndarray:
+    """`[T, 2]` of both joints' columns."""
+    return np.stack([np.asarray(columns[f"{stem}{j}"], float) for j in (1, 2)], 1)
 
 
-def _check_holes(time: np.ndarray, row: Callable[[int], str]) -> None:
-    """BadInput at the first gap too long to be filled, until the end of the trial."""
-    for k in np.flatnonzero((np.diff(time) > GAP) & (time[:-1] < HORIZON))[:1] + 1:
-        raise BadInput(
-            f"{row(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {GAP:g} s can be "
-            "filled: run that trial again"
-        )
+def _speeds(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """`[T, 2]` rad/s where they were measured."""
+    return _pair(columns, "v") if "v1" in columns and "v2" in columns else None
 
 
 def _whole_angles(time: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -151,7 +141,7 @@ def _whole_angles(time: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[s
 
 def _check_release(time: np.ndarray, columns: Mapping[str, np.ndarray], where: str) -> None:
     """BadInput where the arm rests long before it moves: the recording began before the release."""
-    q = np.stack([columns[name] for name in ("q1", "q2")], 1)
+    q = _pair(columns, "q")
     noise = 1.4826 * np.median(np.abs(np.diff(q, axis=0)), axis=0)
     moved = np.any(np.abs(q - np.median(q[:5], axis=0)) > STILL + 5.0 * noise, axis=1)
     release = float(time[int(np.argmax(moved))]) if moved.any() else float(time[-1])

@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.camera_record import check_different, check_numbers, check_times, check_unit
+from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import Told
@@ -137,32 +137,21 @@ def measured_trajectory(
     them the end of the trial (1.3 s by default), by which the reward goes. as_declared: whatever they say of the clock. Raises
     BadInput.
     """
-    for name in COLUMNS:
-        if name not in columns:
-            raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s and m)")
-    numbers, rows = columns["trial"], {int(n): np.flatnonzero(columns["trial"] == n) for n in pushes.numbers}
-    check_numbers(numbers, at, pushes.numbers)
-    check_unit(columns, at, FAR, "push", USUAL)
-    for number, found in rows.items():
-        if not len(found):
-            known = ", ".join(map(str, pushes.numbers))
-            raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
-    track = lambda i: np.stack([columns["x"][i], columns["y"][i]], 1)
-    check_different({n: track(i) for n, i in rows.items()}, where)
-    told = {n: lambda k, i=i, n=n: f"{at(int(i[k]))}: trial {n}" for n, i in rows.items()}
-    for number, i in rows.items():
-        check_times(columns["time"][i], 50 * config.duration, told[number])
-    if not as_declared and config.observation != "final":
-        starts = np.tile(model.START, (len(rows), 1))
-        check_hits([began(columns["time"][i], track(i)) for i in rows.values()], pushes.actions, starts, where)
+    record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s and m)")
+    record.check_numbers(columns["trial"], at, pushes.numbers)
+    record.check_unit(columns, at, FAR, "push", USUAL)
+    trials = record.trials_of(columns, at, where, pushes.numbers, 50 * config.duration).values()
+    doubted = not as_declared and config.observation != "final"
+    if doubted:
+        starts = np.tile(model.START, (len(trials), 1))
+        check_hits([began(t.time, t.track) for t in trials], pushes.actions, starts, where)
     places = []
-    for number, i in rows.items():
-        time, places_seen = columns["time"][i], track(i)
-        _check_time(time, told[number], config)
-        if not as_declared and config.observation != "final":
-            check_frozen(time, places_seen, told[number], "the bottle")
-        _check_track(time, places_seen, told[number], config)
-        places.append(_resampled(time, places_seen, config))
+    for _, time, track, told in trials:
+        _check_time(time, told, config)
+        if doubted:
+            check_frozen(time, track, told, "the bottle")
+        _check_track(time, track, told, config)
+        places.append(_resampled(time, track, config))
     return pushing.measured(jnp.asarray(pushes.goals), jnp.asarray(np.stack(places), jnp.float32))
 
 
@@ -188,12 +177,7 @@ def _check_time(time: np.ndarray, told: Callable[[int], str], config: PushingCon
     if time[0] > LATE:
         start = "the arm's start as time 0"
         raise BadInput(f"{told(0)}: begins at {time[0]:.9g} s; record from {start}, or subtract that time")
-    needed = time[:-1] < config.duration
-    for k in np.flatnonzero((np.diff(time) > GAP) & needed)[:1] + 1:
-        raise BadInput(
-            f"{told(k)}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {GAP:g} s can be "
-            "filled: make that push again"
-        )
+    record.check_gaps(time, GAP, config.duration, told, "make that push again")
 
 
 def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str], config: PushingConfig) -> None:
@@ -207,10 +191,6 @@ def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]
             f"{told(0)}: the bottle stands at ({x:.3g}, {y:.3g}) m, {100 * aside:.0f} cm from {model.START}, where the task "
             "starts: mend the frame (the arm's base), the unit, or the start"
         )
-    leap = np.linalg.norm(np.diff(track, axis=0), axis=1)
-    for k in np.flatnonzero(leap > FASTEST * np.diff(time) + SLIP)[:1] + 1:
-        raise BadInput(
-            f"{told(k)}: the bottle jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it"
-        )
+    record.check_leaps(time, track, told, "the bottle", FASTEST, SLIP)
     if np.linalg.norm(track - track[0], axis=1).max() < STILL:
         raise BadInput(f"{told(-1)}: the bottle never moved; make that push again, or mend the tracking")

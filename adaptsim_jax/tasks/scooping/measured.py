@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.camera_record import check_different, check_numbers, check_times, check_unit
+from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.saved_policy import read_saved
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
@@ -102,30 +102,17 @@ def measured_trajectory(
     `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight times and counted from
     where the piece lay. as_declared: whatever they say of clock and frame. Raises BadInput.
     """
-    for name in COLUMNS:
-        if name not in columns:
-            raise BadInput(f"{where}: column '{name}' is missing; needed are {', '.join(COLUMNS)} (s, m, 0 or 1)")
-    check_numbers(columns["trial"], at, scoops.numbers)
-    check_unit(columns, at, FAR, "scoop", USUAL)
+    record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s, m, 0 or 1)")
+    record.check_numbers(columns["trial"], at, scoops.numbers)
+    record.check_unit(columns, at, FAR, "scoop", USUAL)
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
         raise BadInput(f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, else 0")
-    tracks = {}
-    for number in scoops.numbers:
-        rows = np.flatnonzero(columns["trial"] == number)
-        if not len(rows):
-            known = ", ".join(map(str, scoops.numbers))
-            raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
-        told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
-        check_times(columns["time"][rows], 50 * model.SECONDS, told)
-        tracks[int(number)] = rows, columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1), told
-    check_different({n: track for n, (_, _, track, _) in tracks.items()}, where)
+    trials = record.trials_of(columns, at, where, scoops.numbers, 50 * model.SECONDS).values()
     if not as_declared:
-        check_reach(
-            [began(time, track) for _, time, track, _ in tracks.values()], scoops.actions, ScoopOptions(), where
-        )
-        check_mirrored(scoops.places[:, 1], np.array([track[0, 1] for _, _, track, _ in tracks.values()]), where)
+        check_reach([began(t.time, t.track) for t in trials], scoops.actions, ScoopOptions(), where)
+        check_mirrored(scoops.places[:, 1], np.array([t.track[0, 1] for t in trials]), where)
     points, lies = [], []
-    for rows, time, track, told in tracks.values():
+    for rows, time, track, told in trials:
         if not as_declared:
             check_frozen(time, track, told, "the piece")
         _check_track(time, track, told)
@@ -172,11 +159,5 @@ def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]
         )
     if time[-1] < model.SECONDS - GAP / 2:
         raise BadInput(f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the arm's start")
-    for k in np.flatnonzero((np.diff(time) > GAP) & (time[:-1] < model.SECONDS))[:1] + 1:
-        raise BadInput(
-            f"{told(k)}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {GAP:g} s can be "
-            "filled: make that scoop again"
-        )
-    leap = np.linalg.norm(np.diff(track, axis=0), axis=1)
-    for k in np.flatnonzero(leap > FASTEST * np.diff(time) + SLIP)[:1] + 1:
-        raise BadInput(f"{told(k)}: the piece jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it")
+    record.check_gaps(time, GAP, model.SECONDS, told, "make that scoop again")
+    record.check_leaps(time, track, told, "the piece", FASTEST, SLIP)

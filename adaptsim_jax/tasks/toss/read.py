@@ -11,7 +11,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.tasks.camera_record import check_clock_set, check_increasing, check_unit, holes
+from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import Body, read_body
 from adaptsim_jax.tasks.toss.frame import check_blows
@@ -97,14 +97,10 @@ def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list
     table = read_table(path, ("trial", *COLUMNS), least=1)
     at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
     c = table.columns
-    for name in COLUMNS:
-        if name not in c:
-            raise BadInput(
-                f"{path}: column '{name}' is missing; needed are time (s), x, y, z (m) and qw, qx, qy, qz (body to world)"
-            )
+    record.check_columns(c, COLUMNS, path, "time (s), x, y, z (m) and qw, qx, qy, qz (body to world)")
     if table.ignored:
         notes.append(f"columns {', '.join(table.ignored)} are not used: what moves is taken from the poses")
-    check_unit(c, at, FAR, "toss")
+    record.check_unit(c, at, FAR, "toss")
     norm = np.sqrt(sum(np.square(c[q]) for q in TURN))
     for i in np.flatnonzero(np.abs(norm - 1.0) > NORM)[:1]:
         raise BadInput(f"{at(i)}: the quaternion's length is {norm[i]:.4g}, not 1; mend or remove that row")
@@ -122,11 +118,11 @@ def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list
             told,
             as_declared,
         )
-        notes += [f"toss {name}: {hole}" for hole in holes(found[name][0])]
+        notes += [f"toss {name}: {hole}" for hole in record.holes(found[name][0])]
 
 
 def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declared: bool) -> tuple[np.ndarray, ...]:
-    check_increasing(time, told)
+    record.check_increasing(time, told)
     if len(time) < LEAST_ROWS or np.median(np.diff(time)) > SLOWEST:
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
         raise BadInput(
@@ -135,10 +131,8 @@ def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declare
     if not as_declared:
         check_frozen(time, place, told, "the body", grip=np.inf)  # a blow may stop it at once
     gaps = np.diff(time)
-    leap = np.linalg.norm(np.diff(place, axis=0), axis=1)
-    for k in np.flatnonzero(leap > FASTEST * gaps)[:1] + 1:
-        raise BadInput(f"{told(k)}: the body jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it")
-    check_clock_set(time, place, told, "the body")
+    record.check_leaps(time, place, told, "the body", FASTEST)
+    record.check_clock_set(time, place, told, "the body")
     turn = turns.continuous(turn)
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
     for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
