@@ -46,8 +46,9 @@ WITHIN = {
         "trainer", "config", "targets", "checks", "task", "film", "kind",
     ),
     "tasks": (
-        "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "saved_policy", "one_shot",
-        "one_action", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing", "scooping", "toss", "parity", "registry",
+        "base", "camera_record", "trial_clock", "trial_frozen", "camera_effects", "trial_record", "trial_diagnosis", "saved_policy",
+        "one_shot", "one_action", "one_shot_naf", "engine", "engine_runs", "pendulum", "pushing", "scooping", "toss", "parity",
+        "registry",
     ),
 }  # fmt: skip
 FILES = sorted(f for f in PACKAGE.rglob("*.py") if f != PACKAGE / "__init__.py")

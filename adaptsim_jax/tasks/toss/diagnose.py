@@ -1,20 +1,15 @@
 """Diagnose measured tosses: which effects the declared toss lacks, what is left, and the mended model."""
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows as parts
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.run import Page, Run, command_of
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
-from adaptsim_jax.diagnosis.written import cleared
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
 from adaptsim_jax.tasks.toss.flight import Flight, free_flight
@@ -22,6 +17,7 @@ from adaptsim_jax.tasks.toss.flight import words as flight_words
 from adaptsim_jax.tasks.toss.predict import whole_tosses
 from adaptsim_jax.tasks.toss.problem import Follow, prepare
 from adaptsim_jax.tasks.toss.read import Tossed, read
+from adaptsim_jax.tasks.trial_diagnosis import Diagnose, noted
 
 XML = "model.xml"
 CRITERIA = Criteria(rounds=3, glance=1)  # a simulation of strikes is rough: fits gain little after a few rounds
@@ -42,37 +38,17 @@ MEASURE = {
 }
 
 
-def diagnose(
-    data: str | Path | Tossed,
-    *,
-    out: str | Path | None = None,
-    criteria: Criteria | None = None,
-    exclude: tuple[str, ...] = (),
-    progress: Callable[[float, float, str], None] | None = None,
-    page: Page | None = None,
-    named: str = "DATA",
-) -> dict[str, Any]:
-    """The report on a folder of tosses (or on `Tossed`); with `out` it is written there, with `model.toml` and `model.xml`.
-
-    exclude: effects that are not considered; named: what `Tossed` came of. Raises BadInput.
-    """
-    began = time.monotonic()
-    criteria = criteria or CRITERIA
-    say = progress or (lambda done, total, note: None)
-    tossed = data if isinstance(data, Tossed) else read(data)
-    kept = parts.check_exclude(exclude, effects(tossed.body), "toss")
-    folder = None if out is None else cleared(output_folder(out))
-    say(0.01, 1.0, "starts of the windows")
-    problem, follow = prepare(tossed, kept)
-    step = parts.stepping(progress, 0.05)
-    found = select(problem, criteria, step, keep=parts.keeping(folder, "toss", _model(tossed), problem, LOGS))
+def judged(tossed: Tossed, considered: tuple[Candidate, ...], criteria: Criteria, progress, folder: Path | None):
+    """See `trial_diagnosis.Diagnose`."""
+    if progress is not None:
+        progress(0.01, 1.0, "starts of the windows")
+    problem, follow = prepare(tossed, considered)
+    keep = parts.keeping(folder, "toss", _model(tossed), problem, LOGS)
+    found = select(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
     report, evidence = reported(tossed, problem, follow, found, criteria)
-    command = command_of(named if isinstance(data, Tossed) else data, out=out, exclude=exclude)
     values = fitted(problem, found.final)
     xml = {XML: lambda: mended_xml(tossed.body, values, beside(found, values))}
-    return parts.finished(
-        report, evidence, Run(command, began), None, folder, model_table(found, values), (), page, xml
-    )
+    return report, evidence, None, model_table(found, values), xml
 
 
 def fitted(problem: Problem, model: Model) -> dict[str, float]:
@@ -148,7 +124,7 @@ def reported(
         next_experiment=_next(found),
     )
     evidence = {
-        "audit": [{"severity": "info", "where": "", "message": note} for note in tossed.notes],
+        "audit": noted(list(tossed.notes)),
         "held_out": _held_out(tossed, follow, tracks, bool(found.named)),
         "tracks": _from_above(follow, tracks, bool(found.named)),
     }
@@ -264,3 +240,6 @@ def _from_above(follow: Follow, tracks, mended: bool) -> dict[str, Any]:
         "before": cut(tracks["before"]),
         "after": cut(tracks["after"]) if mended else None,
     }
+
+
+diagnose = Diagnose("toss", Tossed, read, lambda tossed: effects(tossed.body), judged, CRITERIA)
