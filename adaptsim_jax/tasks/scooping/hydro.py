@@ -134,7 +134,7 @@ def rollout(
     action = jnp.where(fit, action, jnp.asarray(model.ACTION_LOW, params.dtype))
     friction, modulus = params[0], params[1]
     piece = shapes.body(params[2], params[3])
-    tip = spatula.motion(action, steps_of(numerics), options).pose
+    tip = spatula.motion(action, steps_of(numerics), options)
     ground = contact.table(friction)
 
     def one(carry, row):

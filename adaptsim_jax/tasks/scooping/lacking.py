@@ -58,7 +58,7 @@ def rollout(
         sliding,
         1.0 + v["speed_scale"],
         1.0 + v["lift_scale"],
-    ).pose
+    )
     ground, blade = contact.table(v["mu"]), v["mu"] * (1.0 + v["blade_friction"])
     rest = hydro.at_rest(piece, v["e"])
 

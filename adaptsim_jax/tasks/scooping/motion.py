@@ -9,10 +9,11 @@ table keeps the blade from sinking below it, which the arm's compliance does in 
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
@@ -28,58 +29,11 @@ PRESS = (0.0, -1.0, -1.0, 1.0, 0.0, 0.0)
 """Vertical speed at the knots, in units of `ScoopOptions.press`."""
 
 
-class Motion(NamedTuple):
-    """Of the blade's tip at `T` times: `pose [T, 3]` is (x m, z m, pitch rad), x from the piece's centre."""
-
-    pose: Array
-    times: np.ndarray
-
-
-def slopes_matrix() -> np.ndarray:
-    """`[6, 6]`: values at the knots to the clamped spline's slopes there.
-
-    Continuity of the second derivative at each inner knot, and slopes of zero at both ends.
-    """
-    gap = np.diff(KNOTS)
-    n = len(KNOTS)
-    left, right = np.eye(n), np.zeros((n, n))
-    for i in range(1, n - 1):
-        a, b = 1 / gap[i - 1], 1 / gap[i]
-        left[i, i - 1 : i + 2] = a, 2 * (a + b), b
-        right[i, i - 1 : i + 2] = -3 * a * a, 3 * (a * a - b * b), 3 * b * b
-    return np.linalg.solve(left, right)
-
-
-def spline_matrix(times: np.ndarray, integral: bool = False) -> np.ndarray:
-    """`[T, 6]`: values at the knots to the spline, or to its integral from 0, at `times [T]` within the knots."""
-    knots = np.array(KNOTS)
-    gap = np.diff(knots)
-    piece = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(gap) - 1)
-    s = (times - knots[piece]) / gap[piece]
-    here = _hermite(s, integral)
-    if integral:
-        here = here * gap[piece]
-    values, slopes = np.eye(len(knots)), slopes_matrix()
-    ends = lambda h, k, g: h[0] * values[k] + h[1] * values[k + 1] + g * (h[2] * slopes[k] + h[3] * slopes[k + 1])
-    out = np.stack([ends(here[:, t], piece[t], gap[piece[t]]) for t in range(len(times))])
-    if integral:  # whole pieces that lie before each time
-        whole = _hermite(np.ones(1), True)[:, 0]
-        done = np.cumsum([ends(whole * gap[k], k, gap[k]) for k in range(len(gap))], axis=0)
-        out += np.concatenate([np.zeros((1, len(knots))), done])[piece]
-    return out
-
-
-def _hermite(s: np.ndarray, integral: bool) -> np.ndarray:
-    """`[4, T]`: the cubic Hermite basis (value, value, slope, slope) on [0, 1] at `s`, or its integral from 0."""
-    if integral:
-        return np.stack([s - s**3 + s**4 / 2, s**3 - s**4 / 2, s**2 / 2 - 2 * s**3 / 3 + s**4 / 4, s**4 / 4 - s**3 / 3])
-    return np.stack([1 - 3 * s**2 + 2 * s**3, 3 * s**2 - 2 * s**3, s - 2 * s**2 + s**3, s**3 - s**2])
-
-
 @cache
 def _travelled(steps: int) -> np.ndarray:
-    """`[steps + 1, 6]`: integrals of the splines at even times over the trial."""
-    return spline_matrix(np.linspace(0.0, KNOTS[-1], steps + 1), integral=True)
+    """`[steps + 1, 6]`: values at the knots to the integrals of their clamped spline, at even times over the trial."""
+    splines = CubicSpline(KNOTS, np.eye(len(KNOTS)), bc_type="clamped")
+    return splines.antiderivative()(np.linspace(0.0, KNOTS[-1], steps + 1))
 
 
 def motion(
@@ -88,9 +42,9 @@ def motion(
     options: ScoopOptions = ScoopOptions(),  # noqa: B008
     speed: Array = 1.0,
     lift: Array = 1.0,
-) -> Motion:
-    """The tip's pose at `steps + 1` even times for `action [3]`; pure, and as precise as `action`. speed, lift: times the declared
-    speed forward and pitch rate.
+) -> Array:
+    """The tip's poses `[steps + 1, 3]` (x m from the piece's centre, z m, pitch rad) at even times for `action [3]`; pure, and as
+    precise as `action`. speed, lift: times the declared speed forward and pitch rate.
 
     The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with it. Then the blade is
     lifted wherever its lower edges would pass below the clearance.
@@ -108,7 +62,7 @@ def motion(
     x = -model.RADIUS - distance + ahead + now_x - arm_x
     z = sunk + now_z - arm_z
     z = z + jnp.maximum(0.0, options.clearance - (z + lowest(theta)))
-    return Motion(jnp.stack([x, z, theta], -1), np.linspace(0.0, KNOTS[-1], steps + 1))
+    return jnp.stack([x, z, theta], -1)
 
 
 def turn(angle: Array, x: Array, z: Array) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ STEPS = 1000
 
 def touch(actions: np.ndarray, options: ScoopOptions = ScoopOptions()) -> Touch:  # noqa: B008
     """Of scoops with `actions [T, 3]` rad, rad/s, m: reached where the tip has pushed the piece by `MOVED`."""
-    poses = jax.vmap(lambda a: motion(a, STEPS, options).pose[:, 0])(np.asarray(actions, np.float32))
+    poses = jax.vmap(lambda a: motion(a, STEPS, options)[:, 0])(np.asarray(actions, np.float32))
     tip, time = np.asarray(poses, float), np.linspace(0.0, model.SECONDS, STEPS + 1)
     fastest = np.max(np.diff(tip, axis=1), axis=1) * STEPS / model.SECONDS
 

@@ -240,10 +240,10 @@ def test_an_emulator_gives_back_a_quadratic(tmp_path, tracks, simple, monkeypatc
 
 def test_a_faster_blade_travels_farther():
     action = np.array([0.1, 0.0, 0.01], np.float32)
-    slow, fast = (np.asarray(motion.motion(action, 40, speed=s).pose) for s in (1.0, 1.1))
+    slow, fast = (np.asarray(motion.motion(action, 40, speed=s)) for s in (1.0, 1.1))
     begun = slow[0, 0]
     assert (fast[-1, 0] - begun) == pytest.approx(slow[-1, 0] - begun + 0.1 * 0.2714, abs=0.02)
-    still = np.asarray(motion.motion(action, 40, lift=0.0).pose)
+    still = np.asarray(motion.motion(action, 40, lift=0.0))
     np.testing.assert_allclose(still[:, 2], 0.1, atol=1e-6)
 
 

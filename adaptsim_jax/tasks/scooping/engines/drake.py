@@ -75,7 +75,7 @@ def make_drake(options: ScoopOptions, contact: DrakeContact, threads: int | None
 
 def _poses(action: np.ndarray, options: ScoopOptions, dt: float) -> np.ndarray:
     """The tip's poses `[steps + 1, 3]`."""
-    return np.asarray(spatula.motion(jnp.asarray(action, jnp.float32), round(model.SECONDS / dt), options).pose, float)
+    return np.asarray(spatula.motion(jnp.asarray(action, jnp.float32), round(model.SECONDS / dt), options), float)
 
 
 def _fit(params: np.ndarray, actions: np.ndarray) -> np.ndarray:

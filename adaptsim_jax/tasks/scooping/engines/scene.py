@@ -71,7 +71,7 @@ def make_drive(options: ScoopOptions, dt: float) -> Callable[[Array, Array], tup
     steps = round(model.SECONDS / dt)
 
     def drive(params: Array, action: Array) -> tuple[Array, Array]:
-        pose = spatula.motion(action, steps, options).pose
+        pose = spatula.motion(action, steps, options)
         speed = jnp.concatenate([jnp.zeros_like(pose[:1]), jnp.diff(pose, axis=0) / dt])
         height = params[3] / 2 - clouds.spring(params, dt).depth
         piece = jnp.stack([jnp.zeros_like(height), height, jnp.zeros_like(height)])
