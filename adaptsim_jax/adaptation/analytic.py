@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from adaptsim_jax.adaptation.phase1 import draw_target
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.space import gaussian
@@ -133,7 +134,7 @@ def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: Analytic
         def total(weights):
             def one(key):
                 run_key, start_key, target_key = jax.random.split(key, 3)
-                target = _draw_target(target_key, task, config.inside)
+                target = draw_target(target_key, task, config.inside)
                 return trajectory(weights, run_key, space.sample(start_key), target)
 
             surrogate, losses = jax.vmap(one)(keys)
@@ -156,14 +157,6 @@ def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: Analytic
         return jax.vmap(lambda u: jax.lax.scan(one, u, None, length=iterations + 1)[1])(starts)
 
     return Analytic(config, init, run, adapt)
-
-
-def _draw_target(key, task: Task, inside: float) -> jax.Array:
-    """As `phase1` draws its targets: each parameter from Omega with probability `inside`, else from the task's box of targets."""
-    near_key, far_key, coin_key = jax.random.split(key, 3)
-    near = task.space.physical(task.space.sample(near_key))
-    far = task.targets.physical(task.targets.sample(far_key))
-    return jnp.where(jax.random.uniform(coin_key, far.shape) < inside, near, far)
 
 
 def _check(task: Task, config: AnalyticConfig) -> None:

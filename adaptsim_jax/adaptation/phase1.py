@@ -140,7 +140,7 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
 
     def begin(key):
         target_key, start_key, run_key = jax.random.split(key, 3)
-        target = _draw_target(target_key, task, hyper.inside)
+        target = draw_target(target_key, task, hyper.inside)
         return run_key, gaussian(task.space, task.space.sample(start_key)), task.init_policy(run_key), target
 
     sizes = {"steps": config.horizon, "delta": hyper.delta, "shrink": hyper.shrink, "obs_noise": hyper.obs_noise}
@@ -156,7 +156,7 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
     return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
 
 
-def _draw_target(key, task: Task, inside) -> jax.Array:
+def draw_target(key, task: Task, inside) -> jax.Array:
     """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of targets."""
     near_key, far_key, coin_key = jax.random.split(key, 3)
     near = task.space.physical(task.space.sample(near_key))

@@ -220,7 +220,7 @@ Axis = list[dict[str, Any]]
 
 
 def _axes(spec: SweepSpec, lines: Lines) -> list[Axis]:
-    grid = [_grid_axis(key, values, lines) for key, values in _lists(spec.grid).items()]
+    grid = [_grid_axis(key, values, lines) for key, values in configs.flatten(spec.grid).items()]
     alternatives = [] if spec.random.count == 0 else [_random_axis(spec.random, lines)]
     if spec.list:
         alternatives.append([_list_entry(entry, i, lines) for i, entry in enumerate(spec.list)])
@@ -230,13 +230,6 @@ def _axes(spec: SweepSpec, lines: Lines) -> list[Axis]:
         if keys.count(key) > 1:
             raise BadInput(f"{lines.where(f'grid.{key}')}: key '{key}' is swept twice; leave it in one place")
     return axes
-
-
-def _lists(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat = {}
-    for name, value in table.items():
-        flat |= _lists(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
-    return flat
 
 
 def _grid_axis(key: str, values: Any, lines: Lines) -> Axis:
@@ -250,7 +243,7 @@ def _list_entry(entry: Any, i: int, lines: Lines) -> dict[str, Any]:
         raise BadInput(
             f"{lines.where(f'list.{i}')}: entry {i} of list is {brief(entry)}; write [[list]] and keys below it"
         )
-    flat = _lists(entry)
+    flat = configs.flatten(entry)
     return flat | {"": {key: f"list.{i}.{key}" for key in flat}}
 
 
@@ -331,7 +324,7 @@ def _check_whole(spec: SweepSpec, config: TrainConfig, names: dict[str, str], li
         if text.startswith(lines.path):
             raise
         # the message names what it is about; the key whose last part it holds is to blame, else all that is swept
-        named = {**{key: f"set.{key}" for key in _lists(spec.set)}, **names}
+        named = {**{key: f"set.{key}" for key in configs.flatten(spec.set)}, **names}
         key = max((k for k in named if k.rpartition(".")[2] in text), key=len, default=None)
         line = named[key] if key else next(iter(names.values()), "set")
         raise BadInput(f"{lines.where(line)}: {text}") from None

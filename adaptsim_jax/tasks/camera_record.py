@@ -36,8 +36,11 @@ def trials_of(
             known = ", ".join(map(str, asked))
             raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
         told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
-        check_times(columns["time"][rows], most, told)
-        seen[number] = Seen(rows, columns["time"][rows], np.stack([columns["x"][rows], columns["y"][rows]], 1), told)
+        time = columns["time"][rows]
+        check_increasing(time, told)
+        if time[-1] - time[0] > most:
+            raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
+        seen[number] = Seen(rows, time, np.stack([columns["x"][rows], columns["y"][rows]], 1), told)
     check_different({n: trial.track for n, trial in seen.items()}, where)
     return seen
 
@@ -98,13 +101,6 @@ def check_increasing(time: np.ndarray, told: Callable[[int], str]) -> None:
             raise BadInput(f"{told(0)}: {lost}")
         word = "repeats" if time[k] == time[k - 1] else "runs backwards"
         raise BadInput(f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such rows")
-
-
-def check_times(time: np.ndarray, most: float, told: Callable[[int], str]) -> None:
-    """BadInput where `time [T]` s of one trial does not increase, or lasts longer than `most` s."""
-    check_increasing(time, told)
-    if time[-1] - time[0] > most:
-        raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
 
 
 def check_gaps(time: np.ndarray, most: float, until: float, told: Callable[[int], str], again: str) -> None:

@@ -94,6 +94,11 @@ def edge_motion(duration: float, step: float = STEP) -> np.ndarray:
     slope = pushing.slopes(step, steps)
     rate = pushing.ramp(np.arange(steps) * step)
     travel = np.concatenate([[0.0], np.cumsum(pushing.ramp(np.arange(1, steps) * step)) * step])
+    return edge_of(travel, rate, slope)
+
+
+def edge_of(travel: np.ndarray, rate: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """`[steps, 6]` of how far the profile has come, its rate and its slope `[steps]`."""
     pitch, rate_p, slope_p = (pushing.PITCH_RATE * a for a in (travel, rate, slope))
     swing = pushing.EDGE_DROP * np.sin(pitch)
     swing_v = pushing.EDGE_DROP * np.cos(pitch) * rate_p

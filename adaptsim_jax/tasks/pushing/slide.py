@@ -21,7 +21,7 @@ import numpy as np
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing.model import PAPER, ElasticityMap, PushOptions
-from adaptsim_jax.tasks.pushing.planar import DEFAULT, IMPEDANCE, PlanarCoefficients, edge_motion
+from adaptsim_jax.tasks.pushing.planar import DEFAULT, IMPEDANCE, PlanarCoefficients, edge_motion, edge_of
 
 Array = Any
 
@@ -127,11 +127,7 @@ def edge_halfway(duration: float, step: float) -> np.ndarray:
     at = np.clip(np.searchsorted(corners, t, "right") - 1, 0, len(corners) - 1)
     rate, slope = pushing.ramp(t), np.append(np.diff(h) / np.diff(corners), 0.0)[at]
     travel = travelled[at] + (t - corners[at]) * (h[at] + rate) / 2
-    pitch, rate_p, slope_p = (pushing.PITCH_RATE * a for a in (travel, rate, slope))
-    swing = pushing.EDGE_DROP * np.sin(pitch)
-    swing_v = pushing.EDGE_DROP * np.cos(pitch) * rate_p
-    swing_a = pushing.EDGE_DROP * (np.cos(pitch) * slope_p - np.sin(pitch) * rate_p**2)
-    return np.stack([travel, swing, rate, swing_v, slope, swing_a], -1).astype(np.float32)
+    return edge_of(travel, rate, slope)
 
 
 def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoefficients, dt: float, as_planar: bool):

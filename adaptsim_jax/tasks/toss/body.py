@@ -5,12 +5,13 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.mjcf import compiled, read_spec
+from adaptsim_jax.mechanisms.mjcf import compiled, read_spec, rotation_of
 from adaptsim_jax.mechanisms.mjcf_write import commented
 
 SIZED = ("BOX", "SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID")
@@ -75,9 +76,7 @@ def _outer(m: mujoco.MjModel, g: int) -> np.ndarray:
         points = np.array(m.mesh_vert[first : first + m.mesh_vertnum[mesh]], float)
     else:
         points = ball * (size[0] if kind == "SPHERE" else m.geom_rbound[g])
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, m.geom_quat[g])
-    return m.geom_pos[g] + points @ turn.reshape(3, 3).T
+    return m.geom_pos[g] + points @ rotation_of(m.geom_quat[g]).T
 
 
 def read_body(path: str | Path) -> Body:
@@ -111,14 +110,20 @@ def read_body(path: str | Path) -> Body:
 def _general(path: str, spec: mujoco.MjSpec, model: mujoco.MjModel, at: int) -> mujoco.MjModel:
     """The model compiled for a centre of mass beside the body's origin: where they coincide MuJoCo leaves out what couples motion
     and turning, and a centre that is moved later would be pulled about the origin."""
-    part = next(p for p in spec.bodies if p.name == mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, at))
     centre = np.array(model.body_ipos[at])
-    part.explicitinertial = True
-    part.mass, part.ipos, part.iquat = float(model.body_mass[at]), centre + 1e-3, model.body_iquat[at]
-    part.inertia, part.fullinertia = model.body_inertia[at], [np.nan, 0, 0, 0, 0, 0]
+    _weigh(spec, model, at, centre + 1e-3)
     general = compiled(path, spec)
     general.body_ipos[at] = centre
     return general
+
+
+def _weigh(spec: mujoco.MjSpec, m: mujoco.MjModel, at: int, centre: np.ndarray) -> Any:
+    """Declare the inertia that body `at` has in a model, about `centre [3]` m; the body."""
+    part = next(p for p in spec.bodies if p.name == m.body(at).name)
+    part.explicitinertial = True
+    part.mass, part.ipos, part.iquat = float(m.body_mass[at]), centre, m.body_iquat[at]
+    part.inertia, part.fullinertia = m.body_inertia[at], [np.nan, 0, 0, 0, 0, 0]
+    return part
 
 
 def _check(path: str | Path, model: mujoco.MjModel) -> None:
@@ -173,11 +178,7 @@ def mended_xml(body: Body, values: Mapping[str, float], comments: Sequence[str] 
     """The file as MJCF text with what MJCF can hold of `values`; comments say the rest. Raises BadInput where MuJoCo refuses it."""
     spec, _ = read_spec(body.path)
     m = with_values(body, values)
-    name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_BODY, body.at)
-    part = next(p for p in spec.bodies if p.name == name)
-    part.explicitinertial = True
-    part.mass, part.ipos, part.iquat = float(m.body_mass[body.at]), m.body_ipos[body.at], m.body_iquat[body.at]
-    part.inertia, part.fullinertia = m.body_inertia[body.at], [np.nan, 0, 0, 0, 0, 0]
+    part = _weigh(spec, m, body.at, m.body_ipos[body.at])
     for geom, at in zip(part.geoms, body.geoms, strict=True):
         geom.friction, geom.solref = m.geom_friction[at], m.geom_solref[at]
         geom.priority = int(m.geom_priority[at])

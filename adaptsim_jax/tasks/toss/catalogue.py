@@ -3,15 +3,12 @@
 import math
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.tasks.camera_effects import quantity as _q
 from adaptsim_jax.tasks.toss.body import Body
 
 DECLARED = ("friction", "log_time", "damping")
 CHUNKED = ("speed_friction", "grain_a", "grain_b", "rebound")
 """What depends on the motion: set anew every few ms of a simulation."""
-
-
-def _q(name: str, unit: str, low: float, high: float, scale: float) -> Quantity:
-    return Quantity(name, unit, 0.0, low, high, scale, 2.0 * max(abs(low), abs(high)))
 
 
 OWN = (

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.logs.table import read_table
@@ -16,6 +15,7 @@ from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import Body, read_body
 from adaptsim_jax.tasks.toss.frame import check_blows
 from adaptsim_jax.tasks.trial_frozen import check_frozen
+from adaptsim_jax.tasks.trial_record import read_meta
 
 PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 COLUMNS = ("time", *PLACE, *TURN)
@@ -63,10 +63,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     """The tosses of a folder. as_declared: whatever the poses say of the frame; without: tosses that are left out. Raises BadInput."""
     folder = Path(folder)
     where = folder / "meta.toml"
-    meta = config.read(where)
-    for key in meta:
-        if key not in KEYS:
-            raise BadInput(f"{where}: key '{key}' is unknown{config.suggest(key, KEYS)}")
+    meta = read_meta(where, KEYS)
     if not isinstance(meta.get("model"), str):
         raise BadInput(f'{where}: names no model; add model = "cube.xml", the MJCF of the body over a plane')
     body = read_body(folder / meta["model"])
@@ -193,12 +190,7 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
         if key in meta:
             value = finite(meta[key])
             if value is None or not 0.0 < value < most:
-                unit = "m" if i == 0 else "rad"
-                raise BadInput(f"{where}: {key} = {brief(meta[key])} is no size in {unit}; write e.g. {least_of(i)}")
+                unit, usual = (("m", "0.0002"), ("rad", "0.002"))[i]
+                raise BadInput(f"{where}: {key} = {brief(meta[key])} is no size in {unit}; write e.g. {usual}")
             seen[i], source = value, "declared"
     return seen[0], seen[1], source
-
-
-def least_of(i: int) -> str:
-    """A usual noise, for a message."""
-    return ("0.0002", "0.002")[i]

@@ -5,13 +5,13 @@ effect of the measurement moves what is simulated and leaves the start near the 
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
+from adaptsim_jax.core.parallel import cores
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import LEAST_FRICTION, Body, with_values
 from adaptsim_jax.tasks.toss.catalogue import CHUNKED
@@ -19,11 +19,6 @@ from adaptsim_jax.tasks.toss.catalogue import CHUNKED
 AT_ONCE = 256  # simulations in memory
 CHUNK = 0.004  # s between looks at the motion, where friction or damping depend on it
 USUAL, SLOW = 0.5, 0.05  # m/s: the speed at which damping is as declared; below the second it changes no more
-
-
-def threads() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def poses(
@@ -81,7 +76,7 @@ def _rolled(body: Body, names, values, state, time) -> tuple[np.ndarray, np.ndar
     own = np.any(values[:, chunked] != 0.0, axis=1)
     rows = np.empty((len(state), count + 1, 7))
     rows[:, 0] = state[:, :7]
-    pool = [mujoco.MjData(body.model) for _ in range(threads())]
+    pool = [mujoco.MjData(body.model) for _ in range(cores())]
     for at in (np.flatnonzero(~own), np.flatnonzero(own)):
         if len(at) == 0:
             continue

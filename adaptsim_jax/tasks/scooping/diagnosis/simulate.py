@@ -1,7 +1,6 @@
 """Scoops simulated with the values of a diagnosis, in lots of `LANES`: so few stay in a processor's cache, and one program serves any
 number of them, a lot on each core. And what a camera tells of them."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -11,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.parallel import cores
 from adaptsim_jax.tasks.camera_effects import happened, viewed
 from adaptsim_jax.tasks.scooping import lacking
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import CAMERA, QUANTITIES
@@ -51,12 +51,8 @@ def poses(scooped: Scooped, shape: str, values: np.ndarray, trials: np.ndarray, 
         v, a, aside = (z[lanes] for z in given)
         return np.asarray(program(v, g, a, aside))[: count - k]
 
-    with ThreadPoolExecutor(_cores()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         return np.concatenate(list(pool.map(lot, range(0, count, LANES))))
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def seen(values: Array, poses: Array, start: Array, aside: Array, time: Array) -> Array:
