@@ -26,9 +26,8 @@ from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS
 from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation, of_the_engine
 from adaptsim_jax.effects.registry import EFFECTS
-from adaptsim_jax.learners.bdq import BDQConfig, BDQHyper
-from adaptsim_jax.learners.naf import NAFConfig, NAFHyper
-from adaptsim_jax.learners.registry import LEARNERS
+from adaptsim_jax.learners.bdq import BDQConfig, BDQHyper, make_bdq
+from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.replay import Transition
 from adaptsim_jax.mechanisms.registry import MECHANISMS
 from adaptsim_jax.space import gaussian
@@ -212,17 +211,14 @@ def test_engine_answers_in_shape(name):
 
 
 MADE = {
-    "bdq": (BDQConfig(4, 2), BDQHyper(), lambda n: jnp.zeros((n, 2), jnp.int32), (0.1,)),
-    "naf": (NAFConfig(4, 2), NAFHyper(), lambda n: jnp.zeros((n, 2)), (0.1,)),
+    "bdq": (make_bdq, BDQConfig(4, 2), BDQHyper(), lambda n: jnp.zeros((n, 2), jnp.int32), (0.1,)),
+    "naf": (make_naf, NAFConfig(4, 2), NAFHyper(), lambda n: jnp.zeros((n, 2)), (0.1,)),
 }
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", MADE)
 def test_learner(name, real):
-    if name not in MADE:
-        pytest.skip("its sizes are its own package's")
-    config, hyper, actions, noise = MADE[name]
-    make = getattr(LEARNERS[name], f"make_{name}")
+    make, config, hyper, actions, noise = MADE[name]
     explained(make, shapes=True)
     explained(type(hyper), shapes=True)
     learner = make(config)

@@ -11,7 +11,6 @@ from adaptsim_jax.adaptation.episode import Episode
 from adaptsim_jax.adaptation.phase1 import Archive, Phase1, Phase1Hyper, Phase1Info
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import archive_size
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 
 
@@ -34,19 +33,12 @@ def train_many(
     hypers: Phase1Hyper,
     seeds: np.ndarray,
     *,
-    at_once: int = 1,
     progress: Callable = silent,
-    keep: Callable[[np.ndarray, TrainedMany], None] = lambda seeds, part: None,
 ) -> TrainedMany:
-    """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`, `at_once` of them under one vmap.
+    """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`.
 
-    One trace and one compiled program, called `S / at_once` times. On a CPU 1 is as fast a run as any other number
-    (`benchmarks/phase1.py --seeds`), and shows progress; on a GPU take all of them. `keep(seeds, part)` is called with
-    each group as it is done, to store it.
+    One trace and one compiled program, called `S` times: on a CPU as fast as any number at once (`benchmarks/phase1.py --seeds`).
     """
-    count = len(seeds)
-    if at_once < 1 or count % at_once:
-        raise BadInput(f"{count} runs do not divide into groups of {at_once}; use a divisor of {count}")
     rounds = jnp.arange(phase1.config.rounds)
 
     @jax.jit
@@ -56,12 +48,10 @@ def train_many(
         return state.learner.target, state.archive, info
 
     parts = []
-    for i in range(0, count, at_once):
-        pick = slice(i, i + at_once)
-        some = jax.tree.map(lambda x, pick=pick: x[pick], hypers)
-        part = TrainedMany(some, *train(jnp.asarray(seeds[pick]), some))
-        keep(seeds[pick], part)
-        progress(i + at_once, count, f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
+    for i in range(len(seeds)):
+        some = jax.tree.map(lambda x, i=i: x[i : i + 1], hypers)
+        part = TrainedMany(some, *train(jnp.asarray(seeds[i : i + 1]), some))
+        progress(i + 1, len(seeds), f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
         parts.append(part)
     return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
 

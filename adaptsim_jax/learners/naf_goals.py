@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners import replay as ring
-from adaptsim_jax.learners.naf import NAF, NAFHyper, NAFInfo, NAFState
+from adaptsim_jax.learners.naf import NAF, NAFHyper, NAFState
 from adaptsim_jax.learners.replay import Transition
 
 _CHECKS = 2**31 - 1  # the number that checks' keys are drawn with; no round has it
@@ -78,18 +78,9 @@ class GoalState(NamedTuple):
     replay: Trials
 
 
-class GoalInfo(NamedTuple):
-    """Of one round: mean reward of its trials `[]` for the goals that they aimed at, and the updates' means."""
-
-    reward: jax.Array
-    updates: NAFInfo
-
-
 class GoalLearner(NamedTuple):
     """See `make_goal_learner`."""
 
-    init: Callable[..., GoalState]
-    step: Callable[..., tuple[GoalState, GoalInfo]]
     train: Callable[..., jax.Array]
     tune: Callable[..., jax.Array]
 
@@ -97,11 +88,9 @@ class GoalLearner(NamedTuple):
 def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper: NAFHyper = NAFHyper()) -> GoalLearner:  # noqa: B008
     """Check the sizes and return the training of one policy as pure functions.
 
-    * `init(weights [n]) -> GoalState`: a new replay and optimiser, weights as they are
-    * `step(key, state, context, number [], rounds []) -> (state, info)`: round `number` of `rounds`; past the last
-      one, weights stay as they are
     * `train(keys [P], weights [P, n], contexts [P, ...], rounds [P], longest []) -> weights [P, n]`: `P` policies
-      together, each for its own number of rounds. `longest`, the largest of them, may be traced: it sets the time taken.
+      together, each for its own number of rounds, with a new replay and optimiser. `longest`, the largest of them, may be traced: it
+      sets the time taken.
     * `tune(key, weights [n], trials [N], used [], updates) -> weights [n]`: one policy from the first `used` of given
       trials, made anywhere; none where there are none
     """
@@ -109,13 +98,12 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
     shapes = jax.eval_shape(problem.draw, jax.random.key(0))
     action: Any = jax.ShapeDtypeStruct((naf.config.action_dim,), shapes.dtype)
 
-    def init(weights, outcome):
+    def start(weights, context):
+        outcome = jax.eval_shape(problem.trial, jax.random.key(0), context, jnp.zeros(action.shape))
         return GoalState(naf.fresh(weights), ring.empty(Trials(shapes, action, outcome), config.capacity))
 
-    def start(weights, context):
-        return init(weights, jax.eval_shape(problem.trial, jax.random.key(0), context, jnp.zeros(action.shape)))
-
     def step(key, state, context, number, rounds):
+        """Round `number []` of `rounds []`; past the last one, weights stay as they are."""
         trial_key, learn_key = jax.random.split(key)
         block = _collect(trial_key, naf, problem, config, state.learner.online, context)
         stored = ring.write(state.replay, block, number)
@@ -123,16 +111,18 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
         done = jnp.clip(number / jnp.maximum(rounds, 1), 0.0, 1.0)
         batches = _batches(learn_key, naf, problem, config, state.learner.online, stored, filled, done)
         share = jnp.maximum(1.0 - number / jnp.maximum(rounds, 1), config.rate_end) * (number < rounds)
+        return GoalState(learned(state.learner, batches, share), stored)
+
+    def learned(learner, batches, share):
+        """The learner after updates on `batches`, at a share of its rate."""
         rates = replace(hyper, learning_rate=hyper.learning_rate * share)
-        learner, info = jax.lax.scan(lambda s, b: naf.update(s, b, rates), state.learner, batches)
-        reward = jax.vmap(problem.reward)(block.outcome, block.goal).mean()
-        return GoalState(learner, stored), GoalInfo(reward, jax.tree.map(jnp.mean, info))
+        return jax.lax.scan(lambda s, b: (naf.update(s, b, rates)[0], None), learner, batches)[0]
 
     def train(keys, weights, contexts, rounds, longest):
         at = lambda number: jax.vmap(jax.random.fold_in, (0, None))(keys, number)
 
         def one(number, state):
-            return jax.vmap(step, (0, 0, 0, None, 0))(at(number), state, contexts, number, rounds)[0]
+            return jax.vmap(step, (0, 0, 0, None, 0))(at(number), state, contexts, number, rounds)
 
         begin = jax.vmap(start)(weights, contexts)
         worth = problem.worth
@@ -156,10 +146,9 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
         given = replace(config, updates=updates)
         sized = jnp.maximum(used, 1)
         batches = _batches(key, naf, problem, given, weights, trials, sized, jnp.ones(()))
-        rates = replace(hyper, learning_rate=hyper.learning_rate * (used > 0))
-        return jax.lax.scan(lambda s, b: naf.update(s, b, rates), naf.fresh(weights), batches)[0].online
+        return learned(naf.fresh(weights), batches, used > 0).online
 
-    return GoalLearner(start, step, train, tune)
+    return GoalLearner(train, tune)
 
 
 def _collect(key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, context) -> Trials:

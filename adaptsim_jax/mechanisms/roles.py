@@ -13,22 +13,13 @@ import numpy as np
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.spec import Source
+from adaptsim_jax.mechanisms.urdf import Follower
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 CONNECT, WELD, TIE = (int(getattr(mujoco.mjtEq, f"mjEQ_{name}")) for name in ("CONNECT", "WELD", "JOINT"))
 JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TURNS = "xyz"  # a ball is three hinges, which turn about these axes one after the other
 HOME = "home"
-
-
-@dataclass(frozen=True)
-class Follower:
-    """A joint at offset + factor * (angle of its leader), both in rad or m."""
-
-    joint: str
-    leader: str
-    factor: float
-    offset: float
 
 
 @dataclass(frozen=True)

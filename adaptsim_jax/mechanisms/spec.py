@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.urdf import Mimic, is_urdf, urdf_for_mujoco
+from adaptsim_jax.mechanisms.urdf import Follower, is_urdf, urdf_for_mujoco
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Source:
     path: str
     kind: str
     model: mujoco.MjModel
-    mimics: tuple[Mimic, ...] = ()
+    mimics: tuple[Follower, ...] = ()
     weightless: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

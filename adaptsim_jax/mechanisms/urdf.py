@@ -17,8 +17,8 @@ LEAST = 1e-12
 
 
 @dataclass(frozen=True)
-class Mimic:
-    """A joint at offset + factor * (angle of its leader)."""
+class Follower:
+    """A joint at offset + factor * (angle of its leader), both in rad or m."""
 
     joint: str
     leader: str
@@ -31,7 +31,7 @@ class Urdf:
     """A URDF as MuJoCo can read it; what it cannot hold: `mimics`, and links `weightless` that got a little inertia; `notes`."""
 
     text: str
-    mimics: tuple[Mimic, ...]
+    mimics: tuple[Follower, ...]
     weightless: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -100,7 +100,7 @@ def _number(where: str, joint: str, element: Any, key: str, default: float) -> f
         raise BadInput(f"{where}: joint '{joint}' has {key} = {brief(element.get(key))}; give a number") from None
 
 
-def _mimics(where: str, joints: list) -> tuple[Mimic, ...]:
+def _mimics(where: str, joints: list) -> tuple[Follower, ...]:
     names = {j.get("name") for j in joints if j.get("type") in MOVING}
     out = []
     for joint in joints:
@@ -115,7 +115,7 @@ def _mimics(where: str, joints: list) -> tuple[Mimic, ...]:
         factor = _number(where, name, mimic, "multiplier", 1.0)
         if factor == 0.0:
             raise BadInput(f"{where}: joint '{name}' mimics '{leader}' with multiplier 0; make it fixed")
-        out.append(Mimic(name, leader, factor, _number(where, name, mimic, "offset", 0.0)))
+        out.append(Follower(name, leader, factor, _number(where, name, mimic, "offset", 0.0)))
         joint.remove(mimic)
     return tuple(out)
 

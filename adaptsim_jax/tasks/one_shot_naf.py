@@ -1,7 +1,7 @@
 """What a NAF learner gives the baselines of a task with one decision a trial, whatever is pushed or scooped."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,15 +13,6 @@ UDR_BUDGETS = 3  # UDR has to serve all of Omega: as many times the trials of on
 TUNE_UPDATES = 200  # gradient steps on a target's trials, after each lot of them
 
 
-class NafPolicies(NamedTuple):
-    """The fields of `OneShot` of the same names."""
-
-    act: Callable[[Any, jax.Array], jax.Array]
-    explore: Callable[[jax.Array, Any, jax.Array], jax.Array]
-    train_uniform: Callable[[jax.Array], Any]
-    tune: Callable[..., Any]
-
-
 def naf_policies(
     naf: NAF,
     learner: GoalLearner,
@@ -30,8 +21,10 @@ def naf_policies(
     policy: Callable[[jax.Array], Any],
     seen: Callable[[jax.Array], jax.Array],
     trials: Callable[[Any, jax.Array, Any], Trials],
-) -> NafPolicies:
-    """learner: trained over all of Omega; budget: trials of one policy; `policy(weights [n])`: the task's; `seen(contexts)`:
+) -> dict[str, Callable[..., Any]]:
+    """The fields `act`, `explore`, `train_uniform` and `tune` of `OneShot`.
+
+    learner: trained over all of Omega; budget: trials of one policy; `policy(weights [n])`: the task's; `seen(contexts)`:
     what it sees of them; `trials(contexts, actions, outcomes)`: what it learns from."""
     rounds = -(-UDR_BUDGETS * budget // training.block)
 
@@ -43,7 +36,7 @@ def naf_policies(
     def tune(key, old, contexts, actions, outcomes, used):
         return policy(learner.tune(key, old.weights, trials(contexts, actions, outcomes), used, TUNE_UPDATES))
 
-    return NafPolicies(
+    return dict(
         act=lambda old, contexts: naf.greedy(old.weights, seen(contexts)),
         explore=lambda key, old, contexts: naf.act(key, old.weights, seen(contexts), training.noise),
         train_uniform=train_uniform,

@@ -55,7 +55,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         draw=task.draw_goal,
         reward=_reward,
         trajectory=lambda goals, points: task.of_points(goals, points),
-        **policies._replace(act=task.make_choice(config))._asdict(),
+        **(policies | {"act": task.make_choice(config)}),
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
         worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(task.unseen(seen) - goal) / task.WORST),

@@ -48,7 +48,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         draw=task.draw_context,
         reward=lambda outcome, context: task.success(outcome),
         trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
-        **policies._replace(act=make_choice(config))._asdict(),
+        **(policies | {"act": make_choice(config)}),
         inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
         worth=lambda seen, context: seen[0],
