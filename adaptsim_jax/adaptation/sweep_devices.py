@@ -32,11 +32,10 @@ def choose_split(devices: int, members: int, parallel: int) -> Split:
     return Split(along, rest) if parallel and parallel % rest == 0 else Split(devices, 1)
 
 
-def make_mesh(split: Split, devices: list[Any] | None = None) -> Mesh:
-    """The mesh over `devices`, by default all that this program has, on other machines too."""
-    devices = jax.devices() if devices is None else devices
+def make_mesh(split: Split) -> Mesh:
+    """The mesh over the devices that this program has, on other machines too."""
     wanted = split.members * split.trajectories
-    return Mesh(np.array(devices[:wanted]).reshape(split), (MEMBERS, TRAJECTORIES))
+    return Mesh(np.array(jax.devices()[:wanted]).reshape(split), (MEMBERS, TRAJECTORIES))
 
 
 def spread(split: Split) -> Callable:

@@ -1,4 +1,4 @@
-"""What one file adds: tasks, mechanisms, effects, engines, learners and baselines by name, ours and those of other packages.
+"""What one file adds: tasks, mechanisms, effects, engines and baselines by name, ours and those of other packages.
 
 A registry knows where each thing stands (`"package.module:NAME"`) and loads it when it is asked for, so that listing names
 loads no JAX. Another package adds to it by an entry point of the group `adaptsim.<kind>`, without a line here:
@@ -7,7 +7,7 @@ loads no JAX. Another package adds to it by an entry point of the group `adaptsi
     magnet = "my_package.magnet:MAGNET"
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
@@ -22,11 +22,11 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
     """Things of one kind by name, in an order that does not change: ours as listed, then those of other packages by name.
 
     kind: also names the group of entry points; within: a part of it, whose entry points are called `within.name`; type: what each
-    thing is, by the name of its class, where they are all of one; taken: names of things that stand elsewhere.
+    thing is, by the name of its class, where they are all of one.
     """
 
-    def __init__(self, kind: str, own: Mapping[str, str], within: str = "", type: str = "", taken: Iterable[str] = ()):
-        self.group, self.within, self.type, self.taken = f"adaptsim.{kind}", within, type, frozenset(taken)
+    def __init__(self, kind: str, own: Mapping[str, str], within: str = "", type: str = ""):
+        self.group, self.within, self.type = f"adaptsim.{kind}", within, type
         self.own = {name: EntryPoint(name, value, self.group) for name, value in own.items()}
 
     @cached_property
@@ -38,7 +38,7 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
             name = point.name.removeprefix(prefix)
             if not point.name.startswith(prefix) or (not prefix and "." in name):
                 continue
-            if name in self.own or name in self.taken or name in found:
+            if name in self.own or name in found:
                 raise BadInput(
                     f"entry point {point.name} = {point.value} of {self.group}: there is another of that name; rename it"
                 )

@@ -47,7 +47,7 @@ class Frames:
 class Mechanism:
     """What a file says. `source` is mjcf or urdf; `notes` are sentences on how it was read; `beyond` on what the file has and a tree
     has not, of the mechanism itself, and `drives_beyond` of its actuators; `force_limits [n, 2]` bound what all actuators of a joint
-    together do (nan: nothing does); `idle`: actuators of joints that are held; `roles`: what each joint of the file became."""
+    together do (nan: nothing does); `roles`: what each joint of the file became."""
 
     tree: Tree
     actuators: tuple[Actuator, ...]
@@ -58,7 +58,6 @@ class Mechanism:
     frames: Frames
     beyond: tuple[str, ...] = ()
     drives_beyond: tuple[str, ...] = ()
-    idle: tuple[str, ...] = ()
     roles: Roles | None = None
 
 
@@ -113,7 +112,7 @@ def mechanism_of(
         )
     return Mechanism(
         tree, actuators, source.path, source.kind, notes, _force_limits(model, tree, place), walk.frames(tree), beyond,
-        tuple(added.beyond), idle, role,
+        tuple(added.beyond), role,
     )  # fmt: skip
 
 

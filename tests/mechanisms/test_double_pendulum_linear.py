@@ -11,14 +11,7 @@ from jax.test_util import check_grads
 from scipy.integrate import solve_ivp
 
 from adaptsim_jax.mechanisms.double_pendulum import linear as pd
-from adaptsim_jax.mechanisms.double_pendulum.linear import (
-    COST_CEILING,
-    OK,
-    OVERFLOW,
-    UNSTABLE,
-    rollout_message,
-    transition,
-)
+from adaptsim_jax.mechanisms.double_pendulum.linear import COST_CEILING, OK, OVERFLOW, UNSTABLE, transition
 
 SETTINGS = np.array(  # paper, table A2: wd, ood-1 .. ood-4
     [[1.8, 1.2, 1.5, 1.5], [1.8, 0.3, 1.5, 1.5], [0.5, 1.8, 1.5, 1.5], [1.2, 1.8, 10, 10], [0.4, 2.6, 1, 2]]
@@ -95,7 +88,6 @@ def test_unstable_and_overflowing_loops_are_told_not_nan():
         wild = pd.rollout(params, gain)
         assert int(wild.code) == OVERFLOW and float(wild.cost) == pytest.approx(COST_CEILING)
         assert np.all(np.isfinite(wild.points))
-    assert len({rollout_message(c) for c in (OK, UNSTABLE, OVERFLOW)}) == 3
 
 
 @pytest.mark.slow

@@ -29,11 +29,8 @@ LATE_SNAPSHOTS = tuple(int(i) for i in np.round(np.linspace(0.8 * (SAMPLES - 1),
 COST_CEILING = 1e20  # what an overflowing cost is reported as
 
 OK, UNSTABLE, OVERFLOW = 0, 1, 2
-_MESSAGES = {
-    OK: "ok",
-    UNSTABLE: "the closed loop is unstable; its cost over the horizon is finite and exact",
-    OVERFLOW: "overflow within the horizon, or input that is not finite; the cost is a ceiling",
-}
+"""Codes of `rollout`. UNSTABLE: the closed loop is; its cost over the horizon is finite and exact. OVERFLOW: within the horizon, or
+input that is not finite; the cost is a ceiling."""
 
 
 class LinearRollout(NamedTuple):
@@ -42,11 +39,6 @@ class LinearRollout(NamedTuple):
     cost: Array
     points: Array
     code: Array
-
-
-def rollout_message(code: int) -> str:
-    """What a result code of `rollout` means."""
-    return _MESSAGES[int(code)]
 
 
 def linearized(params: Array, gravity: float = GRAVITY) -> tuple[Array, Array]:

@@ -53,7 +53,7 @@ class PendulumConfig:
 
 
 class PendulumTrajectory(NamedTuple):
-    """angles: `[12, 2]` rad at the observed samples; cost: `[]`; code: `[]`, see `double_pendulum.linear.rollout_message`."""
+    """angles: `[12, 2]` rad at the observed samples; cost: `[]`; code: `[]`, a code of `double_pendulum.linear`."""
 
     angles: jax.Array
     cost: jax.Array

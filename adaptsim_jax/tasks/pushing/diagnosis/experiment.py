@@ -50,10 +50,8 @@ def telling(pushed: Pushed, found: Selection) -> dict[str, Any] | None:
     told = f"{1e3 * score.max():.2g} mm" if pushed.yaw is None else f"{score.max() / pushed.noise:.2g} times the noise"
     if score.max() < APART * pushed.noise:
         return {
-            "message": f"No push within the bounds tells {words} apart: their tracks differ by {told} at most. "
-            "Measure "
-            "one "
-            "of them by itself.",
+            "message": f"No push within the bounds tells {words} apart: their tracks differ by {told} at most. Measure one of them "
+            "by itself.",
             "separates": names,
             "rows": [],
         }
