@@ -16,7 +16,8 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms import dynamics
-from adaptsim_jax.mechanisms.mjcf import Mechanism, read_mechanism, read_source
+from adaptsim_jax.mechanisms.mjcf import Mechanism, read_mechanism
+from adaptsim_jax.mechanisms.spec import read_source
 
 OFF = ("CONTACT", "LIMIT", "FRICTIONLOSS", "EQUALITY")
 SAME = 1e-8

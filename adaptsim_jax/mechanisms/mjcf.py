@@ -11,20 +11,9 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
 from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles
-from adaptsim_jax.mechanisms.spec import Source, compiled, read_source, read_spec, without_shapes
+from adaptsim_jax.mechanisms.spec import Source, read_source
 from adaptsim_jax.mechanisms.transmission import TENDON, WRAPPED, Added, Place, add_tendons, read_actuators
 from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, folded, make_tree
-
-__all__ = [
-    "Frames",
-    "Mechanism",
-    "compiled",
-    "mechanism_of",
-    "read_mechanism",
-    "read_source",
-    "read_spec",
-    "without_shapes",
-]
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 OFF = {

@@ -8,7 +8,8 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inertial_about, inverse
-from adaptsim_jax.mechanisms.mjcf import Mechanism, compiled, read_source, read_spec, rotation_of, without_shapes
+from adaptsim_jax.mechanisms.mjcf import Mechanism, rotation_of
+from adaptsim_jax.mechanisms.spec import compiled, read_source, read_spec, without_shapes
 
 LEAST_MOMENT = 1e-9  # kg m^2
 

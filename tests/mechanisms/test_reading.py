@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.mjcf import mechanism_of, read_mechanism, read_source
+from adaptsim_jax.mechanisms.mjcf import mechanism_of, read_mechanism
+from adaptsim_jax.mechanisms.spec import read_source
 
 BODY = '<inertial pos="0.02 0.01 -0.1" mass="{mass}" diaginertia="0.004 0.003 0.002"/>'
 GRIPPER = f"""<mujoco><compiler angle="radian"/><worldbody>

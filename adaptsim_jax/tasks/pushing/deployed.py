@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from adaptsim_jax.tasks.base import Episode
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.goals import unseen
 from adaptsim_jax.tasks.pushing.simulator import make_simulator
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 
@@ -27,7 +28,7 @@ def deployed(history: Episode, target: jax.Array, config: PushingConfig) -> tupl
         seen = obs[history.mean.shape[-1] :].reshape(
             config.trajectories, -1, 2
         )  # behind the mean of E: places, the goal, gaps
-        actions = choose(policy, pushing.unseen(seen[:, pushing.POINTS if config.observation == "points" else 1]))
+        actions = choose(policy, unseen(seen[:, pushing.POINTS if config.observation == "points" else 1]))
         return actions, jax.vmap(end)(pushing.physical_action(actions))
 
     actions, places = jax.vmap(jax.vmap(pushed))(history.policy, history.obs)

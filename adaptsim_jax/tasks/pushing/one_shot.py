@@ -15,7 +15,9 @@ from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import model, task
 from adaptsim_jax.tasks.pushing.corrections import Told
 from adaptsim_jax.tasks.pushing.engines.registry import make_backend, settings_of
+from adaptsim_jax.tasks.pushing.goals import WORST, unseen
 from adaptsim_jax.tasks.pushing.model import PushOptions
+from adaptsim_jax.tasks.pushing.simulator import TWINS
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 from adaptsim_jax.tasks.pushing.visits import make_aims
 
@@ -58,12 +60,12 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         **(policies | {"act": task.make_choice(config)}),
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
-        worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(task.unseen(seen) - goal) / task.WORST),
+        worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(unseen(seen) - goal) / WORST),
         world=world,
         oracle=oracle,
         engine=config.simulator,
         simulator=SIMULATORS[config.simulator],
-        reward_unit=f"1 - distance / {task.WORST} m, at least 0, mean over {config.tests} goals",
+        reward_unit=f"1 - distance / {WORST} m, at least 0, mean over {config.tests} goals",
         oracle_means="the best of a grid of 161 speeds x 31 angles for each goal in the target "
         "(in other engines than planar 17 x 9, then three rounds of neighbours)",
         aim=make_aims(config),
@@ -84,7 +86,7 @@ def pushing_world(backend: str, options: PushOptions = model.PAPER, /, bottle: s
     for name in settings:
         configs.pick(f"setting of {backend}", name, ("bottle", *settings_of(backend)))
     if isinstance(twin := settings.get("coefficients"), str):
-        settings["coefficients"] = task.TWINS[configs.pick("coefficients", twin, task.TWINS)]
+        settings["coefficients"] = TWINS[configs.pick("coefficients", twin, TWINS)]
     body = BOTTLES[bottle]
     chosen = PushOptions(options.friction, options.duration, body.mass, body.com, body.inertia)
     simulate = make_backend(backend, chosen, **settings).simulate

@@ -31,31 +31,18 @@ from adaptsim_jax.tasks.pushing.config import (
 )
 from adaptsim_jax.tasks.pushing.corrections import nearer, with_gaps
 from adaptsim_jax.tasks.pushing.goals import (
-    GOAL_ANGLE,
-    GOAL_CENTRE,
-    GOAL_RADII,
-    WORST,
     draw_goal,
     goal_lattice,
     physical_action,
     push_reward,
     seen_goal,
-    unseen,
     visit_goals,
 )
 from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
 from adaptsim_jax.tasks.pushing.refine import refine, search
-from adaptsim_jax.tasks.pushing.simulator import POINTS, TWINS, make_guide, make_simulator
+from adaptsim_jax.tasks.pushing.simulator import POINTS, make_guide, make_simulator
 from adaptsim_jax.tasks.pushing.slide import Lacking
 
-# what of the task lies in other files, so that users have it all from here
-__all__ = [
-    "GOAL_ANGLE", "GOAL_CENTRE", "GOAL_RADII", "POINTS", "SETTINGS", "TWINS", "WORST",
-    "PushingConfig", "PushingPolicy", "PushingTrajectory",
-    "draw_goal", "goal_lattice", "make_choice", "make_expectation", "make_policy", "make_pushing", "make_pushing_naf", "measured",
-    "moved", "naf_rates", "observed", "observed_rows", "of_points", "physical_action", "push_reward", "pushing_space", "seen_goal",
-    "unseen", "visit_goals", "wide_space",
-]  # fmt: skip
 _SMALL = 0.004  # m: gaps up to here are shown as they are, larger ones by their logarithm
 
 

@@ -19,10 +19,10 @@ from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.saved_policy import read_saved
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
+from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import Told
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 from adaptsim_jax.tasks.scooping.reach import check_reach
-from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.trial_clock import began
 from adaptsim_jax.tasks.trial_frozen import check_frozen
 

@@ -12,12 +12,12 @@ from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
 from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.scooping import interface, model, task
+from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import Told
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
 from adaptsim_jax.tasks.scooping.engines import registry as backends
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts

@@ -18,12 +18,11 @@ from adaptsim_jax.learners.naf_goals import make_goal_learner
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.bank import load_bank
-from adaptsim_jax.tasks.scooping.chance import bank_chance, bank_outcome, expected_odds, training_problem
+from adaptsim_jax.tasks.scooping.chance import bank_chance, bank_outcome, training_problem
 from adaptsim_jax.tasks.scooping.config import (
     SETTINGS,
     ScoopingConfig,
     ScoopingPolicy,
-    ScoopingTrajectory,
     checked,
     make_scooping_naf,
     naf_rates,
@@ -32,10 +31,7 @@ from adaptsim_jax.tasks.scooping.config import (
 )
 from adaptsim_jax.tasks.scooping.deployed import make_choice
 from adaptsim_jax.tasks.scooping.trial import (
-    CONTEXT,
-    PLACES,
     POINTS,
-    camera_view,
     draw_context,
     executed,
     make_mjx_trial,
@@ -46,14 +42,6 @@ from adaptsim_jax.tasks.scooping.trial import (
     success,
     test_contexts,
 )
-
-# what of the task lies in other files, so that users have it all from here
-__all__ = [
-    "CONTEXT", "PLACES", "POINTS", "SETTINGS", "ScoopingConfig", "ScoopingPolicy", "ScoopingTrajectory",
-    "bank_chance", "bank_outcome", "camera_view", "checked", "draw_context", "executed", "expected_odds", "make_choice",
-    "make_mjx_trial", "make_policy", "make_rollouts", "make_scooping", "make_scooping_naf", "make_trial", "measured", "naf_rates",
-    "observed", "scooping_space", "seen_place", "success", "test_contexts", "training_problem", "wide_space",
-]  # fmt: skip
 
 
 def make_policy(config: ScoopingConfig = ScoopingConfig()) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:  # noqa: B008

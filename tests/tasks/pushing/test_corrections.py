@@ -18,7 +18,7 @@ from adaptsim_jax.tasks.pushing import deployed as pushing_deployed
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import Told, nearer, with_gaps
-from adaptsim_jax.tasks.pushing.goals import sector_goals
+from adaptsim_jax.tasks.pushing.goals import GOAL_CENTRE, sector_goals, unseen
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.refine import refine, search
 from adaptsim_jax.tasks.pushing.task import PushingConfig
@@ -155,7 +155,7 @@ def test_deployed_pushes_are_visited_and_shown_for_the_goals_that_e_expects_of_t
     options = {"pretrain": True, "refine": 2, "correct": True, "tests": 2, "show_gap": True, "hidden": (8,)}
     config = PushingConfig(visits="deployed", **options)
     goals = np.asarray(jax.vmap(lambda k: sector_goals(k, 2, 4))(jax.random.split(jax.random.key(0), 100)))
-    centre = np.array(pushing.GOAL_CENTRE)
+    centre = np.array(GOAL_CENTRE)
     angle, radius = goals[..., 1] / (goals[..., 0] - centre[0]), np.linalg.norm(goals - centre, axis=-1)
     assert np.all(angle[:, 0] < 0) and np.all(angle[:, 1] > 0) and radius.min() < 0.28 and radius.max() > 0.52
     one, target = make_pushing_one_shot(config), np.array([[0.12, 3e5, 0.3, 0.0]])
@@ -171,7 +171,7 @@ def test_deployed_pushes_are_visited_and_shown_for_the_goals_that_e_expects_of_t
     np.testing.assert_allclose(second.trials.actions, act(mended), atol=1e-5)
     seen = second.obs[0].reshape(2, 13, 2)  # six points, the goal, six gaps
     assert np.abs(second.trials.actions - act(policies)).max() > 0.01  # and not E's own
-    shown = np.asarray(pushing.unseen(jnp.asarray(seen[:, 6])))
+    shown = np.asarray(unseen(jnp.asarray(seen[:, 6])))
     params = pushing.pushing_space().physical(policies.at[0])
     ends = jax.vmap(lambda a: planar.rollout(params, pushing.physical_action(a))[-1])(
         jnp.asarray(second.trials.actions[0])

@@ -15,6 +15,7 @@ from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.pushing import measured as pushing_measured
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
+from adaptsim_jax.tasks.pushing.goals import GOAL_ANGLE, GOAL_CENTRE
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.refine import refine
 from adaptsim_jax.tasks.pushing.slide import Lacking
@@ -133,5 +134,5 @@ def test_goals_near_the_edges_are_the_same_for_every_key():
     config = replace(PLAIN, goals="edges")
     first, second = (np.asarray(pushing.visit_goals(jax.random.key(k), config)) for k in range(2))
     np.testing.assert_array_equal(first, second)
-    angle = np.arctan2(first[:, 1], first[:, 0] - pushing.GOAL_CENTRE[0]) / pushing.GOAL_ANGLE
+    angle = np.arctan2(first[:, 1], first[:, 0] - GOAL_CENTRE[0]) / GOAL_ANGLE
     np.testing.assert_allclose(angle, [-0.76, 0.76], atol=1e-3)

@@ -11,6 +11,7 @@ from scipy import optimize
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.bank import load_bank
+from adaptsim_jax.tasks.scooping.chance import expected_odds
 from adaptsim_jax.tasks.scooping.corrections import Doubt, Odds, Told, chances
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
 from adaptsim_jax.tasks.scooping.hydro import Numerics
@@ -83,7 +84,7 @@ def test_expected_odds_are_of_the_mean_chance_over_errors():
     bank, params, options = load_bank(ScoopOptions(), Numerics()), jnp.array([0.3, 2e5, 1.0, 0.02]), ScoopOptions()
     action, contexts = jnp.array([0.2, -0.1, 0.3]), jnp.asarray(scooping.test_contexts(2000))
     each = jax.vmap(lambda c: scooping.bank_chance(bank, params, scooping.executed(action, c, options)))(contexts)
-    got = scooping.expected_odds(bank, params, action, options)
+    got = expected_odds(bank, params, action, options)
     assert 0.02 < each.mean() < 0.98 and abs(jax.nn.sigmoid(got) - each.mean()) < 0.01
 
 

@@ -10,6 +10,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import measured, model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy
+from adaptsim_jax.tasks.scooping.trial import PLACES
 
 CONFIG = ScoopingConfig(hidden=(16,))
 NAF = scooping.make_scooping_naf(CONFIG)
@@ -46,7 +47,7 @@ def test_the_same_session_asks_for_the_same_scoops():
     other = measured.scoops_to_make(jax.random.key(7), 3, POLICY, CONFIG)
     assert again.numbers.tolist() == [5, 6] and other.numbers.tolist() == [7, 8]
     np.testing.assert_array_equal(again.places, SCOOPS.places)
-    assert not np.allclose(other.places, SCOOPS.places) and np.all(np.abs(SCOOPS.places) <= scooping.PLACES)
+    assert not np.allclose(other.places, SCOOPS.places) and np.all(np.abs(SCOOPS.places) <= PLACES)
     assert np.all(SCOOPS.actions >= np.array(model.ACTION_LOW) - 1e-6)
     assert np.all(SCOOPS.actions <= np.array(model.ACTION_HIGH) + 1e-6)
 

@@ -24,6 +24,7 @@ from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
+from adaptsim_jax.tasks.scooping.trial import PLACES, camera_view
 from experiments import scooping_bank as bank_experiment
 from experiments import table1_pushing
 
@@ -35,7 +36,7 @@ SHORT = ScoopingConfig(
 def test_contexts_lie_in_the_papers_box():
     drawn = np.asarray(jax.vmap(scooping.draw_context)(jax.random.split(jax.random.key(0), 2000)))
     for contexts in (drawn, scooping.test_contexts(64)):
-        assert np.all(np.abs(contexts[:, :2]) <= scooping.PLACES) and np.all(np.abs(contexts[:, 2:4]) <= 1)
+        assert np.all(np.abs(contexts[:, :2]) <= PLACES) and np.all(np.abs(contexts[:, 2:4]) <= 1)
         assert np.all((contexts[:, 4] >= 0) & (contexts[:, 4] < 1)) and np.abs(contexts[:, :4].mean(0)).max() < 0.1
         assert contexts[:, 0].std() == pytest.approx(0.04 / np.sqrt(3), rel=0.1)
 
@@ -49,10 +50,10 @@ def test_errors_of_execution_are_added_to_pitch_and_rate():
 def test_the_camera_blurs_ahead_and_is_the_same_for_the_same_context():
     points = jnp.zeros((8, 2))
     contexts = jax.vmap(scooping.draw_context)(jax.random.split(jax.random.key(1), 500))
-    seen = np.asarray(jax.vmap(lambda c: scooping.camera_view(points, c, (0.002, 0.002)))(contexts))
+    seen = np.asarray(jax.vmap(lambda c: camera_view(points, c, (0.002, 0.002)))(contexts))
     np.testing.assert_allclose(seen.mean((0, 1)), [0.002, 0.0], atol=1e-4)
     np.testing.assert_allclose(seen.std((0, 1)), [0.002, 0.002], rtol=0.05)
-    np.testing.assert_array_equal(seen[0], scooping.camera_view(points, contexts[0], (0.002, 0.002)))
+    np.testing.assert_array_equal(seen[0], camera_view(points, contexts[0], (0.002, 0.002)))
 
 
 def test_a_piece_lost_from_sight_is_no_success_and_no_nan_to_a_network():
@@ -78,7 +79,7 @@ def test_rollout_is_the_engines_trial_of_the_policys_action():
 
     got, outcomes, contexts = both(jax.random.key(1), params)
     assert got.points.shape == (2, 8, 2) and task.observe(got).shape == (32,) == (task.obs_dim,)
-    np.testing.assert_allclose(got.points, jax.vmap(lambda o, c: scooping.camera_view(o[:-1], c, SHORT.camera))(
+    np.testing.assert_allclose(got.points, jax.vmap(lambda o, c: camera_view(o[:-1], c, SHORT.camera))(
         outcomes[:2], contexts[:2]), atol=1e-4)  # fmt: skip
     np.testing.assert_allclose(got.success, scooping.success(outcomes[:2]))
     np.testing.assert_allclose(got.tested, scooping.success(outcomes[2:]).mean())
