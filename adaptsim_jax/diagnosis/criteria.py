@@ -16,7 +16,7 @@ class TorqueCriteria:
     tried: candidates of a round that are judged.
     gain: share of a joint's squared missing torque that each number of an effect must take off where it was left out.
     level: of the paired test over blocks.
-    steady: an amplitude over its standard error.
+    steady: amplitudes over their standard errors, root mean square.
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
     worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much may be left of what is explained.
     seen: the same of bodies and encoders of a machine that follows commands: a payload is little of what a shoulder carries, shows
@@ -34,7 +34,7 @@ class TorqueCriteria:
     tried: int = 6
     gain: float = 0.02
     level: float = 0.01
-    steady: float = 2.0
+    steady: float = 1.0
     slowest: float = 0.15
     worth: float = 0.03
     seen: float = 0.003

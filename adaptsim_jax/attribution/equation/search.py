@@ -92,7 +92,8 @@ def witness(
         if best is None:
             break
         added = [*added, best]
-    asked = Counter(k.effect for c in added for k in c.split())
+    driven = {j for j, k in state.local.items() if np.any(state.told[:, k])}
+    asked = Counter(k.effect for c in added for k in c.split() if driven & set(k.joints))
     stay: list[Candidate] | None = None
     while stay is None or len(stay) < len(added):  # what stands beside one that goes is judged anew
         added, quiet = _backward(state, added if stay is None else stay, steps, asked)
@@ -186,7 +187,7 @@ def _backward(
 ) -> tuple[list[Candidate], list[Candidate]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that stay are not shown by themselves:
     what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone.
-    asked: of each effect at how many joints it was looked for."""
+    asked: of each effect at how many driven joints it was looked for."""
     added, own = [k for c in added for k in c.split()], state.limits
     while True:
         whole = state.set_of(added)
@@ -198,7 +199,7 @@ def _backward(
         for c, test in tests:
             least = state.criteria.described if state.problem.effect(c.effect).describes else own.gain * len(c.entries)
             like = [t.p for k, t in tests if k.effect == c.effect]
-            level = level_of(like, own, asked[c.effect]) if c.effect in FIRST else own.level
+            level = level_of(like, own, max(1, asked[c.effect])) if c.effect in FIRST else own.level
             if why := why_not(state, whole, c, test, least, level):
                 if c.effect in FIRST and test.gain > 0.0 and len([k for k, _ in tests if k.effect == c.effect]) > 1:
                     quiet.append(c)

@@ -65,8 +65,9 @@ def _numbers(whole: Solved, c: Candidate) -> list[int]:
 
 
 def steadiness(whole: Solved, c: Candidate) -> float:
+    """Its amplitudes over their standard errors, root mean square: a torque of two numbers has twice the chance that one is large."""
     at = _numbers(whole, c)
-    return float(np.max(np.abs(whole.step[at]) / np.maximum(whole.error[at], 1e-300)))
+    return float(np.sqrt(np.mean(np.square(whole.step[at] / np.maximum(whole.error[at], 1e-300)))))
 
 
 def at_bound(whole: Solved, c: Candidate, share: float = Criteria.bound) -> bool:
