@@ -43,6 +43,7 @@ from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.mechanisms.model_file import ModelFile
 from adaptsim_jax.mechanisms.registry import make_plant
 
+LINKS = ("m1", "m2", "lc1", "lc2", "I1", "I2", "b1", "b2")  # of which base parameters are made, and which may be known
 LEAST_ROWS = 64  # of a part of a trial between rows without angles, that is smoothed by itself
 
 
@@ -139,7 +140,8 @@ def first_parameters(recording: Recording, checked: Audit) -> np.ndarray:
             f'{recording.path}: model = "{recording.model}" is not diagnosed; write it as an MJCF, and task = "mechanism"'
         )
     plant = make_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
-    check_known(recording.path, recording.known, (*plant.theta_names, *plant.physical(np.ones(len(plant.theta_names)))))
+    links = LINKS if recording.model == RIGID else ()
+    check_known(recording.path, recording.known, (*plant.theta_names, *links))
     noise = noise_floor(recording, checked)
     motions = [(t, *smooth(t, noise)) for whole in recording.trials for t in _unbroken(whole)]
     plant = plant if any(np.any(t.torque) for t in recording.trials) else plant.unscaled()

@@ -61,8 +61,7 @@ class Solved:
 @dataclass(frozen=True)
 class Compared:
     """One set against another: share of the loss that it takes off (geometric mean over blocks), p of a sign-flip test, of all
-    joints and
-    of those concerned."""
+    joints (geometric mean, too)."""
 
     gain: float
     p: float
@@ -207,11 +206,11 @@ def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) 
     fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(d))])
     by_fold = means(d, np.unique(fold, return_inverse=True)[1])
     return Compared(
-        1.0 - float(np.exp(-d.mean())), sign_flip(d), 1.0 - float(np.exp(-ratio(slice(None)).mean())),
+        1.0 - float(np.exp(-d.mean())), sign_flip(d), 1.0 - float(np.exp(-_ratio(without.loss / usual, with_.loss / usual).mean())),
         int((by_fold > 0).sum()), len(by_fold), len(d),
     )  # fmt: skip
 
 
 def _ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    usual = FLOOR * np.median(before)
+    usual = FLOOR * np.median(before, 0)
     return np.log((before + usual) / (after + usual))
