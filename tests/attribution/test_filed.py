@@ -27,15 +27,15 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator
 <joint name="turn" axis="0 0 1" armature="0.1"/><inertial pos="0 0 0.1" mass="4.0" diaginertia="0.05 0.05 0.05"/>
 <body pos="0 0 0.2"><joint name="lift" axis="0 1 0" armature="0.1"/>
 <inertial pos="0 0 -0.2" mass="4.0" diaginertia="0.08 0.08 0.01"/>
-<body pos="0 0 -0.4"><joint name="elbow" axis="{{axis}}" armature="{{rotor}}"/>
+<body pos="0 0 -0.4"><joint name="elbow" axis="{{axis}}" armature="{{rotor}}" {{range_}}/>
 <inertial pos="0.02 0 -0.15" mass="{{mass}}" diaginertia="0.03 0.03 0.005"/></body></body></body></worldbody>
 <actuator>{SERVOS}</actuator></mujoco>"""
 
 
-def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit="", late=0.0):
+def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit="", late=0.0, range_=""):
     """A folder whose file has a rotor of 0.1 kg m2 and a forearm of 2 kg; logs of an arm with others."""
     folder.mkdir()
-    same = {"axis": axis, "limit": limit}
+    same = {"axis": axis, "limit": limit, "range_": range_}
     (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0, **same))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
     model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass, **same)), np.random.default_rng(5)

@@ -31,10 +31,8 @@ OF_RANGE = 0.02  # of its width
 CUT = 0.05  # of a joint's usual force, from which on what a limit cuts of spikes is not told
 NEAR = 0.98  # of an actuator's limit, from which on it is at it
 LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
-PUSHED, LEAST = (
-    0.01,
-    1e-9,
-)  # of a window in which what pushes is not told: from which share of it on it does not count; what is left of it
+PUSHED = 0.01  # of a window: from which share on, in which what pushes is not told, it does not count
+NOTHING = 1e-9  # of its weight then
 SOMEWHAT = 2048  # rows that one compiled program takes
 
 
@@ -103,7 +101,7 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
         )  # fmt: skip
         sure = inside(group.model.tree, q) & _told(made, values)
         moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, LEAST_CLEAR)
-        out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, LEAST)))
+        out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, NOTHING)))
     return tuple(out)
 
 

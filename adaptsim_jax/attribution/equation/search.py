@@ -201,7 +201,7 @@ def _backward(
             like = [t.p for k, t in tests if k.effect == c.effect]
             level = level_of(like, own, max(1, asked[c.effect])) if c.effect in FIRST else own.level
             if why := why_not(state, whole, c, test, least, level):
-                if c.effect in FIRST and test.gain > 0.0 and len([k for k, _ in tests if k.effect == c.effect]) > 1:
+                if c.effect in FIRST and test.gain > 0.0 and len(like) > 1:
                     quiet.append(c)
                 else:
                     failing.append((test.gain, c, test, why))

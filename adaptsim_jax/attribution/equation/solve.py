@@ -60,8 +60,8 @@ class Solved:
 
 @dataclass(frozen=True)
 class Compared:
-    """One set against another: share of the loss that it takes off (geometric mean over blocks), p of a sign-flip test, of all
-    joints (geometric mean, too)."""
+    """One set against another. gain: share of the loss of the joints concerned that it takes off, geometric mean over blocks; p of a
+    sign-flip test; overall: the share of all joints, geometric mean over these too."""
 
     gain: float
     p: float
@@ -201,16 +201,15 @@ def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) 
     usually leaves: one that neither set explains does not outweigh the others."""
     own = list(joints)
     usual = np.maximum(np.median(without.loss, 0), 1e-300)
-    ratio = lambda some: _ratio((without.loss / usual)[:, some].mean(1), (with_.loss / usual)[:, some].mean(1))
-    d = ratio(own)
+    before, after = without.loss / usual, with_.loss / usual
+    d, each = _ratio(before[:, own].mean(1), after[:, own].mean(1)), _ratio(before, after)
     fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(d))])
     by_fold = means(d, np.unique(fold, return_inverse=True)[1])
-    return Compared(
-        1.0 - float(np.exp(-d.mean())), sign_flip(d), 1.0 - float(np.exp(-_ratio(without.loss / usual, with_.loss / usual).mean())),
-        int((by_fold > 0).sum()), len(by_fold), len(d),
-    )  # fmt: skip
+    share = lambda z: 1.0 - float(np.exp(-z.mean()))
+    return Compared(share(d), sign_flip(d), share(each), int((by_fold > 0).sum()), len(by_fold), len(d))
 
 
 def _ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Logarithms of losses [B] or [B, n] over others."""
     usual = FLOOR * np.median(before, 0)
     return np.log((before + usual) / (after + usual))

@@ -1,0 +1,107 @@
+"""Rules of the search along the measured motion, each on numbers made for it, and on an arm that meets a stop."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.equation import balance
+from adaptsim_jax.attribution.equation.searched import Searched, ranked
+from adaptsim_jax.attribution.equation.solve import compared, rows_of
+from adaptsim_jax.attribution.equation.stays import level_of, steadiness, why_not
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.diagnosis.criteria import TorqueCriteria
+from tests.attribution.test_filed import STEP, arm_log, searched
+
+LIMITS = TorqueCriteria()
+BLOCKS = np.arange(20)
+
+
+def one(effect, name="level", low=0.0, shape=()):
+    entry = Entry(effect, name, (0,), 0.0, 0.0, low, 9.0, "N m", np.inf)
+    return Candidate(effect, (0,), "joint", (entry,), shape)
+
+
+def test_an_arm_that_meets_its_stop_tells_how_late_damping_acts(tmp_path, monkeypatch):
+    folder = arm_log(tmp_path / "stop", limit='forcerange="-60 60"', range_='range="-0.25 2"')
+    late = lambda found: dict(zip([e.owner for e in found.final.entries], found.final.values, strict=True))[
+        DAMPING_STEP
+    ]
+    _, free, held = searched(folder)
+    assert not held.named and not free.named
+    assert late(held) == pytest.approx(0.5 * STEP, abs=0.2 * STEP)
+    monkeypatch.setattr(balance, "NOTHING", 1.0)  # were these windows counted
+    _, _, held = searched(folder)
+    assert held.named or abs(late(held) - 0.5 * STEP) > 0.4 * STEP
+
+
+def test_much_at_one_joint_outweighs_little_at_the_others():
+    rows = SimpleNamespace(fold=BLOCKS // 5, block=BLOCKS)
+    loss = lambda first, rest: SimpleNamespace(loss=np.tile([first, *[rest] * 5], (20, 1)))
+    assert compared(rows, loss(1.0, 1.0), loss(0.1, 1.2), [0]).overall > 0.0
+    assert compared(rows, loss(1.0, 1.0), loss(0.1, 2.0), [0]).overall < 0.0
+
+
+def test_joints_that_were_asked_count_in_the_false_discovery_rate():
+    assert level_of([0.03], LIMITS, asked=1) == 0.03
+    assert level_of([0.03], LIMITS, asked=6) == LIMITS.level
+    assert level_of([0.001, 0.014, 0.5], LIMITS, asked=6) == 0.014
+
+
+def test_of_two_numbers_one_that_is_somewhat_large_is_not_steady():
+    c = one("cogging", "sine")
+    entries = (*c.entries, Entry("cogging", "cosine", (0,), 0.0, 0.0, -9.0, 9.0, "N m", np.inf))
+    c = Candidate("cogging", (0,), "joint", entries)
+    solved = SimpleNamespace(entries=entries, step=np.array([1.2, 0.6]), error=np.ones(2))
+    assert (
+        steadiness(solved, c)
+        < LIMITS.steady
+        < steadiness(SimpleNamespace(**{**vars(solved), "step": np.array([3.0, 0.0])}), c)
+    )
+
+
+@pytest.mark.parametrize(("follows", "told"), [(True, "how exactly speeds are read"), (False, "less than 3 %")])
+def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
+    c = one("position_gain", "gain", low=-0.9)
+    state = SimpleNamespace(
+        commanded=False,
+        follows=follows,
+        limits=LIMITS,
+        carry=lambda c: 1.0,
+        torque=np.ones(1),
+        balance=SimpleNamespace(joints=1),
+    )
+    solved = SimpleNamespace(
+        entries=c.entries, step=np.array([0.0013]), error=np.array([1e-5]), columns=np.ones((20, 1, 1))
+    )
+    test = SimpleNamespace(p=1e-4, gain=0.3, overall=0.1)
+    assert told in why_not(state, solved, c, test, 0.02, 0.01)
+
+
+def test_a_shift_has_its_column_at_its_own_value():
+    told = lambda added: SimpleNamespace(
+        step=np.array([0.003 - 0.02 * dict(added[-1].shape)["lag"]])
+    )  # of a grid's, too small
+    lag = one("actuator_lag", "lag", shape=(("lag", 0.06),))
+    state = SimpleNamespace(set_of=told)
+    at = dict(Searched.settled(state, [], lag).shape)["lag"]
+    assert at == pytest.approx(0.003, rel=0.05)
+    spring = one("spring", "stiffness")
+    assert Searched.settled(state, [], spring) is spring
+
+
+def test_a_column_at_its_bound_does_not_hide_what_goes_the_other_way():
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal((400, 1))
+    time = np.arange(400) * 0.04
+    missing = -x + 0.01 * rng.standard_normal(x.shape)
+    rows = rows_of(missing, missing, np.zeros(400, int), time, np.full(1, 1e-3), np.ones_like(x))
+    gain = one("torque_gain", "gain", low=-0.9)
+    state = SimpleNamespace(
+        rows=rows, null=Vector((), np.zeros(0)), table=SimpleNamespace(stack=lambda entries, shape: -0.5 * x[..., None]),
+        own=lambda c: [0], carry=lambda c: 1.0, limits=LIMITS,
+    )  # fmt: skip
+    at = lambda level: SimpleNamespace(entries=one("coulomb").entries, columns=x[..., None], step=np.array([level]))
+    assert ranked(state, at(0.0), [gain]) == [gain]
+    assert ranked(state, at(1e-6), [gain]) == []
