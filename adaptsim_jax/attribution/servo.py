@@ -31,7 +31,7 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     problem = prepare(
         machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
-    found = [s for b in balances(problem, machine.tracks) for s in servos(problem, b)]
+    found = [s for b in balances(problem, machine.tracks, trusted=False) for s in servos(problem, b)]
     law = machine.actuator.copy()
     damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
     file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}

@@ -75,8 +75,11 @@ class Balance:
         return self.mean @ np.asarray(z, float).T
 
 
-def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) -> tuple[Balance, ...]:
-    """By group of joints; none of a group whose trials hold no window."""
+def balances(
+    problem: Problem, tracks: tuple[Track, ...], span: float = SPAN, trusted: bool = True
+) -> tuple[Balance, ...]:
+    """By group of joints; none of a group whose trials hold no window. trusted: the law of the file's actuators says where they are at
+    their limits, and windows there do not count; else only those at stops."""
     out = []
     for group in problem.groups:
         own = list(group.joints)
@@ -99,7 +102,7 @@ def balances(problem: Problem, tracks: tuple[Track, ...], span: float = SPAN) ->
             np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
             tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
         )  # fmt: skip
-        sure = inside(group.model.tree, q) & _told(made, values)
+        sure = inside(group.model.tree, q) & _told(made, values, trusted)
         moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, LEAST_CLEAR)
         out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, NOTHING)))
     return tuple(out)
@@ -112,14 +115,14 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     return ~np.asarray(tree.limited)[:, None] | ((q > low + near) & (q < high - near))
 
 
-def _told(balance: Balance, values: Values) -> np.ndarray:
+def _told(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
     """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut hangs on what is between rows),
     and no controller's force is at them: it is the difference of two much larger ones there, and none where a joint chatters."""
     none = np.zeros_like(balance.jump)
     law = np.asarray(values.actuator)[..., 0]
     limit = np.abs(law[4:6]).min(0)[:, None] * np.abs(values.gear)
     force, smooth = actuator_force(balance, values)[0], actuator_force(balance, values, (balance.u, none))[0]
-    at_limit = (law[2] != 0.0)[:, None] & (np.abs(smooth) >= NEAR * limit)
+    at_limit = trusted & (law[2] != 0.0)[:, None] & (np.abs(smooth) >= NEAR * limit)
     usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
     return (np.abs(force - smooth) <= CUT * usual) & ~at_limit
 

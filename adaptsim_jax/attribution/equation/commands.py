@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.balance import Balance, actuator_force
 from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of, means
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
@@ -20,6 +20,9 @@ TOLD = 2.5  # 1/kp over its standard error, from which on it is told; and its di
 SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
+CLIPPED = (
+    0.01  # of an actuator's largest force, by which its law would be beyond what it does, were it not for its limits
+)
 MISSED = 0.1  # of the command errors, that the file's gains must leave at least: what is less is for the search to tell
 LESS = 0.7  # of what the file's gains leave of the command errors, that others must leave at most to be taken
 
@@ -54,6 +57,7 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     takes = balance.regressor @ values.inertial[..., 0].ravel() - balance.known
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
     speed, sign = balance.averaged(balance.v), balance.averaged(balance.sign)
+    acts = balance.averaged(actuator_force(balance, values)[0])
     out = []
     usual = []
     for k, j in enumerate(balance.group.joints):
@@ -70,8 +74,12 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         scale = x[0] > TOLD * spread[0] and 1.0 / x[0] < 1e5
         if scale:
             usual.append(1.0 / (x[0] * kp))
-        needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k] + kv * speed[:, k]
-        file = error - needs / kp
+        needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]
+        file = error - (needs + kv * speed[:, k]) / kp
+        if scale and np.any(np.abs(kp * error - kv * speed[:, k] - acts[:, k]) > CLIPPED * np.abs(acts[:, k]).max()):
+            file = np.minimum(
+                np.abs(file), np.abs(acts[:, k] - needs) * x[0]
+            )  # at its limits the error says nothing of kp
         p = _better(balance, file, left)
         sizes = [float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k]))) for z in (error, left, file)]
         apart = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
