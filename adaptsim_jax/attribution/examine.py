@@ -99,6 +99,9 @@ def examine(
         TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
     }
     usual = of_torque(problem, told, free.null, held_missing(free)[0])
+    if follows:  # a late command hides all that its errors tell until it is named
+        named = of_torque(problem, told, words.final, held_missing(words)[1])
+        usual = max(usual, named, key=lambda m: m.skill)
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
     if fitted is bare and judge == TORQUE:
         why = f"{why}; bodies and damping are the file's: fitted ones tell left-out torques no better"

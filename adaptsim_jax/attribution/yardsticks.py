@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import Balance, actuator_force, residual
+from adaptsim_jax.attribution.equation.balance import NOTHING, Balance, actuator_force, residual
 from adaptsim_jax.attribution.equation.windows import SPAN
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
@@ -77,7 +77,8 @@ def of_simulation(problem: Problem, error: np.ndarray, name: str, span: float) -
 def of_torque(
     problem: Problem, balances: Sequence[Balance], vector: Vector, missing: Mapping[int, np.ndarray] | None = None
 ) -> Measure | None:
-    """Of the torque along the measured motion at a vector; missing {balance's number: [K, n]} where it is known already."""
+    """Of the torque along the measured motion at a vector, over windows that count (not those at stops or limits, where a joint has
+    others); missing {balance's number: [K, n]} where it is known already."""
     if not balances:
         return None
     n = problem.joints
@@ -86,8 +87,10 @@ def of_torque(
         own = list(b.group.joints)
         left = missing[k] if missing else residual(problem, b, vector)
         size = needed(problem, b)
-        root = lambda z: np.sqrt(np.mean(np.square(z), 0))
-        error[own], still[own], line[own] = root(left), root(size), root(size - size.mean(0))
+        count = b.clear > NOTHING
+        count = np.where(np.any(count, 0), count, True)  # [K, n]
+        root = lambda z, n=count: np.sqrt(np.mean(np.square(z), 0, where=n))
+        error[own], still[own], line[own] = root(left), root(size), root(size - size.mean(0, where=count))
     units = tuple("N m" if k == "hinge" else "N" for k in problem.kinds)
     return Measure(TORQUE, SPAN, error, line, still, problem.joint_names, units)
 
