@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.attribution.backward import judged
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
-from adaptsim_jax.attribution.equation.filed import chosen, filed
+from adaptsim_jax.attribution.equation.filed import filed, searched
 from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
@@ -83,11 +83,12 @@ def examine(
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
         search = lambda vector: said(problem, told, vector, reach, criteria, machine.log.input_kind != "torque", factor)
-        free, bare, fitted = search(null), filed(null), null
-        words = free
-        if follows and len(bare) < len(null):
-            words = chosen(problem, search(bare), free, criteria)
-            fitted = bare if len(words.null) == len(bare) else null
+        if follows and len(filed(null)) < len(null):
+            words, free, each = searched(problem, search, null, criteria)
+        else:
+            words = free = search(null)
+            each = False
+        bare = len(words.null) < len(null)
         declared = model_of(problem, words, words.null, ())
     except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
         found = by_simulation(problem, null, criteria, say, keep)
@@ -103,13 +104,15 @@ def examine(
         named = of_torque(problem, told, words.final, held_missing(words)[1])
         usual = max(usual, named, key=lambda m: m.skill)
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
-    if fitted is bare and judge == TORQUE:
-        why = f"{why}; bodies and damping are the file's: fitted ones tell left-out torques no better"
+    if bare and judge == TORQUE:
+        sought = len(free.null) > len(words.null)
+        other = "fitted ones tell left-out torques no better" if sought else "with these the rest is noise"
+        why = f"{why}; bodies and damping are the file's: {other}"
     by_torque = None
     if judge == TORQUE:
         found = selection(problem, words, declared, reach)
         keep(found)
-        if follows and words is free:  # else `chosen` has asked simulation of each name
+        if follows and not each:
             words = confirmed(problem, words, found.final, criteria)
             found = found if words is free else selection(problem, words, declared, reach)
         if follows:

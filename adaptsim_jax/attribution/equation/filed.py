@@ -4,6 +4,8 @@ Fitted bodies take up much of what a stiff servo's friction, rotor or encoder do
 effects named beside them, tell left-out torques as well, they are the file's: the model with fewer numbers is taken.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from adaptsim_jax.attribution.equation.confirmed import confirmed
@@ -24,14 +26,33 @@ def filed(null: Vector) -> Vector:
     return null.without([e.key for e in null.entries if e.owner in FITTED])
 
 
-def chosen(problem: Problem, held: Said, free: Said, criteria: Criteria) -> Said:
-    """What is found with the file's bodies, where it tells left-out torques as well as what is found with fitted ones, by no more
-    names that simulation bears out (where fitted ones have taken all of it up, by a few); else the latter. A command error shows more
-    than any motion does, and it is enough that left-out stretches are simulated as well, or to within the noise."""
+def searched(
+    problem: Problem, search: Callable[[Vector], Said], null: Vector, criteria: Criteria
+) -> tuple[Said, Said, bool]:
+    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones; what is found with fitted ones, where these
+    were sought; whether simulation was asked of each name. search: along the motion, with the entries of a vector fitted.
+
+    Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate left-out stretches to within the noise
+    with one name at most: they cannot do better. Else the file's are taken where they tell left-out torques as well, by no more names
+    that simulation bears out (where fitted ones have taken all of it up, by a few). A command error shows more than any motion does,
+    and it is enough that left-out stretches are simulated as well, or to within the noise."""
+    held = search(filed(null))
+    alone = _sufficient(problem, held, criteria)
+    if alone is not None:
+        return alone, held, True
+    free = search(null)
     if not enough(problem, held, free, criteria):
-        return free
-    held, free = (confirmed(problem, s, model_of(problem, s, s.final, s.added), criteria) for s in (held, free))
-    return held if len(held.named) <= (len(free.named) or criteria.torque.filed) else free
+        return free, free, False
+    own, other = (confirmed(problem, s, model_of(problem, s, s.final, s.added), criteria) for s in (held, free))
+    return (own if len(own.named) <= (len(other.named) or criteria.torque.filed) else other), free, True
+
+
+def _sufficient(problem: Problem, held: Said, criteria: Criteria) -> Said | None:
+    own = model_of(problem, held, held.final, held.added)
+    if over_floor(problem, own) > criteria.explained:
+        return None
+    found = confirmed(problem, held, own, criteria)
+    return found if len(found.named) <= 1 else None
 
 
 def enough(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
