@@ -12,17 +12,27 @@ import jax.numpy as jnp
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.adaptation.phase1 import Archive
+from adaptsim_jax.adaptation.phase2 import best_visit, smoothed
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQ
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
 
+class Tried(NamedTuple):
+    """All trials of a session: mean `[T, D]` unit coordinates, policy `[T, ...]`, raw return score `[T]`, NaN of those to come."""
+
+    mean: jax.Array
+    policy: Any
+    score: jax.Array
+
+
 class AskState(NamedTuple):
     """What the next call needs.
 
     told: `[]` int32, trials so far; mean: `[D]` unit coordinates and policy: what to run now;
-    starts: `[N, ...]`; best_*: of the trial with the highest raw return so far.
+    starts: `[N, ...]`; best_*: of the trial with the highest raw return so far, or where the task has its doubts of single returns of
+    that with the highest expected one (`phase2.smoothed`); tried: what that is chosen from, else empty.
     """
 
     key: jax.Array
@@ -33,6 +43,7 @@ class AskState(NamedTuple):
     best_score: jax.Array
     best_mean: jax.Array
     best_policy: Any
+    tried: Tried | tuple[()] = ()
 
 
 class TellInfo(NamedTuple):
@@ -66,22 +77,35 @@ def make_ask_tell(
     def init(key, starts):
         mean, policy = jax.tree.map(lambda x: x[0], starts)
         policy = train(jax.random.fold_in(key, 0), mean, policy)
-        return AskState(key, jnp.zeros((), jnp.int32), mean, policy, starts, -jnp.inf * jnp.ones(()), mean, policy)
+        count = starts.mean.shape[0] * (iterations + 1)
+        room = lambda x: jnp.zeros((count, *jnp.shape(x)), jnp.result_type(x))
+        tried = Tried(room(mean), jax.tree.map(room, policy), jnp.full(count, jnp.nan)) if task.doubt else ()
+        none = -jnp.inf * jnp.ones(())
+        return AskState(key, jnp.zeros((), jnp.int32), mean, policy, starts, none, mean, policy, tried)
 
     def tell(state, trajectory):
         score = task.score(trajectory)
-        better = jnp.isfinite(score) & (score > state.best_score)
+        best, better, tried = _best(state, score)
         obs = jnp.concatenate([2.0 * state.mean - 1.0, task.observe(trajectory)])
         action = bdq.greedy(weights, obs)
-        best = jax.tree.map(
-            lambda new, old: jnp.where(better, new, old),
-            (score, state.mean, state.policy),
-            (state.best_score, state.best_mean, state.best_policy),
-        )
         told = state.told + 1
         mean, policy = _next(state, action, int(told))
         policy = train(jax.random.fold_in(state.key, told), mean, policy)
-        return AskState(state.key, told, mean, policy, state.starts, *best), TellInfo(score, action, better)
+        return AskState(state.key, told, mean, policy, state.starts, *best, tried), TellInfo(score, action, better)
+
+    def _best(state, score):
+        """(Return, mean and policy) of the best trial, whether that is this one, and all trials."""
+        own, before = (score, state.mean, state.policy), (state.best_score, state.best_mean, state.best_policy)
+        if not task.doubt:
+            better = jnp.isfinite(score) & (score > state.best_score)
+            return jax.tree.map(lambda new, old: jnp.where(better, new, old), own, before), better, ()
+        new = Tried(state.mean, state.policy, score)
+        tried = jax.tree.map(lambda every, one: every.at[state.told].set(one), state.tried, new)
+        best = best_visit(smoothed(tried.mean, tried.score, task.doubt)[None])[1]
+        some = jnp.any(jnp.isfinite(tried.score))
+        picked = tuple(jax.tree.map(lambda x: x[best], z) for z in (tried.score, tried.mean, tried.policy))
+        kept = jax.tree.map(lambda new, old: jnp.where(some, new, old), picked, before)
+        return kept, some & (best == state.told), tried
 
     def skip(state):
         told = (int(state.told) // (iterations + 1) + 1) * (iterations + 1)

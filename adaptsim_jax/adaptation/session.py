@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation.asktell import AskState, AskTell, make_ask_tell
-from adaptsim_jax.adaptation.phase2 import best_visit, draw_starts, smoothed
+from adaptsim_jax.adaptation.phase2 import draw_starts
 from adaptsim_jax.adaptation.training import Trained, archive_size, load_run
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.store import RunFolder
@@ -54,7 +54,6 @@ class Session:
         self.loop: AskTell = make_ask_tell(told, phase1.bdq, weights, iterations=iterations, **sizes)
         start_key, key = jax.random.split(jax.random.key(seed))
         used = archive_size(phase1, self.trained.rounds)
-        self._told: list[tuple[jax.Array, Any, float]] = []  # mean, policy and return of each trial
         self.state: AskState = self.loop.init(key, draw_starts(start_key, self.trained.state.archive, used, starts))
 
     @property
@@ -68,12 +67,7 @@ class Session:
 
     def best(self) -> Asked:
         """The policy whose trial returned most so far, or where the task has its doubts of single trials the most expected."""
-        if not self._told or not self.task.doubt:
-            return self._asked(self.state.best_mean, self.state.best_policy)
-        means, policies, scores = zip(*self._told, strict=True)
-        score = smoothed(jnp.stack(means), jnp.asarray(scores, jnp.float32), self.task.doubt)
-        best = int(best_visit(score[None])[1])
-        return self._asked(means[best], policies[best])
+        return self._asked(self.state.best_mean, self.state.best_policy)
 
     def tell(self, score: float, observation: Any) -> bool:
         """What the trial came to: its return (more is better), and `observation [obs_dim]` as `task.observe` gives it (for an
@@ -85,7 +79,6 @@ class Session:
             raise BadInput(f"tell: the observation has the shape {seen.shape}; ({self.task.obs_dim},) is wanted")
         if not np.isfinite(np.asarray(seen)).all():
             raise BadInput("tell: the observation is not finite; for a trial that failed tell its last sound values")
-        self._told.append((self.state.mean, self.state.policy, float(score)))
         self.state, info = self.loop.tell(self.state, (jnp.asarray(score, jnp.float32), seen))
         return bool(info.best)
 

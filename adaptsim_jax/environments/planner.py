@@ -34,8 +34,9 @@ def make_planner(play: Play, space: Space, config: PlannerConfig) -> Acting:
     """Plans by the whole state of the target, in the world at `policy.mean` (unit coordinates `[D]`, other fields nominal)."""
     A, H, K = play.sim.action_dim, config.horizon, config.knots
     at = jnp.linspace(0.0, K - 1.0, H)
-    weights = jnp.clip(1.0 - jnp.abs(at[:, None] - jnp.arange(K)), 0.0, 1.0)  # [H, K]
-    moved = jnp.clip(1.0 - jnp.abs((jnp.arange(K) + (K - 1.0) / (H - 1.0))[:, None] - jnp.arange(K)), 0.0, 1.0)
+    knots = jnp.arange(K)[None]
+    weights = jnp.clip(1.0 - jnp.abs(at[:, None] - knots), 0.0, 1.0)  # [H, K]
+    moved = jnp.clip(1.0 - jnp.abs(knots.T + (K - 1.0) / (H - 1.0) - knots), 0.0, 1.0)
     moved = moved / moved.sum(1, keepdims=True)
     rest = jnp.asarray([f.nominal for f in play.fields[space.dim :]], jnp.float32)
 
