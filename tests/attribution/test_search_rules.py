@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.equation import balance
+from adaptsim_jax.attribution.equation import balance, search
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
 from adaptsim_jax.attribution.equation.stays import level_of, steadiness, why_not
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.diagnosis.criteria import TorqueCriteria
+from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from tests.attribution.test_filed import STEP, arm_log, searched
 
 LIMITS = TorqueCriteria()
@@ -77,6 +77,25 @@ def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
     )
     test = SimpleNamespace(p=1e-4, gain=0.3, overall=0.1)
     assert told in why_not(state, solved, c, test, 0.02, 0.01)
+
+
+@pytest.mark.parametrize(("friction_alone", "instead"), [(0.101, None), (0.3, "dead_zone")])
+def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(friction_alone, instead, monkeypatch):
+    """Soft friction of a simulator is friction and a trifle of a rotor, not a dead zone of its servo."""
+    losses = {
+        (): 1.0, ("coulomb", "armature"): 0.1, ("coulomb",): friction_alone, ("armature",): 0.9, ("dead_zone",): 0.09,
+    }  # fmt: skip
+    state = SimpleNamespace(
+        rows=SimpleNamespace(fold=BLOCKS // 5, block=BLOCKS), criteria=Criteria(), limits=LIMITS,
+        set_of=lambda some: SimpleNamespace(loss=np.full((20, 1), losses[tuple(c.effect for c in some)])),
+        settled=lambda rest, c: c, own=lambda *some: [0],
+        problem=SimpleNamespace(effect=lambda name: SimpleNamespace(describes=False)),
+    )  # fmt: skip
+    monkeypatch.setattr(search, "ranked", lambda state, now, some: list(some))
+    monkeypatch.setattr(search, "why_not", lambda *a: "")
+    monkeypatch.setattr(search, "at_bound", lambda *a: False)
+    found = search._one_for_two(state, [one("coulomb"), one("armature", "inertia")], [one("dead_zone", "width")], [])
+    assert (found and found[0].effect) == instead
 
 
 def test_a_shift_has_its_column_at_its_own_value():

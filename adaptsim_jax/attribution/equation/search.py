@@ -213,12 +213,18 @@ def _backward(
 
 
 def _one_for_two(state: Searched, added: Sequence[Candidate], every, steps: list[Step]) -> list[Candidate] | None:
-    """The set with one effect in the place of two of a joint, which forward steps took for it; None where none does as well."""
+    """The set with one effect in the place of two of a joint, which forward steps took for it; None where none does as well, or one of
+    the two does by itself (a trifle beside it does not make it another)."""
     whole = state.set_of(added)
     for one, other in combinations(added, 2):
         if not set(one.joints) & set(other.joints):
             continue
         less = state.set_of(rest := [k for k in added if k is not one and k is not other])
+        alone = [
+            compared(state.rows, state.set_of([*rest, k]), whole, state.own(one, other)).gain for k in (one, other)
+        ]
+        if min(alone) < _gap(state, (one, other), less, whole):
+            continue
         for k in _as_good(state, rest, (one, other), less, whole, every):
             test = compared(state.rows, less, more := state.set_of([*rest, k]), state.own(k))
             if not why_not(state, more, k, test, state.limits.gain * len(k.entries), state.limits.level):
@@ -239,17 +245,19 @@ def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, who
     near = [k for k in _open(state, rest, every) if any(beside(k, c) or k.effect == c.effect == INERTIA for c in gone)]
     others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
     others = [k for k in others if not state.problem.effect(k.effect).describes]
-    gap = max(
-        state.criteria.gap,
-        1.0 - (1.0 - compared(state.rows, less, whole, state.own(*gone)).gain) ** state.criteria.alike,
-    )
-    out = []
+    gap, out = _gap(state, gone, less, whole), []
     for k in ranked(state, less, others)[:3]:
         k = state.settled(rest, k)
         other = state.set_of([*rest, k])
         if compared(state.rows, other, whole, state.own(*gone, k)).gain < gap and not at_bound(other, k):
             out.append(k)
     return out
+
+
+def _gap(state: Searched, gone: Sequence[Candidate], less: Solved, whole: Solved) -> float:
+    """Share of the loss by which what stands in the place of `gone` may be worse and still do as well."""
+    gain = compared(state.rows, less, whole, state.own(*gone)).gain
+    return max(state.criteria.gap, 1.0 - (1.0 - gain) ** state.criteria.alike)
 
 
 def within(vector: Vector, factor: float = FACTOR) -> Vector:
