@@ -21,7 +21,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, nuisances, prepare
+from adaptsim_jax.attribution.problem import Problem, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
 from adaptsim_jax.attribution.servo import calibrated, friction_first, servo_entries, servo_notes, servo_rows, span_of
@@ -41,6 +41,7 @@ HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
 TOLD_GAIN = 0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
+LEFT = 0.5  # of what a joint weighs, at least, that damping by another speed leaves it
 
 
 def diagnose(
@@ -232,8 +233,12 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             )
     if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0) and not machine.servo_times:
         widest = Criteria.least_shift * problem.reach.dt
-        every = tuple(range(problem.joints))
-        vector = vector.with_entries([Entry(DAMPING_STEP, "step", every, 0.0, 0.0, -widest, widest, "s", widest)])
+        every, damping = tuple(range(problem.joints)), problem.declared[DAMPING_STEP, "damping"]
+        lightest = np.min(
+            own_inertia(problem, vector)[0] / np.maximum(damping, 1e-12)
+        )  # s, in which damping stops a joint
+        low = -min(widest, LEFT * lightest)  # earlier by more, and a joint would weigh less than nothing
+        vector = vector.with_entries([Entry(DAMPING_STEP, "step", every, 0.0, 0.0, low, widest, "s", widest)])
     if machine.gain_unknown:
         prior = TOLD_GAIN if machine.gain_told else np.inf  # free, gain and inertias shrink together
         gain = [Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior) for j in range(problem.joints)]

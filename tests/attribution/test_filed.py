@@ -16,6 +16,7 @@ from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA
+from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -62,6 +63,16 @@ def searched(folder):
     null, told = declared_vector(machine, problem), balances(problem, machine.tracks)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     return problem, *(said(problem, told, vector, reach, Criteria(), True) for vector in (null, filed(null)))
+
+
+def test_damping_by_another_speed_leaves_a_joint_some_of_its_weight(tmp_path):
+    machine = load(arm_log(tmp_path / "arm", trials=1), None)
+    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    vector = filed(declared_vector(machine, problem))
+    (entry,) = vector.entries
+    assert -0.25 / 200 < entry.low < 0.0 < entry.high == pytest.approx(0.25 / 200)
+    whole = lambda step: np.isfinite(run(problem, vector.at(np.array([step])), starts_of(problem))[0].x).all()
+    assert whole(entry.low) and whole(entry.high) and not whole(-entry.high)
 
 
 def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
