@@ -9,6 +9,9 @@ import pytest
 from adaptsim_jax.attribution.commands_told import check_commands
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.quality.commands import POOR, cut
+from adaptsim_jax.logs.quality.hypotheses import Track
+from adaptsim_jax.logs.quality.servo_fit import unexplained
 from tests.faults.servo_files import log, model, noisy, sines, steps, swung
 
 RATE = 50.0
@@ -53,6 +56,28 @@ def test_targets_that_the_driver_cuts_are_refused_and_read_as_advised(tmp_path, 
     machine = load(mended)
     assert check_commands(machine) == ()
     assert np.ptp(np.diff(machine.tracks[0].u[:, 0])) < np.ptp(np.diff(load(data).tracks[0].u[:, 0])) / 2
+
+
+@pytest.mark.parametrize("seed", [0, 10, 20])
+def test_a_limit_of_force_that_a_much_damped_joint_meets_now_and_then_is_no_limit_of_rate(seed):
+    """At it the joint moves at one speed."""
+    rate, rows, stiff, damping, inertia = 200.0, 1000, 35.0, 3.07, 0.06
+    drawn = [np.random.default_rng(seed + k) for k in range(4)]
+    wave = lambda rng: 2 * np.pi * rng.uniform(0.2, 1.2, 3) * np.arange(rows)[:, None] / rate + rng.uniform(0, 6.28, 3)
+    u = [0.25 * np.sin(wave(rng)).sum(1) for rng in drawn]
+    limit = 0.8 * damping * max(np.abs(np.gradient(x, 1 / rate)).max() for x in u)
+    tracks, h = [], 1 / rate / 10
+    for rng, targets in zip(drawn, u, strict=True):
+        q, v, out = targets[0], 0.0, []
+        for target in targets:
+            out.append(q)
+            for _ in range(10):
+                force = np.clip(stiff * (target - q), -limit, limit)
+                v = (inertia * v + h * force) / (inertia + h * damping)
+                q = q + h * v
+        angles = np.array(out)[:, None] + 1e-4 * rng.normal(size=(rows, 1))
+        tracks.append(Track(np.arange(rows) / rate, angles, None, targets[:, None]))
+    assert unexplained(tracks) > POOR and cut(tracks, 0, 0.0) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
