@@ -106,7 +106,7 @@ def examine(
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
     if bare and judge == TORQUE:
         sought = len(free.null) > len(words.null)
-        other = "fitted ones tell left-out torques no better" if sought else "with these the rest is noise"
+        other = "fitted ones tell left-out torques no better" if sought else "fitted ones were not sought"
         why = f"{why}; bodies and damping are the file's: {other}"
     by_torque = None
     if judge == TORQUE:
@@ -115,13 +115,14 @@ def examine(
         if follows and not each:
             words = confirmed(problem, words, found.final, criteria)
             found = found if words is free else selection(problem, words, declared, reach)
-        if follows:
+        many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
+        if follows and not many:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
         good = over_floor(problem, found.final) < (criteria.near if follows else criteria.explained)
-        if asked or good or (not follows and problem.joints > criteria.torque.simulated):
+        if asked or good or many:
             return by_torque
         judge, why = STRETCHES, f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches"
     hint = None

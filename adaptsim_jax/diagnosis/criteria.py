@@ -28,6 +28,8 @@ class TorqueCriteria:
         with angles (of the cycle before, filtered), not an effect.
     simulated: joints up to which the search goes on by simulation where what the torque shows simulates to more than the noise (of
         more it takes minutes); of both results the one with more skill by both yardsticks together is taken.
+    whole: joints up to which a machine that follows commands has its bodies fitted, and is searched by simulation where what its
+        command errors show leaves more than noise; of more either takes a quarter of an hour, and what is left is told.
     filed: names that a search with the file's bodies may have where one with fitted ones has none, and be taken for it.
     """
 
@@ -42,6 +44,7 @@ class TorqueCriteria:
     discovery: float = 0.05
     paired: float = 1.5
     simulated: int = 2
+    whole: int = 16
     filed: int = 2
 
 

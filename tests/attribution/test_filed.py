@@ -8,6 +8,7 @@ import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.equation import filed as filed_module
 from adaptsim_jax.attribution.equation.balance import balances, inside
 from adaptsim_jax.attribution.equation.filed import enough, filed
 from adaptsim_jax.attribution.equation.limits import left_of
@@ -15,7 +16,7 @@ from adaptsim_jax.attribution.equation.models import said
 from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import Track
@@ -73,6 +74,17 @@ def test_damping_by_another_speed_leaves_a_joint_some_of_its_weight(tmp_path):
     assert -0.25 / 200 < entry.low < 0.0 < entry.high == pytest.approx(0.25 / 200)
     whole = lambda step: np.isfinite(run(problem, vector.at(np.array([step])), starts_of(problem))[0].x).all()
     assert whole(entry.low) and whole(entry.high) and not whole(-entry.high)
+
+
+@pytest.mark.parametrize(("joints", "vectors"), [(16, 2), (24, 1)])
+def test_bodies_of_a_machine_of_many_joints_are_not_fitted(joints, vectors, monkeypatch):
+    monkeypatch.setattr(filed_module, "_sufficient", lambda *a: None)
+    monkeypatch.setattr(filed_module, "enough", lambda *a: False)
+    asked = []
+    null = Vector(tuple(Entry(o, "x", (0,), 0.0, 0.0, -1.0, 1.0, "1") for o in (INERTIA, DAMPING_STEP)), np.zeros(2))
+    search = lambda vector: asked.append(vector) or vector
+    found, usual, each = filed_module.searched(SimpleNamespace(joints=joints), search, null, Criteria())
+    assert [len(v) for v in asked] == [1, 2][:vectors] and found is usual is asked[-1] and not each
 
 
 def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():

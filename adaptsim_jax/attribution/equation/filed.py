@@ -33,13 +33,16 @@ def searched(
     were sought; whether simulation was asked of each name. search: along the motion, with the entries of a vector fitted.
 
     Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate left-out stretches to within the noise
-    with one name at most: they cannot do better. Else the file's are taken where they tell left-out torques as well, by no more names
-    that simulation bears out (where fitted ones have taken all of it up, by a few). A command error shows more than any motion does,
-    and it is enough that left-out stretches are simulated as well, or to within the noise."""
+    with one name at most, for they cannot do better, nor of a machine of very many joints. Else the file's are taken where they tell
+    left-out torques as well, by no more names that simulation bears out (where fitted ones have taken all of it up, by a few). A
+    command error shows more than any motion does, and it is enough that left-out stretches are simulated as well, or to within the
+    noise."""
     held = search(filed(null))
     alone = _sufficient(problem, held, criteria)
     if alone is not None:
         return alone, held, True
+    if problem.joints > criteria.torque.whole:
+        return held, held, False
     free = search(null)
     if not enough(problem, held, free, criteria):
         return free, free, False
