@@ -234,9 +234,8 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
     if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0) and not machine.servo_times:
         widest = Criteria.least_shift * problem.reach.dt
         every, damping = tuple(range(problem.joints)), problem.declared[DAMPING_STEP, "damping"]
-        lightest = np.min(
-            own_inertia(problem, vector)[0] / np.maximum(damping, 1e-12)
-        )  # s, in which damping stops a joint
+        # s, in which damping stops the joint that it stops first
+        lightest = np.min(own_inertia(problem, vector)[0] / np.maximum(damping, 1e-12))
         low = -min(widest, LEFT * lightest)  # earlier by more, and a joint would weigh less than nothing
         vector = vector.with_entries([Entry(DAMPING_STEP, "step", every, 0.0, 0.0, low, widest, "s", widest)])
     if machine.gain_unknown:

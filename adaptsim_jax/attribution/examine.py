@@ -67,7 +67,8 @@ def examine(
     factor: float | None = FACTOR,
     hint: Hint | None = None,
 ) -> Examined:
-    """Judge by the yardstick that tells most of the declared model, before anything is named. null: what is fitted whatever is named;
+    """Judge by the yardstick that tells most of the declared model, before anything is named (command errors also with what they name:
+    a late command hides all else of them). null: what is fitted whatever is named;
     asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is
     not looked at; hint: as of `select`, where the balance says nothing."""
     told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()

@@ -108,7 +108,7 @@ def headline(measures: Mapping[str, Measure | None], follows: bool, asked: str |
     """(The yardstick by which effects are judged, why), of those of the declared model, fitted. follows: the machine is told
     where to be.
 
-    Chosen before anything is named. asked: the one that a person wants.
+    Chosen before anything is named, but for command errors (`examine`). asked: the one that a person wants.
     """
     if asked is not None:
         return asked, "asked for"

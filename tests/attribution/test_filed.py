@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.equation import filed as filed_module
 from adaptsim_jax.attribution.equation.balance import balances, inside
 from adaptsim_jax.attribution.equation.filed import enough, filed
 from adaptsim_jax.attribution.equation.limits import left_of
-from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.models import model_of, said
 from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
@@ -66,6 +66,12 @@ def searched(folder):
     return problem, *(said(problem, told, vector, reach, Criteria(), True) for vector in (null, filed(null)))
 
 
+def good(problem, held, free):
+    """Whether the file's bodies are enough."""
+    models = tuple(model_of(problem, s, s.final, s.added) for s in (held, free))
+    return enough(problem, (held, free), models, Criteria())
+
+
 def test_damping_by_another_speed_leaves_a_joint_some_of_its_weight(tmp_path):
     machine = load(arm_log(tmp_path / "arm", trials=1), None)
     problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
@@ -78,13 +84,14 @@ def test_damping_by_another_speed_leaves_a_joint_some_of_its_weight(tmp_path):
 
 @pytest.mark.parametrize(("joints", "vectors"), [(16, 2), (24, 1)])
 def test_bodies_of_a_machine_of_many_joints_are_not_fitted(joints, vectors, monkeypatch):
-    monkeypatch.setattr(filed_module, "_sufficient", lambda *a: None)
+    monkeypatch.setattr(filed_module, "model_of", lambda *a: None)
+    monkeypatch.setattr(filed_module, "over_floor", lambda *a: np.inf)
     monkeypatch.setattr(filed_module, "enough", lambda *a: False)
     asked = []
     null = Vector(tuple(Entry(o, "x", (0,), 0.0, 0.0, -1.0, 1.0, "1") for o in (INERTIA, DAMPING_STEP)), np.zeros(2))
-    search = lambda vector: asked.append(vector) or vector
+    search = lambda vector: asked.append(vector) or SimpleNamespace(final=None, added=(), null=vector)
     found, usual, each = filed_module.searched(SimpleNamespace(joints=joints), search, null, Criteria())
-    assert [len(v) for v in asked] == [1, 2][:vectors] and found is usual is asked[-1] and not each
+    assert [len(v) for v in asked] == [1, 2][:vectors] and found is usual and found.null is asked[-1] and not each
 
 
 def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
@@ -129,7 +136,7 @@ def test_where_limits_cut_much_of_the_spikes_nothing_is_told(tmp_path):
 
 def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "rotor", rotor=0.16))
-    assert enough(problem, held, free, Criteria())
+    assert good(problem, held, free)
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("armature", (2,))]
     values = {e.key: z for e, z in zip(held.final.entries, held.final.values, strict=True)}
     assert values["armature", "inertia", (2,)] == pytest.approx(0.16, abs=0.004)
@@ -148,7 +155,7 @@ def test_a_delay_of_rows_has_no_lag_beside_it(tmp_path):
 
 def test_a_body_that_is_not_the_files_is_named(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
-    assert enough(problem, held, free, Criteria())
+    assert good(problem, held, free)
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("inertia", (2,))]
 
 
@@ -156,7 +163,7 @@ def test_a_heavier_body_shows_at_the_joints_that_carry_it(tmp_path):
     problem, free, held = searched(
         arm_log(tmp_path / "payload", mass=3.0, axis="0 0 1")
     )  # its own joint carries none of it
-    assert enough(problem, held, free, Criteria())
+    assert good(problem, held, free)
     (named,) = held.named
     alike = [(c.effect, c.joints) for c in (named.candidate, *named.alternatives)]
     assert (INERTIA, (2,)) in alike and {effect for effect, _ in alike} == {INERTIA}

@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.models import Said, model_of
 from adaptsim_jax.attribution.equation.search import Witness
 from adaptsim_jax.attribution.equation.solve import FLOOR, means
-from adaptsim_jax.attribution.held_out import over_floor, paired
+from adaptsim_jax.attribution.held_out import Model, over_floor, paired
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.weights import losses
@@ -38,39 +38,30 @@ def searched(
     command error shows more than any motion does, and it is enough that left-out stretches are simulated as well, or to within the
     noise."""
     held = search(filed(null))
-    alone = _sufficient(problem, held, criteria)
-    if alone is not None:
-        return alone, held, True
+    model, own = model_of(problem, held, held.final, held.added), None
+    if over_floor(problem, model) <= criteria.explained:
+        own = confirmed(problem, held, model, criteria)
+        if len(own.named) <= 1:
+            return own, held, True
     if problem.joints > criteria.torque.whole:
-        return held, held, False
+        return own or held, held, own is not None
     free = search(null)
-    if not enough(problem, held, free, criteria):
+    other = model_of(problem, free, free.final, free.added)
+    if not own and not enough(problem, (held, free), (model, other), criteria):
         return free, free, False
-    own, other = (confirmed(problem, s, model_of(problem, s, s.final, s.added), criteria) for s in (held, free))
-    return (own if len(own.named) <= (len(other.named) or criteria.torque.filed) else other), free, True
+    own = own or confirmed(problem, held, model, criteria)
+    fitted = confirmed(problem, free, other, criteria)
+    return (own if len(own.named) <= (len(fitted.named) or criteria.torque.filed) else fitted), free, True
 
 
-def _sufficient(problem: Problem, held: Said, criteria: Criteria) -> Said | None:
-    own = model_of(problem, held, held.final, held.added)
-    if over_floor(problem, own) > criteria.explained:
-        return None
-    found = confirmed(problem, held, own, criteria)
-    return found if len(found.named) <= 1 else None
-
-
-def enough(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
-    """Whether the file's bodies predict as well as fitted ones."""
-    d = np.concatenate([_worse(*both) for both in zip(held.witnesses, free.witnesses, strict=True)])
+def enough(problem: Problem, found: tuple[Said, Said], models: tuple[Model, Model], criteria: Criteria) -> bool:
+    """Whether the file's bodies predict as well as fitted ones: what was found with both, and the models of it."""
+    d = np.concatenate([_worse(*both) for both in zip(*(s.witnesses for s in found), strict=True)])
     if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
         return True
-    return _simulates(problem, held, free, criteria)
-
-
-def _simulates(problem: Problem, held: Said, free: Said, criteria: Criteria) -> bool:
-    own = model_of(problem, held, held.final, held.added)
+    own, other = models
     if over_floor(problem, own) <= criteria.explained:
         return True
-    other = model_of(problem, free, free.final, free.added)
     test = paired(problem, own.held.loss, losses(problem, other.held.paths, own.fit.weights))
     return test.gain <= criteria.size or test.p > criteria.confidence
 
