@@ -70,7 +70,8 @@ def rewards(results: Mapping[str, Any]) -> Figure:
         ax.set_xlim(left, 1.08)
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
     axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
-    figure.supxlabel("best-iteration " + look.reward_of(results), fontsize=8.5)
+    told = "best-iteration " + look.reward_of(results)
+    figure.supxlabel(told if len(settings) > 2 else told.replace(" (", "\n("), fontsize=8.5)
     return figure
 
 
