@@ -233,11 +233,14 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             )
     if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0) and not machine.servo_times:
         widest = Criteria.least_shift * problem.reach.dt
-        every, damping = tuple(range(problem.joints)), problem.declared[DAMPING_STEP, "damping"]
-        # s, in which damping stops the joint that it stops first
-        lightest = np.min(own_inertia(problem, vector)[0] / np.maximum(damping, 1e-12))
-        low = -min(widest, LEFT * lightest)  # earlier by more, and a joint would weigh less than nothing
-        vector = vector.with_entries([Entry(DAMPING_STEP, "step", every, 0.0, 0.0, low, widest, "s", widest)])
+        # s, in which damping stops each joint
+        stops = own_inertia(problem, vector)[0] / np.maximum(problem.declared[DAMPING_STEP, "damping"], 1e-12)
+        for g in problem.groups:
+            low = -min(
+                widest, LEFT * np.min(stops[list(g.joints)])
+            )  # by more, and a joint would weigh less than nothing
+            step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, low, widest, "s", widest)
+            vector = vector.with_entries([step])
     if machine.gain_unknown:
         prior = TOLD_GAIN if machine.gain_told else np.inf  # free, gain and inertias shrink together
         gain = [Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior) for j in range(problem.joints)]

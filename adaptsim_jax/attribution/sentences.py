@@ -124,6 +124,7 @@ def _implicit(found: Selection) -> list[str]:
     model = found.final
     rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
     steps = [1e3 * z for e, z, spread in rows if e.owner == DAMPING_STEP and abs(z) > SURE * spread > 0.0]
+    steps = sorted(steps, key=abs)[-1:]  # groups of joints that share no body have one each
     return [
         f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms {'later' if z > 0 else 'earlier'}: "
         "as the steps of a simulator or of a controller make it. Read so; no effect is named for it."

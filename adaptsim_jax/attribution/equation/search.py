@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import SHIFTS, Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_read, steadiness, why_not
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -77,16 +77,9 @@ def witness(
     """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
     which may be late at each joint, and no measured torque."""
     state = Searched(problem, balance, null, reach, criteria, commanded)
-    joints = set(balance.group.joints)
-    every = [
-        _trusted(c) for c in candidates(problem, null, reach)
-        if set(c.joints) <= joints and balanced(problem.effect(c.effect))
-        and c.shaped().get("speed", np.inf) > criteria.torque.slowest * max(reach.speed[j] for j in c.joints)
-        and (commanded or not (c.sharing == "joint" and problem.effect(c.effect).place == "command"))
-    ]  # fmt: skip
+    every = told_apart(state)
     steps: list[Step] = []
-    added: list[Candidate] = []
-    added += _friction_first(state, every, steps)
+    added = friction_first(state, every, steps)
     while len(added) < 3 * balance.joints + criteria.most_effects:
         best = _forward(state, added, every, steps)
         if best is None:
@@ -115,11 +108,31 @@ def witness(
     )
 
 
+def told_apart(state: Searched) -> list[Candidate]:
+    """Candidates of which a group's balance can tell."""
+    joints, speed, slowest = set(state.balance.group.joints), state.reach.speed, state.limits.slowest
+    effect = state.problem.effect
+    return [
+        _trusted(c) for c in (_of_group(c, joints) for c in candidates(state.problem, state.null, state.reach))
+        if set(c.joints) <= joints and balanced(effect(c.effect))
+        and c.shaped().get("speed", np.inf) > slowest * max(speed[j] for j in c.joints)
+        and (state.commanded or not (c.sharing == "joint" and effect(c.effect).place == "command"))
+    ]  # fmt: skip
+
+
 def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
     """With other effects, fitted as the search fits them; nothing is judged."""
     whole = found.state.set_of(added)
     final, errors = exact(found.state, added, whole, found.final)
     return replace(found, final=final, errors=errors, added=tuple(added), whole=whole)
+
+
+def _of_group(c: Candidate, joints: set[int]) -> Candidate:
+    """Of an effect with one value for all joints of the machine the one for those of a group: a late computer is late for each."""
+    own = tuple(j for j in c.joints if j in joints)
+    if c.sharing != "common" or c.effect == TILT or len(own) in (0, len(c.joints)):
+        return c
+    return replace(c, joints=own, entries=tuple(replace(e, joints=own) for e in c.entries))
 
 
 def _trusted(c: Candidate) -> Candidate:
@@ -128,7 +141,7 @@ def _trusted(c: Candidate) -> Candidate:
     return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
-def _friction_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
+def friction_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
     hides another (a file's damping and rotors that are not there: dry friction that is)."""
     added: list[Candidate] = []

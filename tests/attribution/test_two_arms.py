@@ -1,0 +1,57 @@
+"""What all joints share (a late computer, a simulator's step) where two arms on one base share no moving body."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.diagnose import diagnose
+
+STEP = 5e-4
+ONE = """<body pos="0 {at} 0"><joint name="{side}_lift" axis="0 1 0" armature="0.01"/>
+<inertial pos="0 0 -0.2" mass="2.0" diaginertia="0.03 0.03 0.005"/>
+<body pos="0 0 -0.4"><joint name="{side}_elbow" axis="0 1 0" armature="0.01"/>
+<inertial pos="0 0 -0.1" mass="0.5" diaginertia="2e-3 2e-3 1e-3"/></body></body>"""
+NAMES = ("left_lift", "left_elbow", "right_lift", "right_elbow")
+SERVOS = "".join(f'<position name="{n}" joint="{n}" kp="800" kv="{30 if "lift" in n else 8}"/>' for n in NAMES)
+ARMS = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}"/><worldbody>{ONE.format(at=-0.3, side="left")}
+{ONE.format(at=0.3, side="right")}</worldbody><actuator>{SERVOS}</actuator></mujoco>"""
+
+
+def two_arms_log(folder, late=0.0, trials=3):
+    """A log of the file's own two arms, at 200 Hz, whose commands arrive `late` s late."""
+    folder.mkdir()
+    (folder / "model.xml").write_text(ARMS)
+    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
+    model, rng = mujoco.MjModel.from_xml_string(ARMS), np.random.default_rng(4)
+    for trial in range(trials):
+        data = mujoco.MjData(model)
+        speed, phase = rng.uniform(0.3, 1.2, (3, 4)), rng.uniform(0, 2 * np.pi, (3, 4))
+        told = lambda t, w=speed, p=phase: 0.3 * np.sin(2 * np.pi * w * t + p).sum(0)
+        data.qpos[:] = told(0.0)
+        rows = []
+        for k in range(800):
+            rows.append([k / 200, *data.qpos + 1e-4 * rng.standard_normal(4), *told(k / 200)])
+            for step in range(10):
+                data.ctrl[:] = told(np.floor(k + step / 10 - 200 * late + 1e-9) / 200)
+                mujoco.mj_step(model, data)
+        names = ",".join(["time", *(f"q_{n}" for n in NAMES), *(f"ctrl_{n}" for n in NAMES)])
+        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
+    return folder
+
+
+def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
+    report = diagnose(two_arms_log(tmp_path / "log"), out=tmp_path / "out")
+    assert not report["effects"] and report["verdict"] in ("within_noise", "structured_unattributed")
+    assert report["error"]["after"] < 1.2e-4  # rad; noise 1e-4
+    (said,) = (n for n in report["notes"] if n.startswith("What damps the joints"))
+    assert "Commands act 0.2" in " ".join(report["notes"]), said
+
+
+def test_a_late_computer_is_late_for_both_arms(tmp_path):
+    report = diagnose(two_arms_log(tmp_path / "log", late=0.0137), out=tmp_path / "out")
+    assert {e["name"] for e in report["effects"]} == {"delay"}
+    assert {n for e in report["effects"] for n in NAMES if n in e["where"]} == set(NAMES) or report["effects"][0][
+        "where"
+    ] == "all joints"
+    for e in report["effects"]:
+        assert e["parameters"]["delay"]["value"] == pytest.approx(0.0137, abs=5e-4)
