@@ -11,8 +11,9 @@ from adaptsim_jax.attribution.backward import judged
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.filed import filed, searched
-from adaptsim_jax.attribution.equation.models import Said, model_of, said, selection
-from adaptsim_jax.attribution.equation.search import FACTOR
+from adaptsim_jax.attribution.equation.models import Said, model_of, part_of, said, selection
+from adaptsim_jax.attribution.equation.rubbing import friction_notes, rubbing
+from adaptsim_jax.attribution.equation.search import FACTOR, within
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import Model, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
@@ -83,7 +84,10 @@ def examine(
     follows = bool(np.any(machine.actuator[2] != 0.0))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
-        search = lambda vector: said(problem, told, vector, reach, criteria, machine.log.input_kind != "torque", factor)
+        commanded = machine.log.input_kind != "torque"
+        part = lambda b: within(part_of(filed(null) if follows else null, b), factor)
+        problem, told = rubbing(problem, machine.tree, told, part, reach, criteria, commanded)
+        search = lambda vector: said(problem, told, vector, reach, criteria, commanded, factor)
         if follows and len(filed(null)) < len(null):
             words, free, each = searched(problem, search, null, criteria)
         else:
@@ -205,7 +209,7 @@ def report_of(
         "judge": e.judge, "why": e.why,
         **{name: {k: m.told() for k, m in ms.items() if m is not None} for name, ms in (("declared", e.before), ("mended", e.after))},
     }  # fmt: skip
-    report["notes"] += _witnesses(e)
+    report["notes"] += [*_witnesses(e), *friction_notes(problem)]
     if predicts_nothing(e.after):
         report["message"] = f"{NOTHING} {report['message']}"
         report["yardsticks"]["predicts_nothing"] = True

@@ -36,6 +36,7 @@ class Machine:
     beyond: tuple[str, ...] = ()
     gain_told: bool = False  # whether weight and inertia of the file's bodies gave an unknown gain
     servo_times: dict[int, float] = field(default_factory=dict)  # of kp in the file, by joint, where it had to be found
+    gives: bool = False  # whether dry friction gives as the file has it (`equation/rubbing.py`)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
     schema = 1
     task = "mechanism"
     model = "declared.xml"
+    friction = "gives"               # where dry friction does, as MuJoCo's: in a simulator's log
     [inertial]                       # by joint, in its frame: m, m cx, m cy, m cz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz (kg, kg m, kg m^2)
     elbow = [1.0, 0.1, ...]
     [[effects]]                      # name and joint (of a base: "base")
@@ -28,6 +29,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 
 FILE, DECLARED = "model.toml", "declared.xml"
+GIVES = "gives"
 
 
 def text_of(
@@ -41,7 +43,8 @@ def text_of(
     factors on
     the file's kp by joint, likewise (the damping of such a servo is the joint's own)."""
     parts = ["# A model fitted by `adaptsim diagnose`; `adaptsim replay model.toml DATA` simulates all of it."]
-    parts.append(config.dumps({"schema": 1, "task": "mechanism", "model": DECLARED}))
+    rubs = {"friction": GIVES} if any(np.any(g.model.tree.rub) for g in problem.groups) else {}
+    parts.append(config.dumps({"schema": 1, "task": "mechanism", "model": DECLARED} | rubs))
     inertial = {}
     for g in problem.groups:
         values = values_of(problem, g, model.fit.vector).inertial[..., 0]
@@ -108,4 +111,5 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column
     mechanism = replace(machine.mechanism, tree=replace(tree, inertial=inertial, gravity=gravity))
-    return replace(machine, mechanism=mechanism, declared=out, actuator=law)
+    gives = given.get("friction") == GIVES
+    return replace(machine, mechanism=mechanism, declared=out, actuator=law, gives=gives)

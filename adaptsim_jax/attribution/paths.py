@@ -15,6 +15,7 @@ from adaptsim_jax.attribution.stops import limited, rates
 
 STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
 MOST_SUBSTEPS = 12
+TURNS = 4.0  # steps in which friction that gives turns, at least
 
 
 def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
@@ -45,6 +46,7 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
     if len(ends):
         pull, drag = (np.asarray(z) for z in rates(ends))
         fastest = max(fastest, float(drag.max()), 2.0 * float(np.sqrt(pull).max()))
+    fastest = max(fastest, TURNS * float(np.asarray(group.model.tree.rub)[:, 0].max(initial=0.0)))
     swing = np.sqrt(stiffness / inertia) * 2.0
     need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
     stiff = bool(need > MOST_SUBSTEPS) and not len(giving)

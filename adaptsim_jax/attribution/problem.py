@@ -85,7 +85,7 @@ def prepare(
     """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n];
     look_back: s from each stretch's start whose readings do not count; ties [n, n]: see `acting.Values`."""
     n = len(tree.joint_names)
-    tree = within_reach(tree, tracks)
+    tree = replace(within_reach(tree, tracks), rub=np.zeros((n, 2)))  # sharp, as of real joints (`equation/rubbing.py`)
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
     fold, _, names = folds_of(stretches.trial, stretches.names)
     stretches = _padded(stretches)

@@ -16,6 +16,7 @@ from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.choice import Choice, choose
 from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.rubbing import giving
 from adaptsim_jax.attribution.forecast import forecast, without_a_model
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
@@ -117,6 +118,7 @@ def replay(
         machine.declared,
         ties=machine.ties,
     )
+    problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))
     found = replayed(problem, vector, span)
     measures = dict(found.measures)

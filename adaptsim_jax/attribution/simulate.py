@@ -124,11 +124,15 @@ def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
     own = jnp.stack([answer[j, j] for j in range(n)])
     ends = stops.limited(model.tree)
     still = jnp.zeros_like(v)
+    # where friction gives (MuJoCo's): the share of a speed that it ends in a step
+    rate, soft = jnp.asarray(model.tree.rub).T[..., None]
+    braked = jnp.where(soft > 0.0, jnp.minimum(safe[None] * rate, 1.0), 1.0)
 
     def turn(carry, j):  # a loop: written out for each joint it takes many times as long to compile
         after, force, stop = carry
-        slide = bent[j] + safe * (after[j] - safe * own[j] * force[j])  # by the end of the step, without it
-        new = jnp.clip(-slide / (act.yielding[j] + safe**2 * own[j]), -level[j], level[j])
+        rise = after[j] - v[j] - safe * own[j] * force[j]
+        slide = bent[j] + safe * (braked[j] * v[j] + rise)  # by the end of the step, without it
+        new = jnp.clip(-slide / (act.yielding[j] + safe**2 * (own[j] + soft[j])), -level[j], level[j])
         after = after + h[None] * answer[:, j] * (new - force[j])[None]
         return (after, force.at[j].set(new), stop), None
 

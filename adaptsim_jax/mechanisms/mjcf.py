@@ -263,6 +263,7 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
     stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1)
     if not off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
         stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], 2 * model.opt.timestep), stop[:, 0])
+    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], 2 * model.opt.timestep)
     return make_tree(
         walk.kinds, walk.parent, np.array(walk.place).reshape(-1, 3), np.array(walk.rotation).reshape(-1, 3, 3), inertial,
         gravity=model.opt.gravity * keep("gravity"), joint_names=walk.names, body_names=walk.body_names,
@@ -272,8 +273,18 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         stiffness=model.jnt_stiffness[joint] * keep("spring"),
         stiffness_poly=model.jnt_stiffnesspoly[joint] * keep("spring"),
         springref=np.where(ball, 0.0, model.qpos_spring[adr]), range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
-        stop=stop, gravcomp=walk.gravcomp * keep("gravity"),
+        stop=stop, rub=rub, gravcomp=walk.gravcomp * keep("gravity"),
     )  # fmt: skip
+
+
+def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, least: float) -> np.ndarray:
+    """How dry friction gives [n, 2], as of `Tree` (MuJoCo's documentation, "Computation", constraint model: friction loss has no
+    position, so that its impedance is the first of `solimp` and its reference acceleration -b v). least: of a time constant, s."""
+    time, ratio, most = solref[:, 0], solref[:, 1], solimp[:, 1]
+    direct = time <= 0
+    rate = np.where(direct, -ratio / most, 2.0 / (most * np.where(direct, 1.0, np.maximum(time, least))))
+    share = np.clip(solimp[:, 0], 1e-4, 1.0 - 1e-4)
+    return np.stack([rate, (1.0 - share) / share * weight], 1)
 
 
 def _with_added(tree: Tree, added: Added) -> Tree:

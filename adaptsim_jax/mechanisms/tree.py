@@ -66,8 +66,10 @@ class Tree:
     armature kg m^2 (kg), frictionloss N m (N), stiffness N m/rad (N/m) about springref rad (m), each [n]. `damping_poly` and
     `stiffness_poly` [n, 2] are MuJoCo's higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref.
     range [n, 2] rad or m, of use where `limited`; stop [n, 8] what a limit does there: MuJoCo's two numbers of `solref`, five of
-    `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). gravcomp [n, 10]: inertial parameters of what is held up
-    against gravity, where `compensated`. linear: its equations of motion are those about rest at zero (`equations.py`).
+    `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). rub [n, 2] how dry friction gives, zeros where it is sharp:
+    the rate 1/s at which it ends a speed, and what it adds to the joint's inverse weight. gravcomp [n, 10]: inertial parameters
+    of what is held up against gravity, where `compensated`. linear: its equations of motion are those about rest at zero
+    (`equations.py`).
     """
 
     joint_names: tuple[str, ...]
@@ -90,6 +92,7 @@ class Tree:
     stiffness_poly: Array
     range: Array
     stop: Array
+    rub: Array
     gravcomp: Array
     whole: Whole | None = None
     linear: bool = False
@@ -117,7 +120,7 @@ _OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensa
 _META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)
 _OF_JOINTS = tuple(name for name in _DATA if name not in ("gravity", "whole"))
-_SIZES = {"damping_poly": (2,), "stiffness_poly": (2,), "range": (2,), "stop": (8,), "gravcomp": (10,)}
+_SIZES = {"damping_poly": (2,), "stiffness_poly": (2,), "range": (2,), "stop": (8,), "rub": (2,), "gravcomp": (10,)}
 jax.tree_util.register_dataclass(Tree, data_fields=_DATA, meta_fields=_META)
 
 

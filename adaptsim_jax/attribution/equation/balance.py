@@ -43,7 +43,8 @@ class Balance:
     [K, n]: what acts whatever is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow others
     take.
 
-    q, v, a, u, jump, sign [n, T]: the motion of all runs one after the other; row [T] s (`windows.Run`); clock [T] s; mean [K, T]
+    q, v, a, u, jump [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the speed that dry friction goes by, and
+    below which it is not told from zero; row [T] s (`windows.Run`); clock [T] s; mean [K, T]
     averages over windows; runs: the rows of each."""
 
     group: Group
@@ -53,7 +54,8 @@ class Balance:
     u: np.ndarray
     jump: np.ndarray
     row: np.ndarray
-    sign: np.ndarray
+    ahead: np.ndarray
+    width: np.ndarray
     clock: np.ndarray
     runs: tuple[slice, ...]
     mean: scipy.sparse.csr_matrix
@@ -69,6 +71,11 @@ class Balance:
     @property
     def joints(self) -> int:
         return len(self.group.joints)
+
+    @property
+    def sign(self) -> np.ndarray:
+        """Of the speed [n, T], between -1 and 1 where it is not told from zero."""
+        return np.tanh(self.ahead / self.width)
 
     def averaged(self, z: np.ndarray) -> np.ndarray:
         """Of something along the motion [n, T] its mean over windows, [K, n]."""
@@ -87,9 +94,10 @@ def balances(
         runs = runs_of(part, problem.floor[own], span)
         if not runs:
             continue
-        q, v, a, u, jump, sign = (
-            np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "jump", "sign")
+        q, v, a, u, jump, smooth = (
+            np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "jump", "smooth")
         )
+        width = np.concatenate([np.outer(r.width, np.ones(len(r.time))) for r in runs], 1)
         row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
         values = values_of(problem, group, Vector((), np.zeros(0)))
         ends = np.cumsum([0, *(len(r.time) for r in runs)])
@@ -97,7 +105,7 @@ def balances(
         table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
         regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
         made = Balance(
-            group, q, v, a, u, jump, row, sign, np.concatenate([r.time for r in runs]),
+            group, q, v, a, u, jump, row, ahead_of(group.model.tree, smooth, a), width, np.concatenate([r.time for r in runs]),
             tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T, np.zeros(0),
             np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
             tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
@@ -220,12 +228,28 @@ def _actuated(values: Values, q, v, u):
 
 
 @partial(jax.jit, static_argnames="effect")
-def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, sign):
+def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, ahead, width):
     gravity = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
     answer = effect.apply(p, Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
     if isinstance(answer, Dry):
+        rate, more = jnp.asarray(tree.rub).T[..., None]
+        sign = ramp(ahead, width, more * jnp.abs(answer.level) / jnp.maximum(rate, 1e-9))
         return answer.force - answer.level * sign + 0.0 * q
     return answer + 0.0 * q
+
+
+def ahead_of(tree: Tree, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """The speed [n, T] that dry friction goes by: that of the joints, or where it gives as it will be a time constant on."""
+    rate, more = np.asarray(tree.rub, float).T[..., None]
+    return np.where(more > 0.0, v + a / np.maximum(rate, 1e-9), v)
+
+
+def ramp(v, width, wide):
+    """The sign of v as it is told from zero beyond `width`: the mean of tanh(v / width) over +-`wide`, about which it turns."""
+    log_cosh = lambda x: jnp.abs(x) + jnp.log1p(jnp.exp(-2.0 * jnp.abs(x)))
+    some = jnp.maximum(wide, 1e-3 * width)
+    mean = (log_cosh((v + some) / width) - log_cosh((v - some) / width)) * width / (2.0 * some)
+    return jnp.where(wide > 0.0, mean, jnp.tanh(v / width))
 
 
 def effect_force(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
@@ -238,7 +262,7 @@ def effect_force(balance: Balance, values: Values, effect: Effect, p: At, driven
     b = balance
     tau, pull = driven
     make = lambda *z: _acted(b.group.model.tree, values.inertial[..., 0], effect, at, *z)
-    return b.averaged(_by_pieces(make, b.q, b.v, tau, b.clock[None], pull, b.u, b.sign))
+    return b.averaged(_by_pieces(make, b.q, b.v, tau, b.clock[None], pull, b.u, b.ahead, b.width))
 
 
 @partial(jax.jit, static_argnames="effect")

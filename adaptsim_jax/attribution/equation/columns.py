@@ -28,6 +28,7 @@ NOT_TOLD = ("presliding", "hard_stop", "friction_drift", "periodic_disturbance")
 """Effects on forces that have a state, act in few places, or go with time as much else does."""
 STEP = 0.02  # share of a value, by which it is moved for a difference
 LEAST = 1e-4
+OFF = 0.03  # of the usual torque, by which friction may be off
 
 
 def balanced(effect: Effect) -> bool:
@@ -129,11 +130,20 @@ class Table:
         if key not in self._made:
             given = dict(shape)
             here = self._at(effect, given)
-            size = given.get(name, 0.01) if effect.jump or effect.place == "command" else 1.0
+            size = self._size(effect, name, here, given)
             away = here | {name: here[name] + size}
             act = lambda p: force_of(self.balance, self.values, effect, p, self.driven())
             self._made[key] = (act(away) - act(here)) / size
         return self._made[key]
+
+    def _size(self, effect: Effect, name: str, here: Mapping[str, np.ndarray], given: Mapping[str, float]) -> Any:
+        """By which a parameter is moved for a column; of friction that gives over a band, as far as it may be off."""
+        if effect.jump or effect.place == "command":
+            return given.get(name, 0.01)
+        if not np.any(self.balance.group.model.tree.rub):
+            return 1.0
+        torque = self.problem.reach.torque[list(self.balance.group.joints)]
+        return np.maximum(0.5 * np.abs(here[name]), OFF * torque)
 
     def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
         here = self._at(effect, shape or {})

@@ -27,8 +27,9 @@ DOUBT = 3.0  # times the noise of a speed, likewise
 @dataclass(frozen=True)
 class Run:
     """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told in the mean over the `row` s about a
-    row, jump [n, T] by which that changes at it, sign [n, T] of the speed (between -1 and 1 where it is not told from zero), clear
-    [n, T] 0 to 1: whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
+    row, jump [n, T] by which that changes at it, smooth [n, T] a speed with less noise, width [n] below
+    which that is not told from zero, clear [n, T] 0 to 1:
+    whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
 
     trial: int
     time: np.ndarray
@@ -38,7 +39,8 @@ class Run:
     u: np.ndarray
     jump: np.ndarray
     row: float
-    sign: np.ndarray
+    smooth: np.ndarray
+    width: np.ndarray
     clear: np.ndarray
     mean: scipy.sparse.csr_matrix
     at: np.ndarray
@@ -68,8 +70,7 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
         width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
         moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
-        sign = np.tanh(v / width[:, None])
-        out.append(Run(k, time, q, speed, np.gradient(v, dt, axis=1), u, jump, row, sign, moves, mean, at))
+        out.append(Run(k, time, q, speed, np.gradient(v, dt, axis=1), u, jump, row, v, width, moves, mean, at))
     return tuple(out)
 
 
