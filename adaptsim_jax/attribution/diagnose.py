@@ -21,7 +21,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, nuisances, own_inertia, prepare
+from adaptsim_jax.attribution.problem import Problem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
 from adaptsim_jax.attribution.servo import calibrated, friction_first, servo_entries, servo_notes, servo_rows, span_of
@@ -157,6 +157,8 @@ def examined(
         machine.tree, machine.tracks, chosen, machine.actuator, machine.gear, horizon, declared=machine.declared,
         look_back=LOOK_BACK, ties=machine.ties,
     )  # fmt: skip
+    names = machine.tree.joint_names
+    problem = replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
     step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows
     say(0.05, 1.0, "declared model")
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
@@ -231,7 +233,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             vector = vector.without(
                 [e.key for e in vector.entries if e.owner == owner and of[e.joints[0]] not in wanted]
             )
-    if problem.offers(DAMPING_STEP) and np.any(machine.actuator[2] != 0.0) and not machine.servo_times:
+    if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)) and not machine.servo_times:
         widest = Criteria.least_shift * problem.reach.dt
         # s, in which damping stops each joint
         stops = own_inertia(problem, vector)[0] / np.maximum(problem.declared[DAMPING_STEP, "damping"], 1e-12)

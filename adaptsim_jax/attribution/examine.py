@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import Model, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.problem import Problem, held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import evidence_of, reported
 from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import bound_notes, curves, held_missing, judged_by_torque, quiet_notes
@@ -76,12 +76,12 @@ def examine(
     if not told:
         found = by_simulation(problem, null, criteria, say, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
-        commanded = np.any(machine.actuator[2] != 0.0)
+        commanded = np.any(held(machine.actuator))
         why = "no torque is known along the motion" if factor is not None else "stretches are this task's yardstick"
         why = f"it follows commands; over {horizon:g} s a straight line says less" if commanded else why
         return Examined(problem, found, None, before, after, STRETCHES, why)
     say("balance of torques")
-    follows = bool(np.any(machine.actuator[2] != 0.0))
+    follows = bool(np.any(held(machine.actuator)))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
         commanded = machine.log.input_kind != "torque"
@@ -109,6 +109,9 @@ def examine(
         named = of_torque(problem, told, words.final, held_missing(words)[1])
         usual = max(usual, named, key=lambda m: m.skill)
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
+    many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
+    if follows and many and judge != TORQUE and not asked:
+        judge, why = TORQUE, f"of {problem.joints} joints that follow commands stretches are not searched"
     if bare and judge == TORQUE:
         sought = len(free.null) > len(words.null)
         other = "fitted ones tell left-out torques no better" if sought else "fitted ones were not sought"
@@ -120,14 +123,13 @@ def examine(
         if follows and not each:
             words = confirmed(problem, words, found.final, criteria)
             found = found if words is free else selection(problem, words, declared, reach)
-        many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
         if follows and not many:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
         good = over_floor(problem, found.final) < (criteria.near if follows else criteria.explained)
-        if asked or good or many:
+        if asked or good or many:  # of very many joints stretches are not searched: what is left is told
             return by_torque
         judge, why = STRETCHES, f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches"
     hint = None

@@ -57,6 +57,7 @@ class Problem:
     declared: dict[tuple[str, str], np.ndarray]  # (effect, parameter) -> [n] what the model file says
     floor: np.ndarray  # [2n] noise of angles and speeds
     least: np.ndarray | float = 0.0  # [n] error of angles below which no effect is worth a name
+    unlike: tuple[int, ...] = ()  # joints that are not as the model says in another way, where nothing is named
 
     @property
     def joints(self) -> int:
@@ -198,6 +199,12 @@ def _rough(z: np.ndarray) -> np.ndarray:
     size = np.nanmedian(np.abs(d), axis=0) / 0.6745
     mean = np.sqrt(np.nanmean(d**2, axis=0))
     return np.where(size > 0, size, mean) / np.sqrt(20.0)
+
+
+def held(actuator: np.ndarray) -> np.ndarray:
+    """Which joints [n] a controller of their actuators [6, n] holds: told where to be, or how fast to go."""
+    gain, _, per_q, per_v, _, _ = np.asarray(actuator)
+    return (per_q != 0.0) | ((per_v != 0.0) & (gain != 0.0))
 
 
 def drive_force(actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None, q, v, u) -> np.ndarray:

@@ -122,6 +122,7 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             j
             for j in range(problem.joints)
             if (effect.name, j) not in taken
+            and (j not in problem.unlike or effect.name in COMMON)
             and (j in driven or effect.name not in PASSIVE)
             and not (effect.pair and j in first)
         ]
@@ -142,6 +143,8 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             ]
         make = lambda joints, shared, effect=effect: entries_of(problem, reach, effect, joints, shared)
         for j, points in grids:
+            if j in problem.unlike:
+                continue
             for point in points:
                 out.append(Candidate(effect.name, (j,), "joint", make([j], False), _fixed(point)))
         if len(free) > 1 and effect.name in EVERYWHERE and not effect.shapes:
@@ -161,7 +164,11 @@ def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[
     if name == INERTIA:
         bodies = [j for g in problem.groups for at, j in enumerate(g.joints) if g.inertias.massive[at]]
         own = lambda j: inertia_entries(np.arange(j + 1) == j)
-        return [Candidate(INERTIA, (j,), "joint", own(j)) for j in bodies if (INERTIA, j) not in taken]
+        return [
+            Candidate(INERTIA, (j,), "joint", own(j))
+            for j in bodies
+            if (INERTIA, j) not in taken and j not in problem.unlike
+        ]
     weightless = not any(np.any(np.asarray(g.model.tree.gravity)) for g in problem.groups)
     if weightless or (TILT, 0) in taken:
         return []

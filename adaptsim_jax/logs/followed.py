@@ -35,13 +35,14 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         extra = {stem: values[:, at] for stem, values in t.extra.items()}
         return replace(t, q=t.q[:, at], v=None if t.v is None else t.v[:, at], u=u, extra=extra)
 
-    told = []
+    told, unlike = [], []
     for f in followers:
         own = np.concatenate([t.q[:, where[f.joint]] for t in log.trials])
         led = f.offset + f.factor * np.concatenate([t.q[:, where[f.leader]] for t in log.trials])
         apart, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
         if apart > APART * span:
             told.append(f"{f.joint} does not follow {f.leader} as the model says: by up to {apart:.2g} of {span:.2g}")
+            unlike.append(f.leader)
     left = [name for name in log.joint_names if name not in joints and name not in {f.joint for f in followers}]
     if left:
         told.append(f"angles of joints that are held are not used: {', '.join(left)}")
@@ -49,5 +50,5 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
     driven = tuple(name for name in joints if name in log.driven)
     return replace(
         log, joint_names=joints, trials=tuple(map(trial, log.trials)), input_names=names, driven=driven,
-        notes=(*log.notes, *told),
+        notes=(*log.notes, *told), unlike=tuple(unlike),
     )  # fmt: skip

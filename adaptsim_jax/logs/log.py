@@ -140,6 +140,7 @@ class Log:
     input_names: tuple[str, ...]
     driven: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    unlike: tuple[str, ...] = ()  # joints whose followers do not follow as the model says
     held: dict[str, float | None] = field(default_factory=dict)
     input_columns: tuple[str, ...] = ()
 

@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.acting import Motion, Values, actuated
 from adaptsim_jax.attribution.equation.limits import limited
 from adaptsim_jax.attribution.equation.windows import SPAN, runs_of
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
+from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, held, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.mechanisms import dynamics, equations
@@ -110,7 +110,7 @@ def balances(
             np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
             tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
         )  # fmt: skip
-        sure = inside(group.model.tree, q) & _told(made, values, trusted)
+        sure = inside(group.model.tree, q) & _told(made, values, trusted) & ~np.isin(own, problem.unlike)[:, None]
         moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, LEAST_CLEAR)
         out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, NOTHING)))
     return tuple(out)
@@ -130,7 +130,7 @@ def _told(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
     law = np.asarray(values.actuator)[..., 0]
     limit = np.abs(law[4:6]).min(0)[:, None] * np.abs(values.gear)
     force, smooth = actuator_force(balance, values)[0], actuator_force(balance, values, (balance.u, none))[0]
-    at_limit = trusted & (law[2] != 0.0)[:, None] & (np.abs(smooth) >= NEAR * limit)
+    at_limit = trusted & held(law)[:, None] & (np.abs(smooth) >= NEAR * limit)
     usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
     return (np.abs(force - smooth) <= CUT * usual) & ~at_limit
 

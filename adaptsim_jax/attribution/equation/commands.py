@@ -19,6 +19,7 @@ from adaptsim_jax.diagnosis.paired import sign_flip
 TOLD = 2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
 SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
+STUCK = 0.1  # of its command's motion, below which a joint does not follow it
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
 CLIPPED = (
     0.01  # of an actuator's largest force, by which its law would be beyond what it does, were it not for its limits
@@ -66,6 +67,9 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
             continue
         target = law[0, k] * gear[k] * balance.u[k] / kp  # of the angle, by what the file says of the command's unit
         error = balance.mean @ (target - balance.q[k])
+        moved = lambda z: np.sqrt(np.mean([np.var(z[run]) for run in balance.runs]))
+        if moved(balance.q[k]) < STUCK * moved(target):
+            continue  # a joint that is held, or chatters, says nothing of a gain
         columns = np.stack([takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(error))], 1)
         out.append((k, int(j), error, columns, kp, -law[3, k] * gear[k] ** 2))
     found = []

@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, in_pro
 from adaptsim_jax.attribution.equation.columns import TOLD, Table
 from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import Problem, held
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
@@ -34,7 +34,7 @@ class Searched:
         self.commanded, self.limits = commanded, criteria.torque
         self.table = Table(problem, balance, null)
         self.null = null
-        self.follows = bool(np.any(self.table.values.actuator[2]))
+        self.follows = bool(np.any(held(self.table.values.actuator[..., 0])))
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
         self.told = balance.averaged(self.table.driven()[0])

@@ -23,7 +23,7 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:
         return "left-out blocks do not confirm it"
-    if state.commanded and len(c.joints) < state.balance.joints and only_read(state, whole, c):
+    if state.commanded and c.sharing != "common" and only_read(state, whole, c):
         return "a joint that is late by so little is how its rows are read"
     if state.follows and c.effect in GAINS and np.max(np.abs(whole.step[_numbers(whole, c)])) < state.limits.share:
         return f"a gain that is off by less than {100 * state.limits.share:g} % is how exactly speeds are read"
@@ -36,7 +36,7 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
     if at_bound(whole, c):
         return "its value is at the end of what such a machine may have"
     least = state.limits.seen if state.follows and c.effect in CARRIED else state.limits.worth
-    if _worth(state, whole, c) < least:
+    if not only_read(state, whole, c) and _worth(state, whole, c) < least:  # what is read so is no name, however small
         return f"it is less than {100 * least:g} % of the joint's torque"
     return ""
 
