@@ -8,12 +8,13 @@ DEMO_OUT ?= demo_out
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
-.PHONY: demo test test-all lint format bench docs tutorials clean help
+.PHONY: demo test test-long test-all lint format bench docs tutorials clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    install into $(VENV), run 'adaptsim demo', leave figures and a page in $(DEMO_OUT)"
 	@echo "make test    run the quick tests on $(JOBS) processes (JOBS=n for another number)"
+	@echo "make test-long  run those of more than ten seconds that continuous integration runs, too"
 	@echo "make test-all  run all of them"
 	@echo "make lint    ruff and pyright"
 	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
@@ -25,12 +26,15 @@ demo: $(VENV)/.core
 	$(BIN)/adaptsim demo --out $(DEMO_OUT)
 
 # Most of the quick tests' time is compiling, and most programs run once: no effort there pays. Of all tests half of it does.
-test: effort = 0
+test test-long: effort = 0
 test-all: effort = 1
-test test-all: export XLA_FLAGS ?= --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=$(effort) \
+test test-long test-all: export XLA_FLAGS ?= --xla_cpu_multi_thread_eigen=false --xla_backend_optimization_level=$(effort) \
 	--xla_cpu_use_fusion_emitters=false
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow and not long" $(PYTEST_ARGS)
+
+test-long: $(VENV)/.test
+	$(BIN)/python -m pytest -n $(JOBS) --dist load -m "long and not slow" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.test
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(PYTEST_ARGS)

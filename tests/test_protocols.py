@@ -98,7 +98,10 @@ def test_importing_the_package_loads_no_library():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
-@pytest.mark.parametrize("name", TASKS)
+LONG = ("environment",)  # tasks whose policies take ten seconds and more to compile
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in TASKS])
 def test_task(name, real):
     kind = TASKS[name]
     explained(kind.config)

@@ -164,6 +164,7 @@ def test_where_nothing_is_hidden_nothing_is_named(tmp_path):
     assert report["verdict"] == "within_noise" and report["effects"] == []
 
 
+@pytest.mark.long
 def test_torques_that_change_between_rows_are_no_effect(tmp_path):
     data = record(tmp_path / "fast", friction=0.0, rate=100, held=False, noise=5e-5)
     others = [e.name for e in MACHINE if e.name not in ("viscous", "delay", "sensor_delay", "torque_gain")]

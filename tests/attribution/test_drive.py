@@ -96,6 +96,7 @@ def test_derivatives_are_those_of_the_simulation(tmp_path):
         assert np.linalg.norm(lin.shared[0][:, :, i] - slope) < 0.1 * np.linalg.norm(slope), e.key
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("link", (0.0, 1.0))
 def test_a_score_test_finds_it_and_a_fit_its_size(tmp_path, link):
     problem, true = declared(tmp_path, 6, link, 300, 3e-4)

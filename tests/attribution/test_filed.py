@@ -134,6 +134,7 @@ def test_where_limits_cut_much_of_the_spikes_nothing_is_told(tmp_path):
     assert b.clear[moves[:, 0], 0].mean() > 0.7  # no limit
 
 
+@pytest.mark.long
 def test_a_rotor_shows_beside_the_files_bodies_and_damping_acts_half_a_step_late(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "rotor", rotor=0.16))
     assert good(problem, held, free)
@@ -159,6 +160,7 @@ def test_a_body_that_is_not_the_files_is_named(tmp_path):
     assert [(n.candidate.effect, n.candidate.joints) for n in held.named] == [("inertia", (2,))]
 
 
+@pytest.mark.long
 def test_a_heavier_body_shows_at_the_joints_that_carry_it(tmp_path):
     problem, free, held = searched(
         arm_log(tmp_path / "payload", mass=3.0, axis="0 0 1")

@@ -82,6 +82,7 @@ def two_legs(folder):
     return prepare(machine.tree, machine.tracks, FEW, declared=machine.declared)
 
 
+@pytest.mark.long
 def test_groups_that_a_change_does_not_touch_keep_their_numbers(tmp_path):
     problem = two_legs(tmp_path / "legs")
     assert [g.joints for g in problem.groups] == [(0, 1), (2,)]

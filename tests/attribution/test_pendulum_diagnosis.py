@@ -67,6 +67,7 @@ def test_rows_that_the_audit_found_spiked_are_not_fitted(tmp_path):
     assert np.all(np.isfinite(first_parameters(torn, holes)))
 
 
+@pytest.mark.long
 def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
     """Dry friction put in at both joints, of which the second rubs: tested at each, it is left at that one, refitted."""
     recording = read_recording(
@@ -88,6 +89,7 @@ def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
     assert ("coulomb", "level", (0,)) not in values
 
 
+@pytest.mark.long
 def test_play_begins_at_what_was_read_with_the_link_at_either_end(tmp_path):
     """An encoder with a play of 0.15 rad at joint 1: from 0.1 rad the gap is found, and little more than the noise is left."""
     trials = make_trials(3, 4, 2.0, 200.0, noise=0.2, velocity=False)

@@ -60,6 +60,7 @@ def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
         assert values["delay", "delay", arm] == pytest.approx(-0.5 * STEP, abs=0.2 * STEP)
 
 
+@pytest.mark.long
 def test_a_late_computer_is_late_for_both_arms(tmp_path):
     report = diagnose(two_arms_log(tmp_path / "log", late=0.0137), out=tmp_path / "out")
     assert {e["name"] for e in report["effects"]} == {"delay"}

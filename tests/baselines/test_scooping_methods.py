@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig, bayesopt
@@ -37,6 +38,7 @@ class Recorder(Arena):
         return seen
 
 
+@pytest.mark.long
 def test_visits_probe_and_deployed_scoops_learn_of_it():
     one = make_one_shot("scooping", OPTIONS)
     arena = Recorder(one, World("stand-in", stand_in, {0: "fine"}), np.array([[0.3, 5e4, 1.0, 0.02]]))

@@ -42,6 +42,7 @@ def swung(folder, **truth):
     )
 
 
+@pytest.mark.long
 def test_a_payload_is_named_and_its_size_found(tmp_path):
     data = swung(tmp_path / "log", mass=0.6)
     assert cli.main(["diagnose", str(data), "--simulator", "mujoco", "--out", str(tmp_path / "out"), "--json"]) == 0
@@ -92,6 +93,7 @@ def slid(folder, truth: str, *, pose: bool = True, trials: int = 6):
     return folder
 
 
+@pytest.mark.long
 def test_a_floor_that_is_more_slippery_is_named(tmp_path):
     report = diagnose(*read_source_and_log(slid(tmp_path / "log", BOX.format(mu=0.35))))
     (effect,) = report["effects"]

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.corrections import Told, nearer
@@ -31,6 +32,7 @@ def test_served_pushes_are_the_native_engines_whatever_the_batch_axes():
     np.testing.assert_allclose(shared[:, -1], np.stack([places[0, -1]] * 2), atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_visit_in_the_native_scene_reaches_its_goals_where_the_target_is_e():
     options = {"pretrain": True, "refine": 3, "tests": 1, "hidden": (8,), "show_gap": True}
     task = make_pushing(PushingConfig(simulator="native", **options))

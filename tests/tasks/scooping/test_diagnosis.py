@@ -171,6 +171,7 @@ def test_a_scoop_as_declared_lacks_nothing(tmp_path, tracks, simple):
     assert report["declared"]["before"]["h"]["value"] == pytest.approx(0.02, abs=5e-4)
 
 
+@pytest.mark.long
 def test_a_blade_that_runs_fast_is_named(tmp_path, simple):
     out = tmp_path / "out"
     folder = written(tmp_path / "scoops", measured(simulated(speed_scale=0.08)))
