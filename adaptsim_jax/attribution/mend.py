@@ -27,6 +27,7 @@ ACTUATED = {
 """Those that it holds where an actuator is told what to do, with the name of the change."""
 COMMANDED = ("command", "voltage", "current")
 GAINS = ("torque_gain", "position_gain")
+LATE = ("delay", "actuator_lag")
 
 
 DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
@@ -78,15 +79,16 @@ def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
         driven |= {machine.tree.joint_names.index(name) for name in gains(machine)}
     values = [v for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
               if e.owner == c.effect and set(e.joints) <= set(c.joints)]  # fmt: skip
-    late = c.effect in ("delay", "actuator_lag")
+    late = c.effect in LATE
     # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF clips both
     bent = c.effect == "saturation" and any(k.effect in GAINS and set(k.joints) & set(c.joints) for k in model.added)
     return c.effect in ACTUATED and set(c.joints) <= driven and not bent and not (late and min(values) < 0.0)
 
 
 def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
-    """A note on the effects that `model.xml` cannot hold."""
-    gone = [c for c in found.final.added if not _holds(machine, found.final, c)]
+    """A note on the effects that `model.xml` cannot hold; a shift of commands that is no name is how a log was read."""
+    model, keys = found.final, {n.candidate.key for n in found.named}
+    gone = [c for c in model.added if not _holds(machine, model, c) and (c.key in keys or c.effect not in LATE)]
     told = [f"{c.effect.replace('_', ' ')} at {', '.join(problem.joint_names[j] for j in c.joints)}" for c in gone]
     return (
         [f"model.xml cannot hold {'; '.join(told)}: only model.toml has the whole of the mended model."] if gone else []

@@ -90,6 +90,7 @@ def test_a_level_that_the_file_lacks_is_named_beside_friction_that_gives(tmp_pat
     assert (effect["name"], effect["where"]) == ("coulomb", "near")
     assert effect["parameters"]["level"]["value"] == pytest.approx(0.2, abs=0.01)
     assert any("gives" in note for note in report["notes"])
+    assert not any("cannot hold" in note for note in report["notes"])  # commands that are read early are no loss
     mended = load(tmp_path / "log", tmp_path / "out" / "model.toml")
     assert mended.gives and np.median(replay(mended).error) < 1.2e-4  # rad; noise 1e-4
 
