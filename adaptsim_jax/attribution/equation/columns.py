@@ -143,7 +143,10 @@ class Table:
         if not np.any(self.balance.group.model.tree.rub):
             return 1.0
         torque = self.problem.reach.torque[list(self.balance.group.joints)]
-        return np.maximum(0.5 * np.abs(here[name]), OFF * torque)
+        own = self.balance.inertia * np.sqrt(
+            np.mean(np.square(self.balance.acceleration), 0)
+        )  # of a joint that nothing drives
+        return np.maximum(0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + LEAST))
 
     def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
         here = self._at(effect, shape or {})
