@@ -238,10 +238,10 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
         # s, in which damping stops each joint
         stops = own_inertia(problem, vector)[0] / np.maximum(problem.declared[DAMPING_STEP, "damping"], 1e-12)
         for g in problem.groups:
-            low = -min(
+            early = min(
                 widest, LEFT * np.min(stops[list(g.joints)])
             )  # by more, and a joint would weigh less than nothing
-            step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, low, widest, "s", widest)
+            step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, -early, widest, "s", widest)
             vector = vector.with_entries([step])
     if machine.gain_unknown:
         prior = TOLD_GAIN if machine.gain_told else np.inf  # free, gain and inertias shrink together

@@ -41,7 +41,10 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         led = f.offset + f.factor * np.concatenate([t.q[:, where[f.leader]] for t in log.trials])
         apart, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
         if apart > APART * span:
-            told.append(f"{f.joint} does not follow {f.leader} as the model says: by up to {apart:.2g} of {span:.2g}")
+            told.append(
+                f"{f.joint} does not follow {f.leader} as the model says: by up to {apart:.2g} of {span:.2g}; "
+                f"nothing is named at {f.leader}"
+            )
             unlike.append(f.leader)
     left = [name for name in log.joint_names if name not in joints and name not in {f.joint for f in followers}]
     if left:

@@ -129,7 +129,7 @@ class Log:
     are not known); `driven`: joints that have an input column, torque is 0 at the others. `notes`: what a person
     should know of how the files were read, a line each. `held`: joints that stand still in all trials, or that `[hold]` names, and
     where they were (None: nothing was logged); they are not among `joint_names`. `input_columns [m]`: the column that each
-    actuator's command was read from.
+    actuator's command was read from. `unlike`: joints whose followers do not follow as the model says.
     """
 
     path: str
@@ -140,9 +140,9 @@ class Log:
     input_names: tuple[str, ...]
     driven: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    unlike: tuple[str, ...] = ()  # joints whose followers do not follow as the model says
     held: dict[str, float | None] = field(default_factory=dict)
     input_columns: tuple[str, ...] = ()
+    unlike: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:

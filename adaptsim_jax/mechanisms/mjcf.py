@@ -261,9 +261,9 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         if own and all(name in weightless for name in own):
             inertial[i] = 0.0
     stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1)
-    if not off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
-        stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], 2 * model.opt.timestep), stop[:, 0])
-    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], 2 * model.opt.timestep)
+    least = 0.0 if off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE) else 2 * model.opt.timestep
+    stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], least), stop[:, 0])
+    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], least)
     return make_tree(
         walk.kinds, walk.parent, np.array(walk.place).reshape(-1, 3), np.array(walk.rotation).reshape(-1, 3, 3), inertial,
         gravity=model.opt.gravity * keep("gravity"), joint_names=walk.names, body_names=walk.body_names,

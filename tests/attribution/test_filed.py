@@ -2,7 +2,6 @@
 
 from types import SimpleNamespace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -21,6 +20,7 @@ from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.diagnosis.criteria import Criteria
+from tests.attribution.servo_logs import servo_log
 
 KP, KV, STEP = 2000.0, 200.0, 5e-4
 JOINTS = ("turn", "lift", "elbow")
@@ -36,25 +36,9 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator
 
 def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit="", late=0.0, range_=""):
     """A folder whose file has a rotor of 0.1 kg m2 and a forearm of 2 kg; logs of an arm with others."""
-    folder.mkdir()
     same = {"axis": axis, "limit": limit, "range_": range_}
-    (folder / "model.xml").write_text(ARM.format(rotor=0.1, mass=2.0, **same))
-    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
-    model, rng = mujoco.MjModel.from_xml_string(ARM.format(rotor=rotor, mass=mass, **same)), np.random.default_rng(5)
-    for trial in range(trials):
-        data = mujoco.MjData(model)
-        speed, phase = rng.uniform(0.3, 1.2, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
-        told = lambda t, w=speed, p=phase: 0.3 * np.sin(2 * np.pi * w * t + p).sum(0)
-        data.qpos[:] = told(0.0)
-        rows = []
-        for k in range(800):
-            rows.append([k / 200, *data.qpos + 1e-4 * rng.standard_normal(3), *told(k / 200)])
-            for step in range(10):
-                data.ctrl[:] = told(np.floor(k + step / 10 - 200 * late + 1e-9) / 200)  # held from row to row
-                mujoco.mj_step(model, data)
-        names = ",".join(["time", *(f"q_{j}" for j in JOINTS), *(f"ctrl_{j}" for j in JOINTS)])
-        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
-    return folder
+    file, own = ARM.format(rotor=0.1, mass=2.0, **same), ARM.format(rotor=rotor, mass=mass, **same)
+    return servo_log(folder, file, own, 5, trials, late)
 
 
 def searched(folder):

@@ -1,12 +1,12 @@
 """Dry friction that gives as MuJoCo's does, and whether a recording shows it."""
 
-import mujoco
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.equation.balance import balances, ramp
+from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.filed import filed
 from adaptsim_jax.attribution.equation.models import part_of
 from adaptsim_jax.attribution.equation.rubbing import giving, rubbing
@@ -15,7 +15,9 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.replay import replay
+from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
+from tests.attribution.servo_logs import servo_log
 
 SHARP = 'solreffriction="0.001 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'
 FINGER = """<mujoco><compiler angle="radian"/><option timestep="1e-4" integrator="implicitfast" gravity="0 0 -9.81"/><worldbody>
@@ -26,28 +28,10 @@ FINGER = """<mujoco><compiler angle="radian"/><option timestep="1e-4" integrator
 <actuator><position name="near" joint="near" kp="60" kv="2"/><position name="far" joint="far" kp="20" kv="0.6"/></actuator></mujoco>"""
 
 
-def finger_log(folder, law="", near=0.1, noise=1e-4, trials=3, declared=(0.1, 0.08)):
+def finger_log(folder, law="", near=0.1, noise=1e-4, declared=(0.1, 0.08)):
     """A folder whose file has friction as MuJoCo has it; logs by MuJoCo with another law, or another level."""
-    folder.mkdir()
-    (folder / "model.xml").write_text(FINGER.format(law="", near=declared[0], far=declared[1]))
-    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
-    model, rng = (
-        mujoco.MjModel.from_xml_string(FINGER.format(law=law, near=near, far=declared[1])),
-        np.random.default_rng(8),
-    )
-    for trial in range(trials):
-        data = mujoco.MjData(model)
-        speed, phase = rng.uniform(0.3, 1.2, (3, 2)), rng.uniform(0, 2 * np.pi, (3, 2))
-        told = lambda t, w=speed, p=phase: 0.3 * np.sin(2 * np.pi * w * t + p).sum(0)
-        data.qpos[:] = told(0.0)
-        rows = []
-        for k in range(800):
-            rows.append([k / 200, *data.qpos + noise * rng.standard_normal(2), *told(k / 200)])
-            data.ctrl[:] = told(k / 200)
-            mujoco.mj_step(model, data, 50)
-        names = "time,q_near,q_far,ctrl_near,ctrl_far"
-        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
-    return folder
+    file = FINGER.format(law="", near=declared[0], far=declared[1])
+    return servo_log(folder, file, FINGER.format(law=law, near=near, far=declared[1]), 8, noise=noise)
 
 
 def prepared(folder):
@@ -99,3 +83,23 @@ def test_a_ramp_is_the_sign_of_a_speed_where_it_is_narrow_and_straight_where_it_
     v = np.linspace(-1.0, 1.0, 41)
     assert ramp(v, np.full(1, 0.1), np.zeros(1)) == pytest.approx(np.tanh(v / 0.1), abs=1e-6)
     assert ramp(v, np.full(1, 1e-4), np.full(1, 0.5)) == pytest.approx(np.clip(v / 0.5, -1.0, 1.0), abs=1e-3)
+
+
+def test_columns_of_a_joint_that_nothing_drives_are_finite(tmp_path):
+    folder = finger_log(tmp_path / "log")
+    passive = FINGER.format(law="", near=0.0, far=0.0).replace(
+        '<position name="far" joint="far" kp="20" kv="0.6"/>', ""
+    )
+    (folder / "model.xml").write_text(passive)
+    for path in folder.glob("run_*.csv"):
+        names, rows = path.read_text().splitlines()[0], np.loadtxt(path, delimiter=",", skiprows=1)
+        np.savetxt(path, rows[:, :-1], delimiter=",", header=names.rsplit(",", 1)[0], comments="", fmt="%.9g")
+    machine, problem = prepared(folder)
+    soft = giving(problem, machine.tree)
+    (balance,) = balances(soft, machine.tracks)
+    assert problem.reach.torque[1] == 0.0
+    vector = filed(declared_vector(machine, problem))
+    reach = scaled_reach(problem, *own_inertia(problem, vector))
+    entries = [c.entries[0] for c in candidates(soft, vector, reach) if c.effect == "coulomb" and c.sharing == "joint"]
+    column = Table(soft, balance, vector).stack(entries)
+    assert np.isfinite(column).all() and np.all(np.ptp(column, axis=0).diagonal() > 0.0)

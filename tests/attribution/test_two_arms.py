@@ -1,7 +1,5 @@
 """What all joints share (a late computer, a simulator's step) where two arms on one base share no moving body."""
 
-import mujoco
-import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.catalogue import MACHINE
@@ -13,6 +11,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
+from tests.attribution.servo_logs import servo_log
 
 STEP = 5e-4
 ONE = """<body pos="0 {at} 0"><joint name="{side}_lift" axis="0 1 0" armature="0.01"/>
@@ -25,30 +24,8 @@ ARMS = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}"/><worldbo
 {ONE.format(at=0.3, side="right")}</worldbody><actuator>{SERVOS}</actuator></mujoco>"""
 
 
-def two_arms_log(folder, late=0.0, trials=3):
-    """A log of the file's own two arms, at 200 Hz, whose commands arrive `late` s late."""
-    folder.mkdir()
-    (folder / "model.xml").write_text(ARMS)
-    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
-    model, rng = mujoco.MjModel.from_xml_string(ARMS), np.random.default_rng(4)
-    for trial in range(trials):
-        data = mujoco.MjData(model)
-        speed, phase = rng.uniform(0.3, 1.2, (3, 4)), rng.uniform(0, 2 * np.pi, (3, 4))
-        told = lambda t, w=speed, p=phase: 0.3 * np.sin(2 * np.pi * w * t + p).sum(0)
-        data.qpos[:] = told(0.0)
-        rows = []
-        for k in range(800):
-            rows.append([k / 200, *data.qpos + 1e-4 * rng.standard_normal(4), *told(k / 200)])
-            for step in range(10):
-                data.ctrl[:] = told(np.floor(k + step / 10 - 200 * late + 1e-9) / 200)
-                mujoco.mj_step(model, data)
-        names = ",".join(["time", *(f"q_{n}" for n in NAMES), *(f"ctrl_{n}" for n in NAMES)])
-        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
-    return folder
-
-
 def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
-    machine = load(two_arms_log(tmp_path / "log"), None)
+    machine = load(servo_log(tmp_path / "log", ARMS, ARMS, 4), None)
     problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
     null = filed(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
@@ -62,7 +39,7 @@ def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
 
 @pytest.mark.long
 def test_a_late_computer_is_late_for_both_arms(tmp_path):
-    report = diagnose(two_arms_log(tmp_path / "log", late=0.0137), out=tmp_path / "out")
+    report = diagnose(servo_log(tmp_path / "log", ARMS, ARMS, 4, late=0.0137), out=tmp_path / "out")
     assert {e["name"] for e in report["effects"]} == {"delay"}
     assert {n for e in report["effects"] for n in NAMES if n in e["where"]} == set(NAMES)
     for e in report["effects"]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance, ahead_of
-from adaptsim_jax.attribution.equation.search import friction_first, told_apart
+from adaptsim_jax.attribution.equation.search import likely_first, told_apart
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import FLOOR, means
 from adaptsim_jax.attribution.parameters import Vector
@@ -37,11 +37,9 @@ def rubbing(
     if not np.any(rub):
         return problem, tuple(told)
     soft = giving(problem, tree)
-    other = tuple(_given(b, soft) for b in told)
-    d = [
-        _gain(problem, soft, *both, part(both[0]), reach, criteria, commanded) for both in zip(told, other, strict=True)
-    ]
-    joints = [z for b in d for z in b.T]
+    other = tuple(given(b, soft) for b in told)
+    pairs = zip(told, other, strict=True)
+    joints = [z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T]
     limits = criteria.torque
     shows = [1.0 - np.exp(-z.mean()) > limits.gain and sign_flip(z) * len(joints) <= limits.level for z in joints]
     gives = any(shows) and np.mean([z.mean() for z in joints]) > 0.0
@@ -61,18 +59,19 @@ def friction_notes(problem: Problem) -> list[str]:
     return [GIVES] if gives else []
 
 
-def _given(balance: Balance, soft: Problem) -> Balance:
+def given(balance: Balance, soft: Problem) -> Balance:
+    """A balance of the same motion with friction that gives. soft: of `giving`."""
     group = next(g for g in soft.groups if g.joints == balance.group.joints)
     return replace(balance, group=group, ahead=ahead_of(group.model.tree, balance.ahead, balance.a))
 
 
-def _gain(
+def gains(
     problem, soft, one: Balance, other: Balance, null: Vector, reach, criteria: Criteria, commanded: bool
 ) -> np.ndarray:
     """Logarithms [B, n] of what sharp friction leaves of left-out blocks over what the giving one does; each with what all joints are
     likely to have (a delay of commands, friction at each joint)."""
     sharp, gives = (Searched(p, b, null, reach, criteria, commanded) for p, b in ((problem, one), (soft, other)))
-    left = [s.set_of(friction_first(s, told_apart(s), [])).left_out(s.rows) for s in (sharp, gives)]
+    left = [s.set_of(likely_first(s, told_apart(s), [])).left_out(s.rows) for s in (sharp, gives)]
     rows = sharp.rows
     loss = [means(rows.clear * np.square(z / rows.size), rows.block) for z in left]
     usual = FLOOR * np.median(loss[0], 0)

@@ -79,7 +79,7 @@ def witness(
     state = Searched(problem, balance, null, reach, criteria, commanded)
     every = told_apart(state)
     steps: list[Step] = []
-    added = friction_first(state, every, steps)
+    added = likely_first(state, every, steps)
     while len(added) < 3 * balance.joints + criteria.most_effects:
         best = _forward(state, added, every, steps)
         if best is None:
@@ -141,7 +141,7 @@ def _trusted(c: Candidate) -> Candidate:
     return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
-def friction_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
+def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
     hides another (a file's damping and rotors that are not there: dry friction that is)."""
     added: list[Candidate] = []

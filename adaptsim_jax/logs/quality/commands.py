@@ -104,9 +104,8 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     }
     ends = {"rate": np.quantile(speeds, 0.99) * np.array([0.3, 3.0])}
     ends["within"] = float(off.max()) * np.array([0.01, 0.6])
-    ends["force"] = float(off.max()) * np.array(
-        [0.01, 1.0]
-    )  # of a much damped joint, few rows at it look like a rate's limit
+    # of a much damped joint, few rows at it look like a rate's limit
+    ends["force"] = float(off.max()) * np.array([0.01, 1.0])
     rough = {how: _best(some, read[how], *ends[how], rounds=1)[1] for how in ("rate", "within")}
     best = min(rough, key=lambda how: rough[how])
     if rough[best] > NEARLY * CUT * base:
