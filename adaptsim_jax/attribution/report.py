@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.power import power_rows
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.select import Selection
-from adaptsim_jax.attribution.sentences import doubts, message, place, read_so, shorter, soft_friction, unused
+from adaptsim_jax.attribution.sentences import doubts, message, place, read_so, shorter, soft_friction, standing, unused
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.effects.base import NINETY
@@ -55,7 +55,7 @@ def reported(
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=doubts(problem, found), remaining=remaining,
-        notes=[*log.notes, *machine.notes, *unused(machine), *fixed, *soft_friction(named, kind, over),
+        notes=[*log.notes, *machine.notes, *unused(machine), *standing(machine), *fixed, *soft_friction(named, kind, over),
                *read_so(problem, found),
                *shorter(found, criteria, horizon)],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}

@@ -3,6 +3,7 @@
 import numpy as np
 
 from adaptsim_jax.attribution.backward import Named
+from adaptsim_jax.attribution.equation.commands import STUCK
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
 from adaptsim_jax.attribution.problem import Problem
@@ -97,6 +98,22 @@ def unused(machine: Machine) -> list[str]:
         return []
     return [
         "[known] in meta.toml is not used of a mechanism: put the value into its model file, and take the body out of [fit] inertias"
+    ]
+
+
+def standing(machine: Machine) -> list[str]:
+    """Joints that hardly move while their position servos are told to: a brake, no power, another joint's column."""
+    kp = -machine.actuator[2] * machine.gear**2
+    of = lambda moved: np.sqrt(np.mean([np.nanvar(z, 0) for z in moved], 0))
+    moves = of([t.q for t in machine.tracks])
+    asked = of([t.u for t in machine.tracks]) * machine.actuator[0] * machine.gear / np.where(kp > 0, kp, np.inf)
+    names = machine.tree.joint_names
+    told = [f"{names[j]} ({moves[j] / asked[j]:.0%})" for j in np.flatnonzero(moves < STUCK * asked)]
+    if not told:
+        return []
+    return [
+        f"These joints hardly move though they are told to, as a share of what is asked: {', '.join(told)}. Nothing is said of their "
+        "gains. A brake, a servo without power, or the column of another joint looks like that."
     ]
 
 

@@ -12,6 +12,7 @@ from adaptsim_jax.attribution.equation.filed import filed
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.problem import held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import candidates
+from adaptsim_jax.attribution.sentences import standing
 from tests.attribution.test_rubbing import finger_log, prepared
 
 GRIPPER = """<mujoco><option timestep="1e-3"/><worldbody><body>
@@ -57,6 +58,8 @@ def test_servos_that_do_not_follow_say_nothing_of_their_gains(tmp_path):
         machine, problem = prepared(finger_log(tmp_path / f"log{len(law)}", law))
         (balance,) = balances(problem, machine.tracks, trusted=False)
         assert [s.joint for s in servos(problem, balance)] == joints
+        told = standing(machine)
+        assert len(told) == (not joints) and (joints or all(f"{j} (" in told[0] for j in machine.tree.joint_names))
 
 
 def test_joints_that_are_told_how_fast_to_go_are_held_too():
