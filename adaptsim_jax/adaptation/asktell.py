@@ -93,7 +93,7 @@ def make_ask_tell(
         policy = train(jax.random.fold_in(state.key, told), mean, policy)
         return AskState(state.key, told, mean, policy, state.starts, *best, tried), TellInfo(score, action, better)
 
-    def _best(state, score):
+    def _best(state, score) -> tuple[tuple[Any, Any, Any], Any, Any]:
         """(Return, mean and policy) of the best trial, whether that is this one, and all trials."""
         own, before = (score, state.mean, state.policy), (state.best_score, state.best_mean, state.best_policy)
         if not task.doubt:
@@ -103,7 +103,7 @@ def make_ask_tell(
         tried = jax.tree.map(lambda every, one: every.at[state.told].set(one), state.tried, new)
         best = best_visit(smoothed(tried.mean, tried.score, task.doubt)[None])[1]
         some = jnp.any(jnp.isfinite(tried.score))
-        picked = tuple(jax.tree.map(lambda x: x[best], z) for z in (tried.score, tried.mean, tried.policy))
+        picked = jax.tree.map(lambda x: x[best], (tried.score, tried.mean, tried.policy))
         kept = jax.tree.map(lambda new, old: jnp.where(some, new, old), picked, before)
         return kept, some & (best == state.told), tried
 

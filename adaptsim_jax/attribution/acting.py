@@ -130,7 +130,8 @@ class Forces(NamedTuple):
 def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
     """All that acts on the joints besides their own dynamics. seen: angles and speeds as the controllers have them, where they are
     other than q and v."""
-    tau, pull = actuated(values, *(seen or (q, v)), u)
+    seen_q, seen_v = seen or (q, v)
+    tau, pull = actuated(values, seen_q, seen_v, u)
     gravity = lambda q: equations.gravity_force(model.tree, values.inertial, q, values.gravity)
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
     nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)

@@ -14,7 +14,8 @@ NODES = 10
 def _between(p, q):
     """Value [n, ...] at angles q of what is linear between the nodes, and constant beyond them."""
     x = (NODES - 1) * jnp.clip((q - p["low"]) / (p["high"] - p["low"]), 0.0, 1.0)
-    return sum(p[f"at{k}"] * jnp.maximum(0.0, 1.0 - jnp.abs(x - k)) for k in range(NODES))
+    parts = [p[f"at{k}"] * jnp.maximum(0.0, 1.0 - jnp.abs(x - k)) for k in range(NODES)]
+    return sum(parts, start=jnp.zeros(()))
 
 
 def angle_torque(p, m):

@@ -365,7 +365,7 @@ class Columns:
                         torque = self.spring(effect, e.name)[at].T
                         force[:, :, at, k] -= torque
                         force[:, :, on_links[at], k] += torque
-                    if e.name not in (shape or {}):
+                    if shape is None or e.name not in shape:
                         continue
                     z = self.alone(effect, e.name, shape)[0]
                 else:

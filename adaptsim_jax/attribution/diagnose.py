@@ -100,9 +100,9 @@ def diagnose(
     report["run"] = evidence["run"] = Run(command, began).told()
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        model = lambda: model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
+        text = lambda: model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
         write_all(folder, report, evidence, page or plain, {
-            model_toml.FILE: model, **mjcf_files(machine, whole, criteria or Criteria())
+            model_toml.FILE: text, **mjcf_files(machine, whole, criteria or Criteria())
         })  # fmt: skip
     return check(report)
 

@@ -49,8 +49,8 @@ class Examined:
     problem: Problem
     found: Selection
     said: Said | None
-    before: dict[str, Measure | None]
-    after: dict[str, Measure | None]
+    before: dict[str, Any]  # Measure by yardstick, None where it tells nothing
+    after: dict[str, Any]
     judge: str
     why: str
     simulated: bool = False  # errors are told of simulated stretches, whoever judged
@@ -73,7 +73,7 @@ def examine(
     asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is
     not looked at; hint: as of `select`, where the balance says nothing."""
     told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()
-    if not told:
+    if not told or factor is None:
         found = by_simulation(problem, null, criteria, say, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         commanded = np.any(held(machine.actuator))
@@ -104,9 +104,9 @@ def examine(
     before = _simulated(problem, declared, horizon) | {
         TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
     }
-    usual = of_torque(problem, told, free.null, held_missing(free)[0])
+    usual: Any = of_torque(problem, told, free.null, held_missing(free)[0])
     if follows:  # a late command hides all that its errors tell until it is named
-        named = of_torque(problem, told, words.final, held_missing(words)[1])
+        named: Any = of_torque(problem, told, words.final, held_missing(words)[1])
         usual = max(usual, named, key=lambda m: m.skill)
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
     many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
@@ -194,7 +194,7 @@ def _worth(measures: dict[str, Measure | None]) -> float:
     return sum(m.skill for m in measures.values() if m is not None)
 
 
-def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Measure | None]:
+def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Any]:
     return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
 
 
@@ -230,7 +230,7 @@ def report_of(
 def _witnesses(e: Examined) -> list[str]:
     """Where the two witnesses disagree, by numbers; and by which one it was judged."""
     notes = [f"Judged by {_WORDS[e.judge]}: {e.why}."]
-    torque = e.before.get(TORQUE), e.after.get(TORQUE)
+    torque: tuple[Any, Any] = (e.before.get(TORQUE), e.after.get(TORQUE))
     other = e.before[STRETCHES], e.after[STRETCHES]
     if e.judge == TORQUE and e.found.named:
         skills = other[0].skill, other[1].skill

@@ -6,6 +6,7 @@ infinitesimal jackknife otherwise), and the prediction is simulated, with starts
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Model:
 
     added: tuple[Candidate, ...]
     fit: Fit
-    lin: Linear
+    lin: Any  # Linear; None where `hess` is told
     held: HeldOut
     hess: np.ndarray | None = None
 

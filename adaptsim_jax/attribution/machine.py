@@ -190,7 +190,7 @@ def _open(limits: tuple[float, ...]) -> tuple[float, float]:
 def _far(tree: Tree, tracks: Sequence[Track]) -> tuple[str, ...]:
     """Declared ranges that the motion goes far beyond, so that the machine cannot have them."""
     far = beyond_range(tree, tracks)
-    names = [f"{tree.joint_names[j]} (by {far[j]:.2g} {tree.unit(j)})" for j in np.flatnonzero(far > BEYOND_STOP)]
+    names = [f"{tree.joint_names[j]} (by {far[j]:.2g} {tree.unit(int(j))})" for j in np.flatnonzero(far > BEYOND_STOP)]
     return (f"the declared range of {', '.join(names)}, which the motion goes beyond",) if names else ()
 
 

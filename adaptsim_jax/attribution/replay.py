@@ -124,7 +124,8 @@ def replay(
     measures = dict(found.measures)
     if WHOLE in asked and horizon:
         whole = replay(machine, 0.0, vector)
-        measures[WHOLE] = dataclasses.replace(whole.measures[STRETCHES], name=WHOLE)
+        over: Any = whole.measures[STRETCHES]
+        measures[WHOLE] = dataclasses.replace(over, name=WHOLE)
     if TORQUE in asked:
         measures[TORQUE] = of_torque(problem, balances(problem, machine.tracks), vector)
     return dataclasses.replace(found, measures=measures)

@@ -80,15 +80,16 @@ class Moving(NamedTuple):
 
 def _rigid(model: Model, values: Values, u) -> Moving:
     """Of states [2n, W]."""
+    n = model.tree.n
     accelerate = lambda x, force, inertia: equations.acceleration(
-        model.tree, values.inertial, *jnp.split(x, 2), force, inertia, values.gravity
+        model.tree, values.inertial, x[:n], x[n:], force, inertia, values.gravity
     )
-    speeds = lambda x: jnp.split(x, 2)[1]
+    speeds = lambda x: x[n:]
     return Moving(
-        lambda x, t: forces(model, values, *jnp.split(x, 2), u, t),
+        lambda x, t: forces(model, values, x[:n], x[n:], u, t),
         accelerate,
         lambda x, force, inertia: jnp.concatenate([speeds(x), accelerate(x, force, inertia)]),
-        lambda x, inertia: equations.inverse_mass(model.tree, values.inertial, jnp.split(x, 2)[0], inertia),
+        lambda x, inertia: equations.inverse_mass(model.tree, values.inertial, x[:n], inertia),
         speeds,
     )
 
@@ -246,7 +247,7 @@ def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Sch
     nothing = jnp.zeros_like(x0[: model.tree.n + len(scheme.giving)])
 
     def row(x, now):
-        new, rub = row_step(model, values, x, *now, nothing, scheme)
+        new, rub = row_step(model, values, x, now.u, now.t, now.dt, nothing, scheme)
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, begin, drive)
@@ -266,7 +267,7 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Sc
     ways = jnp.eye(states + forced, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
 
     def row(x, now):
-        end = lambda x, extra: row_step(model, values, x, *now, extra, scheme)
+        end = lambda x, extra: row_step(model, values, x, now.u, now.t, now.dt, extra, scheme)
         along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
         (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))

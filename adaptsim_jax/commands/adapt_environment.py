@@ -15,6 +15,7 @@ def show(
 ) -> list[str]:
     """Draw `returns.png` into `out`, and `policies.mp4` where a film is wanted; returns lines for a person, one a file."""
     import numpy as np
+    from matplotlib.ticker import MaxNLocator
 
     from adaptsim_jax.report import figures as look
 
@@ -24,7 +25,7 @@ def show(
         ax.plot(range(len(row)), row, marker="o", markersize=3, linewidth=1.4, label=f"AdaptSim, start {start}")
     ax.axhline(at_nominal(trained.phase1.task, options), color=look.INK, linestyle="--", linewidth=1.0, label=NOMINAL)
     look.quiet(ax)
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     ax.set_xlabel("iteration")
     ax.set_ylabel(f"return in {found['target']['name']}")
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=7)

@@ -326,6 +326,7 @@ def keeping(
         ]
         held = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
         so_far = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged" if values else ""
+        assert folder is not None
         write_partial(folder, new_report(
             task, model, "structured_unattributed", f"{held}{so_far}.", data,
             error={"metric": "left-out error over the noise", "before": over_floor(found.null), "after": over_floor(final)},

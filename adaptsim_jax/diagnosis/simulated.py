@@ -94,7 +94,7 @@ def reported(
         {
             "trials": len(s.names),
             "samples": int((s.seen > 0).any(2).sum()),
-            "held_out_trials": len(np.unique(problem.fold)),
+            "held_out_trials": len(np.unique(np.asarray(problem.fold))),
         },
         effects=[rows.effect_row(problem, found, n) for n in found.named],
         error=_error(simulator, both, tracks),
@@ -125,7 +125,7 @@ def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
 
 def few(problem: Problem) -> list[str]:
     """A note where so few stretches can show little, whatever they show."""
-    count = len(np.unique(problem.block))
+    count = len(np.unique(np.asarray(problem.block)))
     least = 2.0**-count
     if least <= 0.05:
         return []

@@ -89,7 +89,7 @@ def _moving(
                 _no_angle(columns, names, j, here)
     angles = [model_angles(columns.stacked("q", n), names, meta) for columns in trials]
     every = np.concatenate(angles)
-    some = np.isfinite(every).any(0)
+    some: np.ndarray = np.any(np.isfinite(every), axis=0)
     kept, held = [], {}
     for j, joint in enumerate(names.joints):
         middle = float(np.nanmedian(every[:, j])) if some[j] else None

@@ -38,7 +38,7 @@ class Guess:
     but for words in capitals; `ignored`: columns."""
 
     columns: dict[str, str]
-    units: dict[str, tuple[str, str]]
+    units: dict[str, tuple[str | Scale, str]]
     ignored: tuple[str, ...]
     unknown_joints: tuple[str, ...]
 

@@ -113,7 +113,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
     )
 
 
-def _sizes(path: Path, key: str, table: dict, example: str) -> dict[str, float]:
+def _sizes(path: Path, key: str, table: Mapping[str, Any], example: str) -> dict[str, float]:
     out = _numbers(path, f"commands.{key}", table.get(key, {}), example)
     for name, size in out.items():
         if not size > 0:

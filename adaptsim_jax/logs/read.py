@@ -138,8 +138,8 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     gone = [path for path in (*files, *bags) if out(_stem(path))]
     files, bags = ([path for path in some if path not in gone] for some in (files, bags))
     # in a folder of both, [columns] speaks of the tables
-    actuators = enumerate((names and names.actuators) or (), 1)
-    servos = {f"ctrl{k}": a.joint for k, a in actuators if a.kind == "position" and a.joint not in names.slides}
+    actuators, slides = (names.actuators or (), names.slides) if names else ((), ())
+    servos = {f"ctrl{k}": a.joint for k, a in enumerate(actuators, 1) if a.kind == "position" and a.joint not in slides}
     wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()), servos)
     recorded = [ros.read_bag(path, wanted) for path in bags]
     tables = [
@@ -150,9 +150,9 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
         told = command_files.beside(data, table_files(folder))
         tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
     trials = tables + (recorded if files else _renamed(recorded, meta))
-    names = [trial.name for trial in trials]
+    called = [trial.name for trial in trials]
     trials = [
-        replace(t, name=Path(t.path).name) if names.count(t.name) > 1 and len(files) < len(trials) else t
+        replace(t, name=Path(t.path).name) if called.count(t.name) > 1 and len(files) < len(trials) else t
         for t in trials
     ]
     return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]

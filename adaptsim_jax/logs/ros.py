@@ -105,7 +105,9 @@ def bag_topics(
 def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> int:
     """How many joints of the model the first messages of a topic name."""
     read = STATES.get(topic.kind)
-    first = itertools.islice(bag.messages(topic.name), FIRST) if read and joints else ()
+    if read is None:
+        return 0
+    first = itertools.islice(bag.messages(topic.name), FIRST) if joints else ()
     return len(set(joints) & {name for _, m in first for name in read(m)[0]})
 
 

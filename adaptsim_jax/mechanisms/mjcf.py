@@ -80,7 +80,8 @@ def mechanism_of(
     leader, factor, offset = walk.followed(role)
     tree = _in_reach(folded(tree, leader, factor, offset))
     place = walk.places(role, leader, factor, offset)
-    added = Added(*(np.zeros(tree.n) for _ in range(5)))
+    zero = lambda: np.zeros(tree.n)
+    added = Added(zero(), zero(), zero(), zero(), zero())
     add_tendons(model, place, added)
     own, added.beyond = tuple(added.beyond), []
     actuators, idle = read_actuators(model, place, added)

@@ -159,11 +159,12 @@ def make_tree(
     if values:
         raise ValueError(f"a tree has no {', '.join(values)}")
     snapped = {name: _snapped(arrays[name]) for name in ("place", "rotation")}
+    rest: dict[str, Any] = arrays | snapped
     tree = Tree(
         tuple(joint_names) or tuple(f"joint{i + 1}" for i in range(n)), tuple(kinds), tuple(int(p) for p in parent),
         tuple(body_names) or tuple(f"body{i + 1}" for i in range(n)), tuple(map(bool, limited)) or (False,) * n,
         tuple(bool(np.any(row)) for row in arrays["gravcomp"]), (),
-        gravity=np.asarray(gravity, float), **(arrays | snapped),
+        gravity=np.asarray(gravity, float), **rest,
     )  # fmt: skip
     return reshaped(tree)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -97,7 +97,7 @@ def _against_speed(row: Mapping[str, Any]):
 def why(report: Mapping[str, Any]) -> str:
     """Which yardstick judged, and why."""
     told = report.get("yardsticks") or {}
-    judge: Sequence[str] = told.get("judge") or ""
+    judge: str = told.get("judge") or ""
     return f"Judged by {NAMES[judge].format(span=_span(told, judge))}: {told['why']}." if judge in NAMES else ""
 
 

@@ -88,7 +88,7 @@ def _noise(places: np.ndarray) -> float:
 
 def _step(places: np.ndarray) -> float:
     """m, a third of the grid that places are rounded to; 0 where they are not."""
-    d = np.concatenate([np.diff(np.unique(np.round(column, 7))) for column in places.T])
+    d: np.ndarray = np.concatenate([np.diff(np.unique(np.round(column, 7))) for column in places.T])
     d = d[d > 1e-7]
     least = float(d.min()) if len(d) >= 5 else 0.0
     for step in least / np.arange(1.0, 5.0):  # a fast body may skip the nearest places

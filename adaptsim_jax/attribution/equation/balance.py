@@ -101,7 +101,7 @@ def balances(
         row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
         values = values_of(problem, group, Vector((), np.zeros(0)))
         ends = np.cumsum([0, *(len(r.time) for r in runs)])
-        mean = scipy.sparse.block_diag([r.mean for r in runs], "csr")
+        mean = scipy.sparse.csr_matrix(scipy.sparse.block_diag([r.mean for r in runs], "csr"))
         table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
         regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
         made = Balance(

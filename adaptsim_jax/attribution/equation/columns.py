@@ -45,7 +45,7 @@ class Table:
         self.problem, self.balance, self.vector = problem, balance, vector
         self.values = values_of(problem, balance.group, vector)
         self.place = {j: k for k, j in enumerate(balance.group.joints)}
-        self.explained = 0.0  # of what is missing [K, n], by a set of columns that is fitted already
+        self.explained: Any = 0.0  # of what is missing [K, n], by a set of columns that is fitted already
         own = self.values.effects[GAIN]["gain"][:, 0] if GAIN in self.values.effects else np.zeros(balance.joints)
         self.scale = np.maximum(1.0 + own, LEAST_GAIN)
         self._made: dict = {}

@@ -90,10 +90,10 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         found.append((k, j, x, scale, apart, sizes, p))
     like = float(np.median(usual)) if usual else 1.0  # times the file's, where a joint does not tell its own
     made = []
-    for k, j, x, scale, apart, sizes, p in found:
+    for k, j, x, scale, apart, (error, left, file), p in found:
         kp = 1.0 / x[0] if scale else like * -law[2, k] * gear[k] ** 2
         rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
-        made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), float(apart), *sizes, p))
+        made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), float(apart), error, left, file, p))
     return made
 
 

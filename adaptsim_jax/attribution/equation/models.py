@@ -105,13 +105,15 @@ def _best_tried(steps: Sequence[Step]) -> list[Step]:
     """Of each candidate the test in which it did best."""
     best: dict[tuple, Step] = {}
     for s in steps:
-        if s.test is not None and (s.candidate.key not in best or s.test.gain > best[s.candidate.key].test.gain):
+        had = best.get(s.candidate.key)
+        if s.test is not None and (had is None or had.test is None or s.test.gain > had.test.gain):
             best[s.candidate.key] = s
     return list(best.values())
 
 
 def _score(step: Step, total: float) -> Score:
     test = step.test
+    assert test is not None  # of `_best_tried`
     share = test.better / max(test.folds, 1)
     return Score(step.candidate, np.zeros(0), test.gain * total, test.gain * total, test.p, share)
 

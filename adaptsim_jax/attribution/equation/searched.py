@@ -3,6 +3,7 @@ what a candidate is ranked."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -62,7 +63,8 @@ class Searched:
         self.sums.add("", self.base)
 
     def set_of(self, added: Sequence[Candidate]) -> Solved:
-        entries, names, now = list(self.null.entries), [""], list(self.null.values)
+        names: list[Any] = [""]
+        entries, now = list(self.null.entries), list(self.null.values)
         for c in added:
             entries += c.entries
             now += [e.start for e in c.entries]
@@ -91,7 +93,7 @@ class Searched:
         shows = {
             k
             for c in some
-            for k in map(self.local.get, c.joints)
+            for k in (self.local[j] for j in c.joints if j in self.local)
             for k in (k, *(ancestors(tree, k) if c.effect in CARRIED else ()))
         }
         return sorted(shows)

@@ -116,7 +116,7 @@ def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray,
     from scipy.signal import savgol_filter
 
     rows = min(rows, (q.shape[1] - 1) // 2 * 2 + 1)
-    by = lambda degree, deriv: savgol_filter(q, rows, degree, deriv=deriv, delta=dt, axis=1)
+    by = lambda degree, deriv: np.asarray(savgol_filter(q, rows, degree, deriv=deriv, delta=dt, axis=1))
     return by(2, 0), by(2, 1), by(4 if rows > 5 else 2, 1)
 
 

@@ -29,10 +29,10 @@ class Jitter:
 
 def jitter(trials: Sequence[tuple[np.ndarray, np.ndarray]]) -> Jitter | None:
     """Of trials (time [T] s, q [T, n], NaN where missing); None where stamps are even, or right, or where that cannot be told."""
-    evens = [even(time) for time, _ in trials]
-    if any(e is None for e in evens):
+    evens = [e for time, _ in trials if (e := even(time)) is not None]
+    if len(evens) < len(trials):
         return None
-    off = [time - e for (time, _), e in zip(trials, evens, strict=True) if e is not None]
+    off = [time - e for (time, _), e in zip(trials, evens, strict=True)]
     step = float(np.median(np.concatenate([np.diff(time) for time, _ in trials])))
     size = float(np.std(np.concatenate(off)))
     if size < LEAST_JITTER * step:

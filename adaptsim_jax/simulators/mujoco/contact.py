@@ -1,8 +1,9 @@
 """What only contact and a base that moves show: friction, softness and bounce of what touches the world, ground that is tilted or
 lies at another height, wind."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,7 +29,9 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
             told = ("what it stands on is not level", "standing, walking")
-            slopes = [dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True)) for w in WAYS]
+            slopes: list[Any] = [
+                dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True)) for w in WAYS
+            ]
             yield _tried_at(row("tilted", "ground", turned, told, ("a log's frame turned",)), slopes)
             told = ("what it stands on lies higher or lower", "every step")
             levels = [{GROUND[2]: z} for z in (-LEVEL, LEVEL)]
@@ -41,7 +44,7 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         yield row("wind", "base", wind, ("a steady force on the base", "flight, slipping, long runs"), ("a tether",))
 
 
-def _tried_at(made: Row, sizes: Sequence[dict[str, float]]) -> Row:
+def _tried_at(made: Row, sizes: Sequence[Mapping[str, float]]) -> Row:
     return replace(made, candidate=replace(made.candidate, shapes=({}, *sizes)))
 
 

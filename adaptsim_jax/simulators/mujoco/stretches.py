@@ -136,11 +136,12 @@ def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end
     control = u[row_of(start + h * np.arange(steps))]
     before = max(1, int(np.ceil(PAST / h)))
     past = u[row_of(start - h * np.arange(before, 0, -1))]
+    base = trial.base if made.base >= 0 else None
     channels = [
         trial.q[live],
         *([trial.v[live]] if trial.v is not None else []),
         *(trial.channels[r.name][live, None] for r in made.read),
-        *([trial.base[live]] if made.base >= 0 else []),
+        *([base[live]] if base is not None else []),
     ]
     measured = np.concatenate(channels, 1)
     qpos, qvel = _start(made, trial, motion, begin)
@@ -167,7 +168,7 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
     qvel[dof] = speed
     known = np.zeros(model.nv, bool)
     known[dof] = True
-    if made.base >= 0:
+    if made.base >= 0 and trial.base is not None:
         qpos[made.base : made.base + 7] = trial.base[begin]
         k = int(np.flatnonzero(model.jnt_qposadr == made.base)[0])
         at = int(model.jnt_dofadr[k])
@@ -219,6 +220,7 @@ def dofs(made: Stepped) -> np.ndarray:
 
 def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarray:
     """[6] m/s in the world and rad/s in the base, by differences over some rows (None: about one)."""
+    assert trial.base is not None
     some = some or slice(max(0, row - 2), row + 3)
     t, place, turn = trial.time[some], trial.base[some, :3], trial.base[some, 3:]
     out = np.zeros(6)

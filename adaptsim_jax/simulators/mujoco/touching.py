@@ -17,7 +17,7 @@ def touching(made: Stepped, log: Log) -> str:
         return ""
     data = mujoco.MjData(model)
     q = np.concatenate([t.q for t in log.trials])
-    base = None if made.base < 0 else np.concatenate([t.base for t in log.trials])
+    base = None if made.base < 0 else np.concatenate([t.base for t in log.trials if t.base is not None])
     rows = np.unique(np.linspace(0, len(q) - 1, min(ROWS, len(q))).astype(int))
     hits, pairs = 0, {}
     for row in rows:

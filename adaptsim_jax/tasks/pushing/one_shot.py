@@ -38,7 +38,10 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         naf, _everywhere(space, task.make_simulator(config)), config.training, task.naf_rates(config)
     )
     trials = lambda goals, actions, points: Trials(goals, actions, points[:, -1])
-    policies = naf_policies(naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials)
+    policies: dict[str, Any] = naf_policies(
+        naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials
+    )
+    policies["act"] = task.make_choice(config)
 
     def world(backend, /, **settings):
         own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)} if backend == "planar" else {}
@@ -57,7 +60,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         draw=task.draw_goal,
         reward=_reward,
         trajectory=lambda goals, points: task.of_points(goals, points),
-        **(policies | {"act": task.make_choice(config)}),
+        **policies,
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
         worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(unseen(seen) - goal) / WORST),

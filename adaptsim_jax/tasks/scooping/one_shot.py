@@ -35,7 +35,10 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     problem = task.training_problem(config, anywhere, UDR_CHECKS if config.checks else 0)
     learner = make_goal_learner(naf, problem, config.training, task.naf_rates(config))
     trials = lambda contexts, actions, outcomes: Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
-    policies = naf_policies(naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials)
+    policies: dict[str, Any] = naf_policies(
+        naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials
+    )
+    policies["act"] = make_choice(config)
     tests, fresh = np.split(task.test_contexts(config.tests + config.fresh), [config.tests])
     probes = config.correct and config.trajectories > 1
 
@@ -48,7 +51,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         draw=task.draw_context,
         reward=lambda outcome, context: task.success(outcome),
         trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
-        **(policies | {"act": make_choice(config)}),
+        **policies,
         inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
         worth=lambda seen, context: seen[0],
