@@ -184,9 +184,42 @@ def rows(out: Path) -> list[dict[str, Any]]:
     return table
 
 
-def _at(run: dict[str, Any], t: int, budget: int) -> float | None:
+def _at(run: dict[str, Any], t: int, budget: int) -> Any:
     there = [i for i, n in enumerate(run["trials"]) if n <= budget]
     return run["returns"][t][there[-1]] if there else None
+
+
+def against(out: Path, budget: int = 10) -> list[str]:
+    """Lines of a table for each task: AdaptSim's return after `budget` target trials less each method's, `+` and `-` where the 95 %
+    interval of its mean over seeds is without 0; in how many targets outside of Omega it is above, and as good (not `-`)."""
+    from adaptsim_jax.baselines.summary import bootstrap_interval
+    from adaptsim_jax.report import figures as look
+
+    text = []
+    for task in TASKS:
+        seeds = [json.loads(p.read_text()) for p in sorted((out / task).glob("seed-*.json"))]
+        seeds = [s for s in seeds if "adaptsim" in s]
+        names = list(TASKS[task]["targets"])
+        lines = []
+        for method in METHODS:
+            both = [s for s in seeds if method in s]
+            if method == "adaptsim" or not both:
+                continue
+            less = lambda s, t, m=method: _at(s["adaptsim"], t, budget) - _at(s[m], t, budget)
+            apart = np.array([[less(s, t) for s in both] for t in range(len(names))])
+            ends = np.array([bootstrap_interval(row) for row in apart])
+            mark = np.where(ends[:, 0] > 0, " +", np.where(ends[:, 1] < 0, " -", ""))
+            cells = [f"{row.mean():.3g}{m}" for row, m in zip(apart, mark, strict=True)]
+            above, good = np.sum(apart[1:].mean(1) > 0), np.sum(mark[1:] != " -")
+            lines.append(f"| {look.label(method)} | {len(both)} | {' | '.join(cells)} | {above} | {good} |")
+        if lines:
+            text += [f"\n{task}: AdaptSim after {budget} target trials less each method\n"]
+            text += [
+                f"| method | seeds | {' | '.join(names)} | above | as good |",
+                "| --- |" + " --- |" * (len(names) + 3),
+            ]
+            text += lines
+    return text
 
 
 def show(out: Path) -> list[Path]:
@@ -223,7 +256,8 @@ def show(out: Path) -> list[Path]:
     handles, labels = axes[0].get_legend_handles_labels()
     columns = 3 if len(tasks) < 2 else 4
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=7)
-    write_bytes(out / "table.md", ("Means over targets and seeds.\n" + "\n".join(text) + "\n").encode())
+    text = ["Means over targets and seeds.", *text, *against(out)]
+    write_bytes(out / "table.md", ("\n".join(text) + "\n").encode())
     return [look.save(figure, out / "figure.png"), out / "table.md", out / "results.json"]
 
 
