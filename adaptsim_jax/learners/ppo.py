@@ -21,6 +21,8 @@ from adaptsim_jax.learners.bdq import ACTIVATIONS
 from adaptsim_jax.learners.flat import flat
 
 LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
+FAR = 100.0  # standard deviations, beyond which a number has no more say in what scales it
+FIRST = 1024  # of the first numbers seen, by which it is told what is far
 
 
 @dataclass(frozen=True)
@@ -226,12 +228,12 @@ def carried(batch: Batch, discount: jax.Array | float) -> tuple[jax.Array, jax.A
 def _scaled(gain: Scale, batch: Batch, discount) -> tuple[jax.Array, Scale]:
     every, _ = carried(batch, discount)
     gain = _more(gain, every[..., None], last=())
-    return batch.reward / jnp.maximum(gain.std, 1e-3), gain
+    return jnp.clip(batch.reward / jnp.maximum(gain.std, 1e-3), -FAR, FAR), gain
 
 
 def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) -> Scale:
-    """`scale` with `rows [T, B, n]` added (Chan et al. 1979)."""
-    flat_rows = rows.reshape(-1, rows.shape[-1])
+    """`scale` with `rows [T, B, n]` added (Chan et al. 1979), as far as they are `_near`."""
+    flat_rows = _near(scale, rows.reshape(-1, rows.shape[-1]))
     count, mean = jnp.asarray(flat_rows.shape[0], jnp.float32), flat_rows.mean(0)
     squares = jnp.square(flat_rows - mean[None]).sum(0)
     if last is not None:
@@ -243,6 +245,18 @@ def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) ->
         scale.mean + apart * count / total,
         scale.squares + squares + jnp.square(apart) * scale.count * count / total,
     )
+
+
+def _near(scale: Scale, rows: jax.Array) -> jax.Array:
+    """`rows [N, n]` at most `FAR` from the mean. A world that blows up goes to 1e27 before it is no number: one such row would hide
+    all else for good. What is rarer than one row in `FAR^2` stays far; what is not widens the scale until it is near."""
+    some = rows[:: max(1, rows.shape[0] // FIRST)]
+    middle = jnp.median(some, 0, keepdims=True)
+    wide = jnp.quantile(jnp.abs(some - middle), 0.99, 0, keepdims=True) / 2.58  # of a normal one the standard deviation
+    first, shape = scale.count == 0, (1, rows.shape[1])
+    centre = jnp.where(first, middle, scale.mean.reshape(shape))
+    reach = FAR * jnp.where(first, wide, scale.std.reshape(shape))
+    return jnp.clip(rows, centre - reach, centre + reach)
 
 
 def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):

@@ -62,6 +62,34 @@ def test_what_was_seen_is_standardised_as_all_of_it_at_once():
     np.testing.assert_allclose(actor.std, seen.std(0), rtol=1e-3)
 
 
+@pytest.mark.parametrize("when", [0, 2])
+def test_a_world_that_blows_up_does_not_hide_what_others_show(when):
+    ppo, rng = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=1, minibatches=2)), np.random.default_rng(1)
+    obs, zeros = lambda: jnp.asarray(rng.normal(3.0, 2.0, (T, 64, 3)), jnp.float32), jnp.zeros((T, 64))
+    rest = Batch(obs(), jnp.zeros((T, 64, 2)), zeros[..., None], zeros, zeros, obs(), zeros, zeros, zeros[0])
+    usual = [rest._replace(obs=obs(), reward=obs()[..., 0]) for _ in range(3)]
+    far = usual[when]._replace(obs=usual[when].obs.at[3, 5, 1].set(1e27), reward=usual[when].reward.at[3, 5].set(-1e30))
+    found = []
+    for batches in (usual, [*usual[:when], far, *usual[when + 1 :]]):
+        state = ppo.init(jax.random.key(0))
+        for batch in batches:
+            state, info = jax.jit(ppo.update)(jax.random.key(1), state, batch, PPOHyper())
+        found.append(ppo.actor(state))
+    assert np.all(np.isfinite(found[1].weights)) and np.isfinite(info.value_loss)
+    np.testing.assert_allclose(found[1].mean, found[0].mean, atol=0.5)
+    assert np.all(found[1].std < 4.5 * found[0].std)  # of 2 in 1,152 numbers, where nothing is done 1e25
+
+
+def test_what_is_rare_but_comes_again_is_standardised_in_the_end():
+    ppo, rng = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=1, minibatches=2)), np.random.default_rng(1)
+    state, update = ppo.init(jax.random.key(0)), jax.jit(ppo.update)
+    for _ in range(30):
+        obs = rng.normal(size=(T, B, 3))
+        obs[..., 0] = 5e3 * (rng.random((T, B)) < 0.03)  # a force, where anything touches
+        state, _ = update(jax.random.key(1), state, batch_of(rng, obs=jnp.asarray(obs, jnp.float32)), PPOHyper())
+    assert 500.0 < ppo.actor(state).std[0] < 1100.0
+
+
 def test_it_finds_the_best_action_for_what_it_is_told():
     """A single step worth 1 - (action - told)^2: told 0.6 or -0.6, a policy that cannot read it earns 0.64."""
     ppo = make_ppo(PPOConfig(1, 1, 1, (16,), epochs=4, minibatches=4))
