@@ -103,7 +103,7 @@ TASKS: dict[str, dict[str, Any]] = {
 STEPS = {"cartpole": 6_000_000, "pendulum": 3_000_000, "arm": 6_000_000}  # of PPO; Playground's tasks 20 million
 LEAST = -2.0  # of the figure's axis: what is worse than UDR by more is in the table alone
 # Steps of PPO in the small form: of a quarter of LITTLE a policy for the own cart-pole earns half.
-SMALL = {"pendulum_swingup": 16_384_000}
+SMALL = {"pendulum_swingup": 16_384_000, "acrobot_swingup": 16_384_000}
 LITTLE = 4_096_000
 
 

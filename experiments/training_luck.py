@@ -73,9 +73,10 @@ def main() -> None:
             )
             found = np.asarray(score(setting.trainer.policy(learned), worlds.known))
             omega, at = np.sort(found[:POINTS]), found[POINTS:]
-            spent = time.process_time() - begin
+            spent, lost = time.process_time() - begin, int(np.isnan(omega).sum())
             print(
-                f"{way:8} {seed:4} {omega.mean():11.1f} {omega[: POINTS // 10].mean():12.1f} {at.mean():21.1f} {spent:13.0f} s",
+                f"{way:8} {seed:4} {np.nanmean(omega):11.1f} {omega[: POINTS // 10].mean():12.1f} {at.mean():21.1f} {spent:13.0f} s"
+                + (f"  ({lost} of {POINTS} worlds blow up)" if lost else ""),
                 flush=True,
             )
 
