@@ -105,6 +105,7 @@ LEAST = -2.0  # of the figure's axis: what is worse than UDR by more is in the t
 # Steps of PPO in the small form: of a quarter of LITTLE a policy for the own cart-pole earns half.
 SMALL = {"pendulum_swingup": 16_384_000, "acrobot_swingup": 16_384_000}
 LITTLE = 4_096_000
+LEAST_SEEDS = 3  # for an interval over them
 
 
 def options_of(task: str, small: bool) -> dict[str, Any]:
@@ -209,8 +210,10 @@ def against(out: Path, budget: int = 10) -> list[str]:
             apart = np.array([[less(s, t) for s in both] for t in range(len(names))])
             ends = np.array([bootstrap_interval(row) for row in apart])
             mark = np.where(ends[:, 0] > 0, " +", np.where(ends[:, 1] < 0, " -", ""))
-            cells = [f"{row.mean():.3g}{m}" for row, m in zip(apart, mark, strict=True)]
             above, good = np.sum(apart[1:].mean(1) > 0), np.sum(mark[1:] != " -")
+            if len(both) < LEAST_SEEDS:
+                mark, good = np.full(len(names), ""), ""
+            cells = [f"{row.mean():.3g}{m}" for row, m in zip(apart, mark, strict=True)]
             lines.append(f"| {look.label(method)} | {len(both)} | {' | '.join(cells)} | {above} | {good} |")
         if lines:
             text += [f"\n{task}: AdaptSim after {budget} target trials less each method\n"]
