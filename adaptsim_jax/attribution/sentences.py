@@ -104,11 +104,12 @@ def unused(machine: Machine) -> list[str]:
 def standing(machine: Machine) -> list[str]:
     """Joints that hardly move while their position servos are told to: a brake, no power, another joint's column."""
     kp = -machine.actuator[2] * machine.gear**2
-    of = lambda moved: np.sqrt(np.mean([np.nanvar(z, 0) for z in moved], 0))
+    of = lambda rows: np.sqrt(np.mean([np.ma.masked_invalid(z).var(0).filled(0.0) for z in rows], 0))
+    seen = np.all([np.isfinite(t.q).any(0) for t in machine.tracks], 0)  # in every trial
     moves = of([t.q for t in machine.tracks])
     asked = of([t.u for t in machine.tracks]) * machine.actuator[0] * machine.gear / np.where(kp > 0, kp, np.inf)
     names = machine.tree.joint_names
-    told = [f"{names[j]} ({moves[j] / asked[j]:.0%})" for j in np.flatnonzero(moves < STUCK * asked)]
+    told = [f"{names[j]} ({moves[j] / asked[j]:.0%})" for j in np.flatnonzero(seen & (moves < STUCK * asked))]
     if not told:
         return []
     return [

@@ -250,13 +250,17 @@ def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) ->
 def _near(scale: Scale, rows: jax.Array) -> jax.Array:
     """`rows [N, n]` at most `FAR` from the mean. A world that blows up goes to 1e27 before it is no number: one such row would hide
     all else for good. What is rarer than one row in `FAR^2` stays far; what is not widens the scale until it is near."""
-    some = rows[:: max(1, rows.shape[0] // FIRST)]
-    middle = jnp.median(some, 0, keepdims=True)
-    wide = jnp.quantile(jnp.abs(some - middle), 0.99, 0, keepdims=True) / 2.58  # of a normal one the standard deviation
-    first, shape = scale.count == 0, (1, rows.shape[1])
-    centre = jnp.where(first, middle, scale.mean.reshape(shape))
-    reach = FAR * jnp.where(first, wide, scale.std.reshape(shape))
-    return jnp.clip(rows, centre - reach, centre + reach)
+
+    def at_first():
+        some = rows[:: max(1, rows.shape[0] // FIRST)]
+        middle = jnp.median(some, 0, keepdims=True)
+        return middle, jnp.quantile(jnp.abs(some - middle), 0.99, 0, keepdims=True) / 2.58  # of a normal one its std
+
+    shape = (1, rows.shape[1])
+    centre, std = jax.lax.cond(
+        scale.count == 0, at_first, lambda: (scale.mean.reshape(shape), scale.std.reshape(shape))
+    )
+    return jnp.clip(rows, centre - FAR * std, centre + FAR * std)
 
 
 def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):

@@ -58,7 +58,10 @@ def test_servos_that_do_not_follow_say_nothing_of_their_gains(tmp_path):
         machine, problem = prepared(finger_log(tmp_path / f"log{len(law)}", law))
         (balance,) = balances(problem, machine.tracks, trusted=False)
         assert [s.joint for s in servos(problem, balance)] == joints
-        told = standing(machine)
+        gaps = [replace(t, q=np.where(np.arange(len(t.q))[:, None] % 7 == 0, np.nan, t.q)) for t in machine.tracks]
+        unseen = replace(machine.tracks[0], q=np.full_like(machine.tracks[0].q, np.nan))
+        told = standing(replace(machine, tracks=tuple(gaps)))
+        assert standing(replace(machine, tracks=(unseen, *gaps[1:]))) == []
         assert len(told) == (not joints) and (joints or all(f"{j} (" in told[0] for j in machine.tree.joint_names))
 
 

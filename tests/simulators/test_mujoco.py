@@ -1,6 +1,7 @@
 """MuJoCo itself over recordings that it made: bases that move, contact, loops; and numbers of a model fitted by it."""
 
 import json
+import shutil
 
 import mujoco
 import numpy as np
@@ -36,6 +37,22 @@ def test_a_quadruped_that_walks_is_replayed_as_it_was_made(walked):
     found = replayed(source, log, 0.3)
     assert found.made.base == 0 and np.median(found.error) < 1e-6 and np.median(found.base) < 1e-6
     assert "touch in" in touching(found.made, log)
+
+
+def test_a_trial_without_the_base_that_others_have_is_refused_and_the_mend_works(walked, tmp_path):
+    data = tmp_path / "log"
+    shutil.copytree(walked, data)
+    names, rows = (
+        (data / "run_1.csv").read_text().splitlines()[0],
+        np.loadtxt(data / "run_1.csv", delimiter=",", skiprows=1),
+    )
+    header = ",".join(names.split(",")[:-7])
+    np.savetxt(data / "run_1.csv", rows[:, :-7], delimiter=",", header=header, comments="", fmt="%.12g")
+    with pytest.raises(BadInput, match=r"trial run_1 has no base_x.*exclude = ..run_1") as error:
+        stepped(*read_source_and_log(data))
+    mend = str(error.value)[str(error.value).index("exclude") :]
+    (data / "meta.toml").write_text(f'task = "mechanism"\nmodel = "model.xml"\n[trials]\n{mend}\n')
+    assert stepped(*read_source_and_log(data)).base == 0
 
 
 def test_the_command_takes_mujoco_where_the_base_moves(walked, capsys):

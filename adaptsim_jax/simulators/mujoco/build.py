@@ -50,6 +50,11 @@ def stepped(source: Source, log: Log) -> Stepped:
     """The model of a file for a log of it. Raises BadInput where MuJoCo refuses it."""
     spec, _ = read_spec(source.path)
     logged = any(t.base is not None for t in log.trials)
+    if logged and (without := [t.name for t in log.trials if t.base is None]):
+        raise BadInput(
+            f"{log.path}: trial {without[0]} has no base_x .. base_qz, which others have; add them, or leave it out: [trials] in "
+            f'meta.toml, exclude = ["{without[0]}"]'
+        )
     first = source.model
     pose, _ = pose_of(first)
     values = {first.joint(k).name: pose[first.jnt_qposadr[k] :][:7] for k in range(first.njnt)}

@@ -38,9 +38,8 @@ def readings(model: mujoco.MjModel, channels: Mapping[str, str], where: str) -> 
     names = [model.sensor(k).name for k in range(model.nsensor)]
     for name in channels:
         found = re.fullmatch(r"(.+?)(?:\[(\d+)\])?", name)
-        assert found is not None
-        sensor, index = found[1], int(found[2] or 0)
-        if sensor not in names:
+        sensor, index = (found[1], int(found[2] or 0)) if found else (name, 0)
+        if not found or sensor not in names:
             near = suggest(sensor, names) if names else "it has none: add a <sensor> to the model file"
             raise BadInput(
                 f"{where}: [channels] {channels[name]} = {name!r}: the model has no sensor {sensor!r}; {near}"
