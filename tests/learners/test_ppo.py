@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.ppo import Batch, PPOConfig, PPOHyper, carried, gae, make_ppo
+from adaptsim_jax.learners.ppo import Batch, PPOConfig, PPOHyper, _shuffled, carried, gae, make_ppo
 
 T, B = 6, 4
 
@@ -46,6 +46,18 @@ def test_discounted_rewards_are_carried_from_batch_to_batch_within_an_episode():
     every, rest = carried(batch_of(np.random.default_rng(0), reward=reward, cut=cut, carried=jnp.full(B, 2.0)), 0.5)
     np.testing.assert_allclose(every[:3, 0], [2.0, 2.0, 1.0])
     np.testing.assert_allclose(rest[1:], 2.0)  # 2 is where it stays
+
+
+def test_rows_are_shuffled_so_that_each_is_as_likely_in_each_minibatch():
+    keys = jax.random.split(jax.random.key(3), 4000)
+    orders = np.asarray(jax.jit(jax.vmap(lambda k: _shuffled(k, 12)))(keys))
+    assert np.all(np.sort(orders, 1) == np.arange(12))
+    parts = np.argsort(orders, 1) // 4  # the minibatch of each row, three of four rows each
+    shares = np.stack([(parts == m).mean(0) for m in range(3)])
+    assert np.all(np.abs(shares - 1 / 3) < 5 * np.sqrt(2 / 9 / 4000))
+    together = np.mean(parts[:, 0] == parts[:, 1])  # 3 of the 11 others share a row's minibatch
+    assert abs(together - 3 / 11) < 5 * np.sqrt(3 / 11 * 8 / 11 / 4000)
+    assert np.all(np.sort(_shuffled(keys[0], 1)) == [0]) and len(np.unique(_shuffled(keys[0], 10240))) == 10240
 
 
 def test_what_was_seen_is_standardised_as_all_of_it_at_once():
