@@ -173,10 +173,11 @@ def rows(out: Path) -> list[dict[str, Any]]:
             last("udr"),
             np.max([last(m) for m in ("oracle", "best_in_omega") if all(m in s for s in seeds)], 0),
         )
+        spent = max(run["trials"][-1] for s in seeds for run in s.values())  # beyond it nothing was measured
         for method in METHODS:
             own = [s[method] for s in seeds if method in s]
             for t, target in enumerate(TASKS[task]["targets"]):
-                for budget in BUDGETS:
+                for budget in (b for b in BUDGETS if b <= spent):
                     values = [_at(o, t, budget) for o in own]
                     if values and None not in values and upper[t] - lower[t] > 0.02 * abs(upper[t]):
                         norm = (np.array(values, float) - lower[t]) / (upper[t] - lower[t])

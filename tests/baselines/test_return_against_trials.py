@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from experiments.return_against_trials import TASKS, against
+from experiments.return_against_trials import TASKS, against, rows
 
 
 def test_each_method_is_held_against_adaptsim_in_each_target_over_seeds(tmp_path):
@@ -30,3 +30,19 @@ def test_each_method_is_held_against_adaptsim_in_each_target_over_seeds(tmp_path
     )
     assert rows["BayesOpt"][-1] == "4 |" and all(abs(float(cell.split()[0])) < 0.3 for cell in rows["BayesOpt"][1:-2])
     assert rows["CMA-ES"][-2:] == ["0", "0 |"] and all(cell.endswith(" -") for cell in rows["CMA-ES"][1:-2])
+
+
+def test_nothing_is_said_of_more_trials_than_any_method_made(tmp_path):
+    folder, flat = tmp_path / "pendulum", lambda x, n: [[x] * n for _ in TASKS["pendulum"]["targets"]]
+    folder.mkdir()
+    found = {
+        "udr": {"trials": [0], "returns": flat(1.0, 1)},
+        "oracle": {"trials": [0], "returns": flat(2.0, 1)},
+        "cma_es": {"trials": [4, 8], "returns": flat(1.5, 2)},
+        "adaptsim": {"trials": [5, 11], "returns": flat(1.2, 2)},
+    }
+    (folder / "seed-0.json").write_text(json.dumps(found))
+    table = rows(tmp_path)
+    assert {r["budget"] for r in table if r["method"] == "udr"} == {0, 2, 5, 10}
+    at = {r["budget"]: r["mean"] for r in table if (r["method"], r["target"]) == ("cma_es", "heavy")}
+    assert at == {5: 0.5, 10: 0.5}
