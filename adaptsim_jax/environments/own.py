@@ -75,7 +75,7 @@ class ModelEnvironment:
 
     def reset(self, key: jax.Array) -> State:
         """The start of an episode."""
-        qpos, qvel = self.start(key, jnp.asarray(self.mj_model.qpos0, jnp.float32))
+        qpos, qvel = self.start(key, jnp.asarray(self.mj_model.qpos0, self._blank.qpos.dtype))
         data = mjx.forward(self.mjx_model, self._blank.replace(qpos=qpos, qvel=qvel))
         return self._seen(data, jnp.zeros(self.action_size))
 

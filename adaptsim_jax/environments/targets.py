@@ -80,42 +80,39 @@ def native_physics(model: mujoco.MjModel, fields: tuple[Field, ...], target: Tar
     c.opt.timestep = model.opt.timestep / target.steps
     c.opt.integrator = INTEGRATORS[target.integrator]
     c.opt.iterations, c.opt.ls_iterations = max(c.opt.iterations, SOLVED[0]), max(c.opt.ls_iterations, SOLVED[1])
-    nq, nv, na = c.nq, c.nv, c.na
+    nq, nv, held = c.nq, c.nv, 1 + c.nq + c.nv + c.na  # of a state: time, qpos, qvel, act
     pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads)]
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
     size = mujoco.mj_stateSize(c, spec)
 
-    def run(time, qpos, qvel, act, ctrl, warm, count):
-        lead = np.shape(qpos)[:-1]
-        B, n = int(np.prod(lead, dtype=int)), int(np.max(count)) * target.steps
-        start = np.zeros((B, size))
-        parts = [np.asarray(x, np.float64).reshape(B, -1) for x in (time, qpos, qvel, act)]
-        start[:, : 1 + nq + nv + na] = np.concatenate(parts, 1)
-        control = np.repeat(np.asarray(ctrl, np.float64).reshape(B, 1, -1), n, 1)
-        warmed = np.asarray(warm, np.float64).reshape(B, nv)
-        sound = np.isfinite(start).all(1) & np.isfinite(control).all((1, 2))
-        start[~sound], control[~sound], warmed[~sound] = 0.0, 0.0, 0.0
+    def run(asked):
+        lead, rows = asked.shape[:-1], np.array(asked, np.float64).reshape(-1, asked.shape[-1])
+        B, n = len(rows), int(rows[:, -1].max()) * target.steps
+        sound = np.isfinite(rows).all(1)
+        rows[~sound] = 0.0
+        start, warmed = np.zeros((B, size)), np.ascontiguousarray(rows[:, held : held + nv])
+        start[:, :held] = rows[:, :held]
+        control = np.repeat(rows[:, None, held + nv : -1], n, 1)
         states, _ = pool.rollout(c, datas, start, control, nstep=n, initial_warmstart=warmed)
         before = states[:, -1 - target.steps] if n > target.steps else start
-        both = np.concatenate([before[:, : 1 + nq + nv + na], states[:, -1, : 1 + nq + nv + na]], 1)
+        both = np.concatenate([before[:, :held], states[:, -1, :held]], 1)
         both[~sound] = np.nan
-        return both.astype(np.float32).reshape(*lead, -1)
+        return both.astype(asked.dtype).reshape(*lead, -1)
 
     def physics(given, data, ctrl, substeps):
-        out = jax.ShapeDtypeStruct((2 * (1 + nq + nv + na),), jnp.float32)
-        time, count = jnp.asarray(data.time, jnp.float32), jnp.asarray(substeps, jnp.int32)
+        time, count = jnp.asarray(data.time, jnp.float32), jnp.asarray(substeps, jnp.float32)
         ctrl = jnp.broadcast_to(ctrl, (c.nu,))
-        args = (time, data.qpos, data.qvel, data.act, ctrl, data.qacc_warmstart, count)
-        both = jax.pure_callback(run, out, *args, vmap_method="broadcast_all")
-        before, after = both[: both.shape[0] // 2], both[both.shape[0] // 2 :]
+        parts = (time[None], data.qpos, data.qvel, data.act, data.qacc_warmstart, ctrl, count[None])
+        asked = jnp.concatenate(parts)  # one array: each is a conversion
+        out = jax.ShapeDtypeStruct((2 * held,), asked.dtype)
+        both = jax.pure_callback(run, out, asked, vmap_method="broadcast_all")
+        before, after = both[:held], both[held:]
 
         def put(data, row):
-            return data.replace(
-                time=row[0].astype(data.time.dtype) if hasattr(data.time, "dtype") else row[0],
-                qpos=row[1 : 1 + nq],
-                qvel=row[1 + nq : 1 + nq + nv],
-                act=row[1 + nq + nv :],
-            )
+            time, qpos, qvel, act = jnp.split(row, np.cumsum([1, nq, nv]))
+            as_it_was = {"qpos": qpos, "qvel": qvel, "act": act}
+            as_it_was = {name: x.astype(getattr(data, name).dtype) for name, x in as_it_was.items()}
+            return data.replace(time=time[0].astype(jnp.result_type(data.time)), **as_it_was)
 
         return put(mjx.forward(given, put(data.replace(ctrl=ctrl), before)), after)
 
