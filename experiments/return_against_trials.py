@@ -134,13 +134,12 @@ def here(methods: list[str]) -> list[str]:
     return [m for m in methods if m not in lacking]
 
 
-def run(out: Path, task: str, seed: int, methods: list[str], small: bool) -> None:
-    """The methods of one task and seed that are not there yet."""
-    path = out / task / f"seed-{seed}.json"
-    output_folder(path.parent)
-    found = json.loads(path.read_text()) if path.exists() else {}
-    left = [m for m in methods if m not in found]
-    if not left:
+def run(out: Path, task: str, seeds: range, methods: list[str], small: bool) -> None:
+    """The methods of one task that are not there yet, seed by seed."""
+    output_folder(out / task)
+    paths = {seed: out / task / f"seed-{seed}.json" for seed in seeds}
+    there = {seed: json.loads(path.read_text()) if path.exists() else {} for seed, path in paths.items()}
+    if all(set(methods) <= set(found) for found in there.values()):
         return
     from adaptsim_jax.adaptation.prepared import learned
     from adaptsim_jax.baselines.compare_steps import tried
@@ -148,16 +147,20 @@ def run(out: Path, task: str, seed: int, methods: list[str], small: bool) -> Non
     from adaptsim_jax.environments.kind import environment_setting
     from adaptsim_jax.environments.task import task_of
 
-    options = options_of(task, small)
+    options, sizes = options_of(task, small), comparison(options_of(task, small), small)
     setting = environment_setting(configs.from_table(EnvironmentConfig, options, task))
-    made = task_of(setting)
+    made, programs = task_of(setting), {}
     assert made.preparation is not None
-    names = list(TASKS[task]["targets"])
-    with progress(f"{task}, seed {seed}") as report:
-        ready = learned(made, made.preparation, seed, out / task / f"policy-{seed}", report)
-        for method, deployed in tried(setting, ready, names, left, comparison(options, small), seed, report):
-            found[method] = {"trials": deployed.trials.tolist(), "returns": deployed.returns.tolist()}
-            write_json(path, found)
+    for seed, found in there.items():
+        if not (left := [m for m in methods if m not in found]):
+            continue
+        with progress(f"{task}, seed {seed}") as report:
+            ready = learned(made, made.preparation, seed, out / task / f"policy-{seed}", report)
+            for method, deployed in tried(
+                setting, ready, list(TASKS[task]["targets"]), left, sizes, seed, report, programs
+            ):
+                found[method] = {"trials": deployed.trials.tolist(), "returns": deployed.returns.tolist()}
+                write_json(paths[seed], found)
 
 
 def rows(out: Path) -> list[dict[str, Any]]:
@@ -276,9 +279,9 @@ def main() -> None:
     parser.add_argument("--show", action="store_true", help="figure and table of what is there; nothing is run")
     args = parser.parse_args()
     if not args.show:
+        methods, seeds = here(args.methods.split(",")), range(args.first, args.first + args.seeds)
         for task in args.tasks.split(","):
-            for seed in range(args.first, args.first + args.seeds):
-                run(args.out, configs.pick("task", task, TASKS), seed, here(args.methods.split(",")), args.small)
+            run(args.out, configs.pick("task", task, TASKS), seeds, methods, args.small)
     for path in show(args.out):
         print(f"written: {path}")
 

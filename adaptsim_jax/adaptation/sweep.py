@@ -1,6 +1,7 @@
 """Many runs of Phase 1 and Phase 2 as one compiled program: seeds, hyper-parameters, targets."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -34,19 +35,14 @@ def train_many(
     seeds: np.ndarray,
     *,
     progress: Callable = silent,
+    program: Callable | None = None,
 ) -> TrainedMany:
     """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`.
 
     One trace and one compiled program, called `S` times: on a CPU as fast as any number at once (`benchmarks/phase1.py --seeds`).
+    program: `train_one` of this Phase 1 as it was compiled before, `(seeds [1], hypers [1])`.
     """
-    rounds = jnp.arange(phase1.config.rounds)
-
-    @jax.jit
-    @jax.vmap
-    def train(seed, hyper):
-        state, info = phase1.run(phase1.init(jax.random.key(seed)), hyper, rounds)
-        return state.learner.target, state.archive, info
-
+    train = program or jax.jit(partial(train_one, phase1))
     parts = []
     for i in range(len(seeds)):
         some = jax.tree.map(lambda x, i=i: x[i : i + 1], hypers)
@@ -54,6 +50,18 @@ def train_many(
         progress(i + 1, len(seeds), f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
         parts.append(part)
     return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
+
+
+def train_one(phase1: Phase1, seeds: jax.Array, hypers: Phase1Hyper) -> tuple[jax.Array, Archive, Phase1Info]:
+    """Target-network weights `[S, n]`, S_E and info of `seeds [S]` side by side; pure."""
+    rounds = jnp.arange(phase1.config.rounds)
+
+    @jax.vmap
+    def train(seed, hyper):
+        state, info = phase1.run(phase1.init(jax.random.key(seed)), hyper, rounds)
+        return state.learner.target, state.archive, info
+
+    return train(seeds, hypers)
 
 
 def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: int) -> Archive:

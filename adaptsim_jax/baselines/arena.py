@@ -5,7 +5,8 @@ Drake as well as a model in JAX. What a method is told of a target is what its o
 test contexts is for the table alone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -67,6 +68,11 @@ class Arena:
         groups = [jax.tree.map(lambda x, i=i: x[i : i + TOGETHER], work) for i in range(0, len(room), TOGETHER)]
         parts = [self._train(*group) for group in groups]
         return jax.tree.map(lambda *x: jnp.concatenate(x)[:B], *parts)
+
+    def program(self, name: Hashable, function: Callable) -> Callable:
+        """`function(task, *args)` of the arena's task, compiled; an arena that knows more of its task keeps it by its name."""
+        del name
+        return jax.jit(partial(function, self.one.task))
 
     def untrained(self, keys):
         """Policies `[B, ...]` as the task starts them."""

@@ -7,7 +7,7 @@ that target, 1 the oracle or the best in Omega, whichever is more.
 
 import importlib.util
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any
 
 import jax.numpy as jnp
@@ -47,10 +47,11 @@ def compare_steps(
     every = [*dict.fromkeys(("udr", "oracle", *methods))]
     seeds = range(config.seed, config.seed + config.seeds)
     found: dict[str, list[Deployed]] = {method: [] for method in every}
+    programs: dict[Hashable, Any] = {}
     for i, seed in enumerate(seeds):
         told = lambda done, of, note="", i=i: progress(i + done / max(of, 1), len(seeds), f"seed {i + 1}: {note}")
         ready = learned(task, made, seed, None, told)
-        for method, deployed in tried(setting, ready, names, every, config, seed, told):
+        for method, deployed in tried(setting, ready, names, every, config, seed, told, programs):
             found[method].append(deployed)
     return rows_of(found, methods, names), _about(setting, names, found)
 
@@ -103,10 +104,11 @@ def tried(
     config: CompareConfig,
     seed: int,
     report: Callable,
+    programs: dict[Hashable, Any] | None = None,
 ):
-    """`(method, Deployed)` one after the other, for one seed with its policy."""
+    """`(method, Deployed)` one after the other, for one seed with its policy. programs: what other seeds of it compiled."""
     cache: dict[str, Any] = {}
-    arena = StepsArena(setting, ready, names, config.steps.tests, seed)
+    arena = StepsArena(setting, ready, names, config.steps.tests, seed, programs)
     for k, method in enumerate(methods):
 
         def told(done, of, note="", k=k, method=method):

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation.phase1 import make_phase1
-from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many
+from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many, train_one
 from adaptsim_jax.baselines import sysid
 from adaptsim_jax.baselines.arena import Arena, Lanes, Progress, lanes
 from adaptsim_jax.baselines.memory import Memory
@@ -49,7 +49,10 @@ def adaptsim(bout: Bout) -> Trip:
     """Phase 1 from scratch for every seed, Phase 2 in every target."""
     phase1 = make_phase1(bout.arena.one.task, bout.config.train.phase1)
     hypers = stack([bout.config.train.hyper] * len(bout.seeds))
-    trained = train_many(phase1, hypers, bout.seeds, progress=bout.report)
+    program = bout.arena.program(
+        "phase1", lambda task, *of: train_one(make_phase1(task, bout.config.train.phase1), *of)
+    )
+    trained = train_many(phase1, hypers, bout.seeds, progress=bout.report, program=program)
     return phase2(bout, phase1, trained, bout.config.starts, bout.config.iterations)
 
 
@@ -74,13 +77,18 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
     config = replace(bout.config.sysid, iterations=bout.config.iterations)
     network = estimator(task.space.dim, config)
     batch = lanes(len(arena.targets), bout.seeds, 1, label)
-    begin = jax.vmap(lambda a, b: sysid.untrained(a, b, task, network, config))
 
-    def infers(fit_config):
-        one = lambda k, s, o: sysid.infer(jax.random.split(k, 3), s, o, task, network, config, fit_config)[0]
-        return jax.jit(lambda *work: jax.lax.map(lambda w: one(*w), work))
+    def begin(task, *keys):
+        return jax.vmap(lambda a, b: sysid.untrained(a, b, task, network, config))(*keys)
 
-    state, infer = jax.jit(begin)(*two_keys(batch.keys)), infers(config.first_fit)
+    def infers(fit_config, name):
+        def one(task, key, state, obs):
+            return sysid.infer(jax.random.split(key, 3), state, obs, task, network, config, fit_config)[0]
+
+        return arena.program((label, name), lambda task, *work: jax.lax.map(lambda w: one(task, *w), work))
+
+    state = arena.program((label, "begin"), begin)(*two_keys(batch.keys))
+    infer = infers(config.first_fit, "first")
     state = state._replace(policy=first_policies(bout, batch, state.policy))
     means, rewards, memory = [], [], Memory(arena, batch, config.iterations + 1)
     for i in range(config.iterations + 1):
@@ -95,7 +103,7 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
             memory.add(seen.trials)
             own = state.policy
             state = infer(infer_keys, state._replace(policy=tried), jnp.asarray(seen.obs))._replace(policy=own)
-            infer = infers(config.next_fit) if i == 0 and config.next_fit != config.first_fit else infer
+            infer = infers(config.next_fit, "next") if i == 0 and config.next_fit != config.first_fit else infer
     spent = arena.one.trials * np.arange(1, config.iterations + 2)
     return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
 

@@ -3,6 +3,8 @@
 A visit's own trials and the episodes that score it are rolled out together; what a method is told is its own trials alone.
 """
 
+from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -10,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.arena import Seen, Trials
-from adaptsim_jax.environments.rollout import Acting, look
 from adaptsim_jax.environments.rollout import episode as one_episode
+from adaptsim_jax.environments.rollout import look
 from adaptsim_jax.environments.task import Prepared, Setting, Tuned, acting_of, network_acting, play_in, ready
 
 
@@ -35,20 +37,44 @@ class Told(NamedTuple):
 class StepsArena:
     """The named targets of an environment's task, with the policy of one seed. `tests`: episodes that score a policy.
 
-    own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over the tests `[B]`.
+    own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over the tests `[B]`. programs: what
+    was compiled for the same setting, names and sizes with another seed's policy, by name; it serves all of them, because what a seed
+    learned is an argument.
     """
 
-    def __init__(self, setting: Setting, prepared: Prepared, names: list[str], tests: int, seed: int):
+    def __init__(
+        self,
+        setting: Setting,
+        prepared: Prepared,
+        names: list[str],
+        tests: int,
+        seed: int,
+        programs: dict[Hashable, Any] | None = None,
+    ):
+        self._programs = {} if programs is None else programs
         self.setting, self.prepared, self.names, self.tests, self.seed = setting, prepared, names, tests, seed
         self.one = One(ready(setting, prepared), setting.config.trials)
         self.targets = np.array([setting.targets[name].values[: setting.space.dim] for name in names], np.float32)
         self.failed, self.made, self.fresh = np.zeros(len(names), int), np.zeros(len(names), int), []
         self.own: list[np.ndarray] = []
         self.scored: list[np.ndarray] = []
-        self._train = jax.jit(jax.vmap(self.one.task.train))
-        self._plays = {name: play_in(setting, setting.targets[name]) for name in names}
-        self._run: dict[tuple[str, bool], Any] = {}
+        self._train = self.program("train", lambda task, *of: jax.vmap(task.train)(*of))
+        self.plays = {
+            name: self.kept(("play", name), partial(play_in, setting, setting.targets[name])) for name in names
+        }
         self._last: tuple[Any, Told] | None = None
+
+    def kept(self, name: Hashable, make: Callable[[], Any]) -> Any:
+        """What `make` makes, once for all seeds."""
+        if name not in self._programs:
+            self._programs[name] = make()
+        return self._programs[name]
+
+    def program(self, name: Hashable, function: Callable) -> Callable:
+        """`function(task, *args)`, compiled once for all seeds."""
+        setting = self.setting
+        made = lambda: jax.jit(lambda prepared, *args: function(ready(setting, prepared), *args))
+        return partial(self.kept(name, made), self.prepared)
 
     def train(self, keys, dists, policies):
         """Policies `[B, ...]` trained on `dists [B]`."""
@@ -90,24 +116,21 @@ class StepsArena:
 
     def _rolled(self, name: str, policies) -> Told:
         own = isinstance(policies, Tuned)
-        if (name, own) not in self._run:
-            acting = (
-                network_acting(self.setting)
-                if own
-                else acting_of(self.setting, self.prepared.learned, self.prepared.starts)
-            )
-            self._run[name, own] = jax.jit(self._runner(name, acting))
+        run = self.kept(("run", name, own), lambda: jax.jit(self._runner(name, own)))
         count = len(jax.tree.leaves(policies)[0])
         visits = jax.random.fold_in(jax.random.key(self.seed), len(self.own) + 1)
         keys = jax.random.split(visits, count)
-        return Told(*map(np.asarray, self._run[name, own](keys, policies)))
+        return Told(*map(np.asarray, run(self.prepared, keys, policies)))
 
-    def _runner(self, name: str, acting: Acting):
-        play, values = self._plays[name]
-        task, trials, tests = self.one.task, self.one.trials, self.tests
+    def _runner(self, name: str, own: bool):
+        (play, values), setting = self.plays[name], self.setting
+        trials, tests = self.one.trials, self.tests
         fixed = jax.random.split(jax.random.key(20_000), tests)
 
-        def run(keys, policies):
+        def run(prepared, keys, policies):
+            acting = network_acting(setting) if own else acting_of(setting, prepared.learned, prepared.starts)
+            task = ready(setting, prepared)
+
             def one(key, policy):
                 every = jnp.concatenate([jax.random.split(key, trials), fixed])
                 return jax.vmap(lambda k: look(one_episode(k, play, acting, policy, values)[0], acting))(every)

@@ -14,7 +14,7 @@ from adaptsim_jax.baselines.learned import Bout, Trip
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.environments.interface import make_play
 from adaptsim_jax.environments.slope import make_slope
-from adaptsim_jax.environments.task import Law, acting_of, environment, longest_delay
+from adaptsim_jax.environments.task import Law, Tuned, environment, longest_delay, network_acting
 
 STRIDE = 0.2  # of the range, for the field that moves most; halved where it led to less
 
@@ -26,7 +26,8 @@ def gradient(bout: Bout) -> Trip:
     every = [setting.targets[name].values for name in arena.names]
     sim = environment(setting.env, setting.fields, setting.config.length)
     play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
-    slope = make_slope(play, acting_of(setting, arena.prepared.learned), Law)
+    slope = arena.kept("slope", lambda: make_slope(play, network_acting(setting), Tuned))
+    actor = setting.trainer.policy(arena.prepared.learned)
     starts = jax.random.split(jax.random.fold_in(jax.random.key(int(bout.seeds[0])), 300), 4)
     at, stride = np.full((T, setting.space.dim), 0.5, np.float32), np.full(T, STRIDE)
     best, base, way = np.full(T, -np.inf), at.copy(), np.zeros_like(at)
@@ -40,7 +41,7 @@ def gradient(bout: Bout) -> Trip:
         for t in range(T if i + 1 < total else 0):
             if own[t] > best[t]:
                 best[t], base[t] = own[t], at[t]
-                found = slope(starts, base[t], every[t])
+                found = slope(starts, base[t], every[t], actor)
                 way[t] = found.gradient / max(float(np.abs(found.gradient).max()), 1e-12)
                 cut |= {(arena.names[t], found.window)} if found.window < sim.length else set()
             else:

@@ -86,8 +86,9 @@ def fine_tune(bout: Bout) -> Trip:
     middle = jnp.full(setting.space.dim, 0.5)
     rows = []
     for t in range(len(arena.targets)):
-        play, values = arena._plays[arena.names[t]]
-        trainer = compiled(make_ppo_trainer(play, setting.space, training, _obs_dim(arena)))
+        play, values = arena.plays[arena.names[t]]
+        make = lambda play=play: compiled(make_ppo_trainer(play, setting.space, training, _obs_dim(arena)))
+        trainer = arena.kept(("fine_tune", arena.names[t]), make)
         u = setting.space.unit(values[: setting.space.dim])
         worlds = Worlds(u, u, jnp.zeros(()), values[setting.space.dim :])
         key = jax.random.fold_in(jax.random.key(int(bout.seeds[0])), 100 + t)
@@ -160,7 +161,7 @@ def oracle(bout: Bout) -> Trip:
     sim = environment(setting.env, setting.fields, setting.config.length)
     every = [setting.targets[name].values for name in arena.names]
     play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
-    trainer = compiled(make_ppo_trainer(play, setting.space, training, _obs_dim(arena)))
+    trainer = arena.kept("oracle", lambda: compiled(make_ppo_trainer(play, setting.space, training, _obs_dim(arena))))
     rounds = max(1, round(bout.config.steps.share * training.rounds))
     rows = []
     for t, values in enumerate(every):

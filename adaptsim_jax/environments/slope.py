@@ -27,15 +27,16 @@ class Slope(NamedTuple):
     window: int
 
 
-def make_slope(play: Play, acting: Acting, policy_of: Callable[[jax.Array], Any]) -> Callable:
-    """`slope(keys [N], mean [D], values [F]) -> Slope`: over N starts, with the longest window whose derivatives do not explode.
+def make_slope(play: Play, acting: Acting, policy_of: Callable[..., Any]) -> Callable:
+    """`slope(keys [N], mean [D], values [F], *more) -> Slope`: over N starts, with the longest window whose derivatives do not
+    explode.
 
     Args:
-        play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies, `policy_of(mean) -> policy`.
+        play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies, `policy_of(mean, *more) -> policy`.
     """
 
-    def score(mean, key, values, window):
-        world, policy = play.world(values), policy_of(mean)
+    def score(mean, key, values, window, *more):
+        world, policy = play.world(values), policy_of(mean, *more)
         reset_key, act_key = jax.random.split(key)
 
         def step(carry, row):
@@ -53,13 +54,16 @@ def make_slope(play: Play, acting: Acting, policy_of: Callable[[jax.Array], Any]
         total = jax.lax.scan(step, start, rows)[1].sum()
         return total, total
 
-    every = jax.jit(jax.vmap(jax.jacfwd(score, has_aux=True), (None, 0, None, None)))
+    @jax.jit
+    def every(keys, *rest):
+        one = lambda key: jax.jacfwd(lambda mean, *more: score(mean, key, *more), has_aux=True)(*rest)
+        return jax.vmap(one)(keys)
 
-    def slope(keys: jax.Array, mean: Any, values: Any) -> Slope:
+    def slope(keys: jax.Array, mean: Any, values: Any, *more: Any) -> Slope:
         window = play.sim.length
         mean, values = (jnp.asarray(x, jnp.float32) for x in (mean, values))
         while True:
-            gradients, scores = (np.asarray(x) for x in every(mean, keys, values, window))
+            gradients, scores = (np.asarray(x) for x in every(keys, mean, values, window, *more))
             steep = np.abs(gradients).max()  # not a number, where one of them is
             if steep <= EXPLODES * (np.abs(scores).mean() + 1e-6):
                 return Slope(float(scores.mean()), gradients.mean(0), window)
