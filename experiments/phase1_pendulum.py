@@ -8,6 +8,7 @@
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -17,7 +18,7 @@ import numpy as np
 from adaptsim_jax import TrainConfig, make_phase1, make_task
 from adaptsim_jax.adaptation.phase1 import Archive
 from adaptsim_jax.adaptation.presets import PRESETS
-from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many
+from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many, train_one
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.core.progress import progress
@@ -42,18 +43,14 @@ def train(out: Path, name: str, wanted: range) -> None:
     seeds = np.array([s for s in wanted if not (out / f"seed-{s}.npz").exists()])
     if not len(seeds):
         return
+    program, hyper = jax.jit(partial(train_one, phase1)), stack([config.hyper])
     with progress(f"{name}, {len(seeds)} seeds") as report:
-        train_many(phase1, stack([config.hyper] * len(seeds)), seeds, progress=report, keep=_keeper(phase1, out))
-
-
-def _keeper(phase1, out: Path):
-    def keep(seeds, part: TrainedMany):
-        starts = starts_of(phase1, part, seeds, STARTS)
         for i, seed in enumerate(seeds):
+            part = train_many(phase1, hyper, seeds[i : i + 1], program=program)
+            starts = starts_of(phase1, part, seeds[i : i + 1], STARTS)
             with atomic_file(out / f"seed-{seed}.npz") as file:
-                np.savez(file, weights=part.weights[i], starts=starts.mean[i], reward=part.info.final_reward[i])
-
-    return keep
+                np.savez(file, weights=part.weights[0], starts=starts.mean[0], reward=part.info.final_reward[0])
+            report(i + 1, len(seeds), f"reward {float(part.info.final_reward[0, -1]):.2f}")
 
 
 def load(out: Path):
