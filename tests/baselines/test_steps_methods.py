@@ -13,6 +13,7 @@ from adaptsim_jax.baselines.compare_steps import tried
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import Bout
 from adaptsim_jax.baselines.registry import STEPS
+from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments import task as environment_tasks
@@ -59,6 +60,23 @@ def test_a_method_deploys_something_in_every_target(method, made):
         "fine_tune": [0, 2],
     }  # fmt: skip
     assert list(trials) == counted.get(method, [0])
+
+
+def test_what_one_seed_compiled_serves_the_next_with_its_own_policy():
+    setting = setting_of(Cart(), EnvironmentConfig(targets={"heavy": {"params.mass": 2.5}}))
+    programs, traced, obs = {}, [], np.array([0.3, -0.2], np.float32)
+
+    def act(task, obs):
+        traced.append(True)
+        return task.act(task.init_policy(jax.random.key(0)), obs)
+
+    found = []
+    for seed in range(2):
+        prepared = task_of(setting).preparation.blank(jax.random.key(seed))
+        arena = StepsArena(setting, prepared, ["heavy"], 2, seed, programs)
+        found.append(arena.program("act", act)(obs))
+        np.testing.assert_allclose(found[seed], act(arena.one.task, obs), rtol=1e-5)
+    assert len(traced) == 3 and abs(found[0] - found[1]).max() > 1e-4  # once compiled, twice called by hand
 
 
 def test_a_policy_told_nothing_is_trained_with_the_luck_of_the_one_that_knows_e(monkeypatch):
