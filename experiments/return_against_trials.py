@@ -236,7 +236,10 @@ def show(out: Path) -> list[Path]:
     table = rows(out)
     write_json(out / "results.json", {"budgets": BUDGETS, "rows": table})
     tasks = list(dict.fromkeys(r["task"] for r in table))
-    figure, axes = look.new_figure(max(3.0 * len(tasks) + 1.2, 5.4), 3.6, 1, max(len(tasks), 1), sharey=True)
+    wide, high = min(max(len(tasks), 1), 3), -(-max(len(tasks), 1) // 3)
+    figure, axes = look.new_figure(max(3.0 * wide + 1.2, 5.4), 2.6 * high + 1.0, high, wide, sharey=True)
+    for ax in axes[len(tasks) :]:
+        ax.set_visible(False)
     text, lowest = [], 0.0
     for ax, task in zip(axes, tasks, strict=False):
         text += [f"\n{task}\n\n| method | {' | '.join(map(str, BUDGETS))} |", f"| --- |{' --- |' * len(BUDGETS)}"]
@@ -259,7 +262,8 @@ def show(out: Path) -> list[Path]:
         ax.set_title(task, fontsize=9)
         ax.set_xlabel("target trials")
     axes[0].set_ylim(max(lowest - 0.1, LEAST), 1.1)
-    axes[0].set_ylabel("return (0 UDR, 1 oracle)")
+    for ax in axes[::wide]:
+        ax.set_ylabel("return (0 UDR, 1 oracle)")
     handles, labels = axes[0].get_legend_handles_labels()
     columns = 3 if len(tasks) < 2 else 4
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=7)
