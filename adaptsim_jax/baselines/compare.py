@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from importlib import metadata
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ from adaptsim_jax.baselines.compare_learned import compare_learned
 from adaptsim_jax.baselines.compare_steps import compare_steps
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.methods import Run, Visits
+from adaptsim_jax.baselines.parts import parts_of
 from adaptsim_jax.baselines.problem import Problem, costs, discrepancy
 from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
 from adaptsim_jax.baselines.summary import normalised, physical, row
@@ -43,20 +45,22 @@ def compare(
     config: CompareConfig = CompareConfig(),  # noqa: B008
     progress: Callable = silent,
     command: str | None = None,
+    out: Path | None = None,
 ) -> dict[str, Any]:
     """All of `config.methods` in all of `config.settings`: the table of results.json, whose rows are `summary.row`'s.
 
     `progress(done, total, note)` is called as methods advance; `command` is what made the table, where a command line did. Costs are
-    recomputed in double precision from the means of E that a method visited, by one code for all methods.
+    recomputed in double precision from the means of E that a method visited, by one code for all methods. In the folder `out` what is
+    done is kept as it goes, and taken from there where it was stopped before; `parts.Parts.drop` removes it.
     """
     made = make_task(task, config.train.task)
     names = [configs.pick("setting", s, made.settings) for s in config.settings] or list(made.settings)
     if task == STEPS_TASK:
-        rows, about = compare_steps(config.train.task, names, config, progress)
+        rows, about = compare_steps(config.train.task, names, config, progress, out)
         return stamped(task, config, command) | about | {"rows": rows}
     if task not in PROBLEMS:
         one = make_one_shot(task, config.train.task)
-        rows, about = compare_learned(one, names, config, progress)
+        rows, about = compare_learned(one, names, config, progress, out)
         return stamped(task, config, command) | about | {"rows": rows}
     methods = _exact_methods(task, config)
     targets = np.array([made.space.values(made.settings[name], name) for name in names])
@@ -64,7 +68,7 @@ def compare(
     progress(0, len(methods) + 1, "bounds")
     bounds = find_bounds(problem, targets)
     seeds = np.arange(config.seed, config.seed + config.seeds)
-    rows, total = [], len(methods) + 1
+    rows, total, parts = [], len(methods) + 1, parts_of(out, task, config)
     for i, method in enumerate(methods):
 
         def report(done, of, note="", i=i, method=method):
@@ -73,11 +77,13 @@ def compare(
         report(0, 1)
         if method in EXACT:
             run = Run(task, config.train.task, config, problem, targets, seeds, report)
-            rows += visiting_rows(method, names, problem, targets, bounds, EXACT[method](run))
+            made_in = lambda m=method, r=run: visiting_rows(m, names, problem, targets, bounds, EXACT[m](r))
+            rows += parts.of(method, made_in)
         else:
             rows += bound_rows(method, names, bounds, config.seeds)
         report(1, 1)
-    return stamped(task, config, command) | _about(names, targets, bounds) | {"rows": rows}
+    about = _about(names, targets, bounds) | {"digest": parts.digest}
+    return stamped(task, config, command) | about | {"rows": rows}
 
 
 def _exact_methods(task: str, config: CompareConfig) -> list[str]:

@@ -5,6 +5,7 @@ between UDR and the best of Omega. The oracle is what the best action for each t
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.learned import Bout, Trip
+from adaptsim_jax.baselines.parts import parts_of
 from adaptsim_jax.baselines.registry import LEARNED, ORACLE, learned_methods
 from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
 from adaptsim_jax.core.errors import BadInput
@@ -20,9 +22,10 @@ from adaptsim_jax.tasks.one_shot import OneShot, World
 
 
 def compare_learned(
-    one: OneShot, names: list[str], config: CompareConfig, progress: Callable = silent
+    one: OneShot, names: list[str], config: CompareConfig, progress: Callable = silent, out: Path | None = None
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows of `config.methods` (all) in the settings `names`, and what else results.json says of them."""
+    """Rows of `config.methods` (all) in the settings `names`, and what else results.json says of them.
+    In `out` each method's part is kept."""
     targets = np.array([one.task.space.values(one.task.settings[name], name) for name in names])
     world = one.world(config.target or one.engine, **config.target_options)
     methods = [m.replace("-", "_") for m in config.methods] or list(learned_methods())
@@ -33,7 +36,8 @@ def compare_learned(
                 f"{', '.join(learned_methods())}"
             )
     progress(0, len(methods) + 1, "oracle")
-    oracle = np.array([np.mean(one.oracle(world, target)) for target in targets])
+    parts = parts_of(out, one.task.name, config)
+    oracle = np.array(parts.of("oracle-rewards", lambda: [float(np.mean(one.oracle(world, t))) for t in targets]))
     seeds, rows, cache = np.arange(config.seed, config.seed + config.seeds), [], {}
     for i, method in enumerate(methods):
 
@@ -47,11 +51,15 @@ def compare_learned(
                 row(method, n, c, oracle=o, target_trials=None) for n, c, o in zip(names, curves, oracle, strict=True)
             ]
         else:
-            arena = Arena(one, world, targets)
-            trip = travelled(method, Bout(config, arena, seeds, report, cache))
-            rows += trip_rows(method, names, trip, oracle, one.task.space, arena.failed, arena.made)
+
+            def made(method=method, report=report):
+                arena = Arena(one, world, targets)
+                trip = travelled(method, Bout(config, arena, seeds, report, cache))
+                return trip_rows(method, names, trip, oracle, one.task.space, arena.failed, arena.made)
+
+            rows += parts.of(method, made)
         report(1, 1)
-    return rows, about(one, world, names, targets, oracle)
+    return rows, about(one, world, names, targets, oracle) | {"digest": parts.digest}
 
 
 def travelled(method: str, bout: Bout) -> Trip:

@@ -8,6 +8,8 @@ that target, 1 the oracle or the best in Omega, whichever is more.
 import importlib.util
 import sys
 from collections.abc import Callable, Hashable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -17,6 +19,7 @@ from adaptsim_jax.adaptation.phase2 import smoothed
 from adaptsim_jax.adaptation.prepared import learned
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.learned import Bout, Trip
+from adaptsim_jax.baselines.parts import parts_of
 from adaptsim_jax.baselines.registry import STEPS, steps_methods
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.baselines.summary import bootstrap_interval, plain, row
@@ -34,9 +37,14 @@ ROOM = 0.02  # of the upper bound: where UDR is nearer to it than this, a target
 
 
 def compare_steps(
-    options: dict[str, Any], names: list[str], config: CompareConfig, progress: Callable = silent
+    options: dict[str, Any],
+    names: list[str],
+    config: CompareConfig,
+    progress: Callable = silent,
+    out: Path | None = None,
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows of `config.methods` (all) in the targets `names`, and what else results.json says. A policy is trained for each seed."""
+    """Rows of `config.methods` (all) in the targets `names`, and what else results.json says. A policy is trained for each seed.
+    In `out` each seed's part of each method is kept."""
     setting = environment_setting(configs.from_table(EnvironmentConfig, dict(options), "compare, [train.task]"))
     if setting.config.policy == "planned":
         raise BadInput("compare: methods are compared by trained policies; set train.task.policy to 'knows' or 'tuned'")
@@ -48,12 +56,17 @@ def compare_steps(
     seeds = range(config.seed, config.seed + config.seeds)
     found: dict[str, list[Deployed]] = {method: [] for method in every}
     programs: dict[Hashable, Any] = {}
+    parts = parts_of(out, task.name, replace(config, seeds=1, seed=0), made.digest)
     for i, seed in enumerate(seeds):
         told = lambda done, of, note="", i=i: progress(i + done / max(of, 1), len(seeds), f"seed {i + 1}: {note}")
-        ready = learned(task, made, seed, None, told)
-        for method, deployed in tried(setting, ready, names, every, config, seed, told, programs):
-            found[method].append(deployed)
-    return rows_of(found, methods, names), _about(setting, names, found)
+        there = {method: parts.get(f"seed-{seed}-{method}") for method in every}
+        if left := [method for method in every if there[method] is None]:
+            ready = learned(task, made, seed, None, told)
+            for method, deployed in tried(setting, ready, names, left, config, seed, told, programs):
+                there[method] = parts.put(f"seed-{seed}-{method}", plain(list(deployed)))
+        for method, (trials, returns) in there.items():
+            found[method].append(Deployed((np.array(trials), np.array(returns, float))))  # None is not a number
+    return rows_of(found, methods, names), _about(setting, names, found) | {"digest": parts.digest}
 
 
 def _wanted(config: CompareConfig, setting: Setting) -> list[str]:

@@ -24,9 +24,13 @@ def gradient(bout: Bout) -> Trip:
     arena: StepsArena = bout.arena  # type: ignore[assignment]
     setting, T = arena.setting, len(arena.targets)
     every = [setting.targets[name].values for name in arena.names]
-    sim = environment(setting.env, setting.fields, setting.config.length)
-    play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
-    slope = arena.kept("slope", lambda: make_slope(play, network_acting(setting), Tuned))
+
+    def made():
+        sim = environment(setting.env, setting.fields, setting.config.length)
+        play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
+        return make_slope(play, network_acting(setting), Tuned)
+
+    slope, length = arena.kept("slope", made), setting.sim.length
     actor = setting.trainer.policy(arena.prepared.learned)
     starts = jax.random.split(jax.random.fold_in(jax.random.key(int(bout.seeds[0])), 300), 4)
     at, stride = np.full((T, setting.space.dim), 0.5, np.float32), np.full(T, STRIDE)
@@ -43,7 +47,7 @@ def gradient(bout: Bout) -> Trip:
                 best[t], base[t] = own[t], at[t]
                 found = slope(starts, base[t], every[t], actor)
                 way[t] = found.gradient / max(float(np.abs(found.gradient).max()), 1e-12)
-                cut |= {(arena.names[t], found.window)} if found.window < sim.length else set()
+                cut |= {(arena.names[t], found.window)} if found.window < length else set()
             else:
                 stride[t] *= 0.5
             at[t] = np.clip(base[t] + stride[t] * way[t], 0.0, 1.0)
@@ -51,8 +55,6 @@ def gradient(bout: Bout) -> Trip:
     if cut:
         shortest = {name: min(w for n, w in cut if n == name) for name, _ in sorted(cut)}
         told = ", ".join(f"{name} {window}" for name, window in shortest.items())
-        print(
-            f"gradient: derivatives explode over {sim.length} steps; truncated to windows of: {told}", file=sys.stderr
-        )
+        print(f"gradient: derivatives explode over {length} steps; truncated to windows of: {told}", file=sys.stderr)
     shape = lambda x: np.stack(x, 1)[:, None, None]
     return Trip(shape(rewards), shape(means), arena.one.trials * np.arange(1, total + 1))

@@ -158,10 +158,14 @@ def oracle(bout: Bout) -> Trip:
     arena: StepsArena = bout.arena  # type: ignore[assignment]
     setting = arena.setting
     training, D = setting.config.training, setting.space.dim
-    sim = environment(setting.env, setting.fields, setting.config.length)
     every = [setting.targets[name].values for name in arena.names]
-    play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
-    trainer = arena.kept("oracle", lambda: compiled(make_ppo_trainer(play, setting.space, training, _obs_dim(arena))))
+
+    def made():
+        sim = environment(setting.env, setting.fields, setting.config.length)
+        play = make_play(sim, setting.fields, longest_delay(setting.fields, *every))
+        return compiled(make_ppo_trainer(play, setting.space, training, _obs_dim(arena)))
+
+    trainer = arena.kept("oracle", made)
     rounds = max(1, round(bout.config.steps.share * training.rounds))
     rows = []
     for t, values in enumerate(every):

@@ -14,12 +14,13 @@ EXAMPLES = """
   adaptsim compare pushing --out push --seeds 2 --settings wd,ood-2 --methods sysid-bayes,learn-in-target,oracle
   adaptsim compare examples/env.toml --out env --seeds 3     an environment's policies, by return against target trials
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
+A comparison that was stopped, or that failed, goes on with the same command: what was done is kept in DIR/unfinished.
 """
 METHODS = (
     "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, "
     "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, "
-    "learn-in-target, oracle; an env.toml: adaptsim, sysid-bayes, sysid-point, bayesopt, cma-es, fine-tune, nominal, udr, udr-wide, "
-    "best-in-omega, oracle"
+    "learn-in-target, oracle; an env.toml: adaptsim, sysid-bayes, sysid-point, sbi, bayesopt, cma-es, gradient, fine-tune, "
+    "nominal, udr, udr-wide, best-in-omega, oracle"
 )
 ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
 
@@ -46,13 +47,15 @@ def run(args: argparse.Namespace) -> int:
 
     said, args.task = args.task, task_word(args)
     from adaptsim_jax.baselines.compare import compare
+    from adaptsim_jax.baselines.parts import Parts, told_where_kept
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 
     asked = config_of(args)
-    with output(args.out) as out, progress(f"compare {said}") as report:
-        results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]))
+    with output(args.out) as out, told_where_kept(out), progress(f"compare {said}") as report:
+        results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]), out)
         paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
+        Parts(out, results["digest"]).drop()
     if args.json:
         print_file(out / "results.json")
         return 0

@@ -29,7 +29,7 @@ METHODS = {
     "fine_tune": ("#A6761D", "Fine-tuning in the target"),
     "nominal": ("#999999", "Trained at nominal values"),
     "udr_wide": ("#AAAAAA", "UDR, wider box"),
-    "oracle": ("#000000", "Oracle (best actions)"),
+    "oracle": ("#000000", "Oracle"),
     "best_in_omega": ("#000000", "Best in Ω"),
 }
 """Method -> colour and label, in the order in which they are listed."""

@@ -56,7 +56,7 @@ def test_the_same_model_moves_alike_in_both(tracks):
     np.testing.assert_allclose(tracks["heavy"], tracks["triple"], atol=2e-5)
 
 
-def test_it_does_so_to_fifteen_digits_in_double_precision():
+def test_it_does_so_to_twelve_digits_in_double_precision():
     with jax.enable_x64(True):
         setting = setting_of(make(), EnvironmentConfig(targets={"same": SAME}))
         place = lambda live: live.state.data.qpos
