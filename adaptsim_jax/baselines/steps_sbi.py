@@ -76,11 +76,12 @@ def sbi(bout: Bout) -> Trip:
 def _posterior(bout: Bout, seed: int) -> Callable[[np.ndarray, int], np.ndarray]:
     """Fitted to visits at points of Omega, each by the policy of another mean."""
     arena: StepsArena = bout.arena  # type: ignore[assignment]
-    task, D = arena.one.task, arena.setting.space.dim
-    count = bout.config.sysid.simulations
+    D, count = arena.setting.space.dim, bout.config.sysid.simulations
     u, mean = np.split(np.random.default_rng(seed).random((count, 2 * D), np.float32), 2, 1)
-    show = jax.jit(jax.vmap(lambda k, m, p: task.observe(task.rollout(k, Law(m), task.space.physical(p)))))
-    seen = show(
-        jax.random.split(jax.random.fold_in(jax.random.key(seed), 400), count), jnp.asarray(mean), jnp.asarray(u)
-    )
+
+    def show(task, *rows):
+        return jax.vmap(lambda k, m, p: task.observe(task.rollout(k, Law(m), task.space.physical(p))))(*rows)
+
+    keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), 400), count)
+    seen = arena.program("sbi", show)(keys, jnp.asarray(mean), jnp.asarray(u))
     return npe(u, np.concatenate([np.asarray(seen), mean], 1), seed)
