@@ -23,12 +23,16 @@ def render(results: Mapping[str, Any]) -> str:
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
     curves = comparison_explore.rewards(results)
-    caption = (_CURVES if "reward" not in results else _PLAIN_CURVES).format(over=_OVER[look.one_seed(rows)])
+    words = _CURVES if "reward" not in results else _DEPLOYED if "trials_axis" in results else _PLAIN_CURVES
+    caption = words.format(over=_OVER[look.one_seed(rows)])
     return filled(
         "adaptation.html.j2",
         results=results,
-        headline=headline(rows, "Reward" if "reward" in results else "Normalized reward"),
+        headline=headline(
+            rows, "Reward" if "reward" in results and "trials_axis" not in results else "Normalized reward"
+        ),
         scale=_scale(results),
+        best="best iteration" if "trials_axis" not in results else "after all target trials",
         over="one seed, no interval" if look.one_seed(rows) else "mean over seeds",
         settings=[(s, look.setting(s)) for s in settings],
         methods=[(m, look.label(m), look.colour(m)) for m in methods],
@@ -47,6 +51,7 @@ _PLAIN_CURVES = (
     "Reward of the best distribution at each iteration (for methods without distributions: at each of their budgets of "
     "target trials): {over}."
 )
+_DEPLOYED = "Return of what is deployed after so many target trials: {over}."
 _OVER = {False: "median over seeds, shaded between the quartiles", True: "one seed, nothing to shade"}
 _NORMALISED = (
     "0 is UDR, 1 the best policy of Omega. {beside} AdaptSim spends {starts} target rollouts an iteration, system identification "

@@ -35,10 +35,11 @@ def table(results: Mapping[str, Any]) -> str:
     cells = {(r["method"], r["setting"]): r for r in rows}
     head = [look.setting(s) for s in settings]
     across = lambda cell: _grid(head, methods, cell, settings, cells)
+    told = _by_trials(results, across) if "trials_axis" in results else None
     parts = [
         f"{look.reward_of(results, long=True)}, {look.seeds(results['seeds'])}, "
         f"{results['iterations']} iterations, {results['starts']} initial distributions.",
-        *(_of_one(across) if look.one_seed(rows) else _over_seeds(across)),
+        *(told or (_of_one(across) if look.one_seed(rows) else _over_seeds(across))),
         *_fresh(rows, across),
         *_discrepancies(rows, across),
         *_failures(rows),
@@ -57,6 +58,29 @@ def _over_seeds(across) -> list[str]:
         "Mean over seeds at the last iteration, and in brackets the best mean of any one iteration:",
         across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
     ]
+
+
+def _by_trials(results: Mapping[str, Any], across) -> list[str]:
+    """What is deployed at last, in each target, and in each target what was deployed after fewer trials."""
+    rows, one = results["rows"], look.one_seed(results["rows"])
+    spent = max(r["trials"][-1] for r in rows)  # of more trials nothing is known
+    budgets = [b for b in rows[0]["at"] if int(b) <= spent]
+    parts = [
+        f"What is deployed after all trials{' (one seed, no interval)' if one else ', mean over seeds [95 % interval]'}:",
+        across(lambda r: _number(r["mean"]) if one else _spread(r, "mean", "low", "high")),
+        "The return itself, mean over seeds:" if not one else "The return itself:",
+        across(_returns),
+    ]
+    for setting in dict.fromkeys(r["setting"] for r in rows):
+        mine = [r for r in rows if r["setting"] == setting]
+        cell = lambda at: "" if at is None else _number(at["mean"])
+        cells = {(r["method"], b): cell(r["at"][b]) for r in mine for b in budgets}
+        methods = [r["method"] for r in mine]
+        parts += [
+            f"{look.setting(setting)}, by target trials{'' if one else ' (mean over seeds)'}:",
+            _grid(budgets, methods, lambda text: text, budgets, cells),
+        ]
+    return parts
 
 
 def _of_one(across) -> list[str]:
@@ -90,6 +114,11 @@ def _trials(rows, methods) -> str:
 
 def _number(value: float | None) -> str:
     return "fails" if value is None else f"{value:.2f}"
+
+
+def _returns(r: Mapping[str, Any]) -> str:
+    values = r["returns"]
+    return "fails" if None in values else f"{sum(values) / len(values):.4g}"
 
 
 def _discrepancies(rows, across) -> list[str]:

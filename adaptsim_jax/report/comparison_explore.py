@@ -13,22 +13,26 @@ def rewards(results: Mapping[str, Any]) -> str:
     """Two plots for each setting, of the rows that have a curve over iterations; empty where none has."""
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
-    bottom, what = look.least(results), look.reward_of(results)
+    bottom, what, axis = look.least(results), look.reward_of(results), look.axis_of(results)
     views = {}
     for i, name in enumerate(settings):
         mine = [r for r in results["rows"] if r["setting"] == name]
-        views[(i,)] = View([_curves([r for r in rows if r["setting"] == name], bottom, what), _seeds(mine, bottom)])
+        views[(i,)] = View(
+            [_curves([r for r in rows if r["setting"] == name], bottom, what, axis), _seeds(mine, bottom, axis)]
+        )
     height = 380 + 10 * max(0, len({r["method"] for r in rows}) - 5)  # more names in the legend
-    plots = [Plot("reward over iterations", height), Plot("best reward of each seed, by method", height)]
+    plots = [Plot(f"reward over {axis}", height), Plot("best reward of each seed, by method", height)]
     return explorer({"setting": [look.setting(s) for s in settings]}, views, plots) if rows else ""
 
 
-def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str) -> dict[str, Any]:
+def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str, axis: str) -> dict[str, Any]:
     """Median over seeds with its quartiles, a line a method. No value is drawn where the policy destabilised the target."""
     data: list[dict[str, Any]] = []
+    most = 0
     for r in rows:
         name, style = shown(look.label(r["method"])), look.style(r["method"])
-        x = list(range(len(r["curve"]["median"])))
+        x = list(range(len(r["curve"]["median"]))) if axis == look.ITERATIONS else r["trials"]
+        most = max(most, x[-1])
         common = {"type": "scatter", "mode": "lines", "x": x, "legendgroup": name, "name": name}
         if len(r["per_seed"]) > 1:
             low, high = ([bottom - 10 if v is None else v for v in r["curve"][key]] for key in ("q25", "q75"))
@@ -40,16 +44,17 @@ def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str) -> dict
         middle = [None if v is None else round(v, 4) for v in r["curve"]["median"]]
         data.append(common | {"y": middle, "line": line, "hovertemplate": "%{y:.3f}"})
     layout = {
-        "xaxis": {"title": {"text": "iteration"}, "tickformat": "d", "nticks": 8},
+        "xaxis": {"title": {"text": axis}, "tickformat": "d", **({"dtick": 1} if most < 8 else {"nticks": 8})},
         "yaxis": {"title": {"text": what.replace(" (", "<br>(")}, "range": [bottom, 1.08]},
         "hovermode": "x unified",
-        "title": {"text": "over iterations"},
+        "title": {"text": f"over {axis}"},
     }
     return {"data": data, "layout": layout}
 
 
-def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float) -> dict[str, Any]:
-    """Best iteration: every seed as a dot, and the mean with its 95 % interval where there are seeds to take one over."""
+def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, axis: str) -> dict[str, Any]:
+    """Best iteration, or what is deployed at last: every seed as a dot, and the mean with its 95 % interval where there are seeds to
+    take one over."""
     data: list[dict[str, Any]] = []
     names = [shown(look.label(r["method"])) for r in rows]
     for r, name in zip(rows, names, strict=True):
@@ -70,8 +75,9 @@ def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float) -> dict[str, Any]:
             data.append(common | mean | {"hovertemplate": "%{x:.3f}, mean"})
     found = [v for r in rows for v in r["per_seed"] if v is not None]
     left = bottom if found and min(found) < bottom else None
+    best = "best-iteration reward" if axis == look.ITERATIONS else "normalized return of what is deployed at last"
     layout = {
-        "xaxis": {"title": {"text": "best-iteration reward"}, **({} if left is None else {"range": [left, 1.08]})},
+        "xaxis": {"title": {"text": best}, **({} if left is None else {"range": [left, 1.08]})},
         "yaxis": {"categoryorder": "array", "categoryarray": names[::-1], "range": [-0.6, len(names) - 0.4]},
         "title": {"text": "every seed, and the mean" if any(len(r["per_seed"]) > 1 for r in rows) else "one seed"},
     }

@@ -37,6 +37,7 @@ MARKERS = {"adaptsim": "o", "sysid_bayes": "s", "sysid_point": "^", "gradient": 
 SETTINGS = {"wd": "WD"} | {f"ood-{i}": f"OOD-{i}" for i in range(1, 5)}
 INK, MUTED, GRID = "#20262e", "#5d6875", "#dde2e8"
 REWARD = "normalized reward (0 UDR, 1 best in Ω)"
+ITERATIONS = "iterations"
 
 
 def reward_of(results, long: bool = False) -> str:
@@ -46,6 +47,11 @@ def reward_of(results, long: bool = False) -> str:
     if "reward" in results:
         return f"Reward ({results['reward']}; oracle: {results['oracle']})" if long else "reward"
     return "Normalized reward (0 UDR, 1 best in Omega, not clipped)" if long else REWARD
+
+
+def axis_of(results) -> str:
+    """What rewards are drawn over."""
+    return "target trials" if "trials_axis" in results else ITERATIONS
 
 
 def least(results) -> float:

@@ -27,7 +27,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.08)
         ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-        ax.set_xlabel("target trials" if "trials_axis" in results else "iteration", fontsize=8.5)
+        ax.set_xlabel(look.axis_of(results), fontsize=8.5)
     axes[0].set_ylabel(look.reward_of(results).replace(" (", "\n("), fontsize=8.5)
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(
@@ -70,7 +70,7 @@ def rewards(results: Mapping[str, Any]) -> Figure:
         ax.set_xlim(left, 1.08)
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
     axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
-    told = "best-iteration " + look.reward_of(results)
+    told = ("" if "trials_axis" in results else "best-iteration ") + look.reward_of(results)
     figure.supxlabel(told if len(settings) > 2 else told.replace(" (", "\n("), fontsize=8.5)
     return figure
 

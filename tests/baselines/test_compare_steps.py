@@ -64,7 +64,15 @@ def test_returns_are_normalised_between_udr_and_the_oracle_and_written(tmp_path)
     results = stamped("environment", config) | about | {"settings": settings, "rows": list(rows.values())}
     paths = write_comparison(results, tmp_path)
     assert {p.name for p in paths} >= {"results.json", "table.md", "reward_over_iterations.png", "report.html"}
-    assert "AdaptSim" in (tmp_path / "table.md").read_text()
+    text = (tmp_path / "table.md").read_text()
+    assert (
+        "late, by target trials (mean over seeds):" in text
+        and "| method | 0 | 2 |" in text
+        and "| AdaptSim |  | " in text
+    )
+    assert "The return itself, mean over seeds:" in text and "iteration [" not in text
+    page = (tmp_path / "report.html").read_text()
+    assert "after all target trials" in page and '"title":{"text":"target trials"}' in page.replace(": ", ":")
     assert look.least(results) < -0.2 and "0 UDR" in look.reward_of(results)  # what is below UDR is seen to be
 
 
