@@ -4,7 +4,9 @@ One estimator serves all visits of a seed: it is told the observation and the me
 anew between visits. Simulations whose observation is not finite are masked.
 """
 
+import contextlib
 import importlib
+import io
 from collections.abc import Callable
 from typing import Any
 
@@ -44,7 +46,8 @@ def npe(u: np.ndarray, x: np.ndarray, seed: int, epochs: int = EPOCHS) -> Callab
     trainer = inference.NPE(prior=prior, show_progress_bars=False)
     tensor = lambda rows: torch.as_tensor(np.asarray(rows, np.float32))
     trainer.append_simulations(tensor(u[sound]), tensor(x[sound]))
-    flow = trainer.train(max_num_epochs=epochs, show_train_summary=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # it says that it converged
+        flow = trainer.train(max_num_epochs=epochs, show_train_summary=False)
 
     def sample(observation: np.ndarray, count: int) -> np.ndarray:
         with torch.no_grad():
