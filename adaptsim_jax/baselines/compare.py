@@ -45,7 +45,7 @@ def compare(
     config: CompareConfig = CompareConfig(),  # noqa: B008
     progress: Callable = silent,
     command: str | None = None,
-    out: Path | None = None,
+    out: str | Path | None = None,
 ) -> dict[str, Any]:
     """All of `config.methods` in all of `config.settings`: the table of results.json, whose rows are `summary.row`'s.
 

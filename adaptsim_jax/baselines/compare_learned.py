@@ -22,7 +22,7 @@ from adaptsim_jax.tasks.one_shot import OneShot, World
 
 
 def compare_learned(
-    one: OneShot, names: list[str], config: CompareConfig, progress: Callable = silent, out: Path | None = None
+    one: OneShot, names: list[str], config: CompareConfig, progress: Callable = silent, out: str | Path | None = None
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Rows of `config.methods` (all) in the settings `names`, and what else results.json says of them.
     In `out` each method's part is kept."""

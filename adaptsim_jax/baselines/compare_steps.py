@@ -41,7 +41,7 @@ def compare_steps(
     names: list[str],
     config: CompareConfig,
     progress: Callable = silent,
-    out: Path | None = None,
+    out: str | Path | None = None,
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Rows of `config.methods` (all) in the targets `names`, and what else results.json says. A policy is trained for each seed.
     In `out` each seed's part of each method is kept."""

@@ -55,13 +55,14 @@ class Parts:
                 self.folder.parent.rmdir()
 
 
-def parts_of(out: Path | None, task: str, config: CompareConfig, learned: str = "") -> Parts:
+def parts_of(out: str | Path | None, task: str, config: CompareConfig, learned: str = "") -> Parts:
     """Parts in `out`, those of this configuration alone (its `methods` may be others), and a line where some are there.
 
     `learned`: digest of what the task learns once.
     """
     if out is None:
         return Parts()
+    out = Path(out)
     about = {"version": __version__, "task": task, "learned": learned}
     parts = Parts(out, configs.digest({"about": about, "config": configs.to_table(replace(config, methods=()))}))
     if there := len(list(parts.folder.glob("*.json"))):  # type: ignore[union-attr]

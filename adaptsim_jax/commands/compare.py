@@ -32,9 +32,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="folder for results.json, table, figures and report.html"
     )
-    parser.add_argument("--seeds", type=positive, metavar="N", help="seeds of each method (pendulum 20, an env.toml 3, else 10)")
+    parser.add_argument(
+        "--seeds", type=positive, metavar="N", help="seeds of each method (pendulum 20, an env.toml 3, else 10)"
+    )
     parser.add_argument("--methods", metavar="A,B", help=f"default: all. {METHODS}")
-    parser.add_argument("--settings", metavar="A,B", help="default: all, that is wd and ood-1 .. ood-4, or the targets of an env.toml")
+    parser.add_argument(
+        "--settings", metavar="A,B", help="default: all, that is wd and ood-1 .. ood-4, or the targets of an env.toml"
+    )
     parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
     parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
     parser.add_argument("--json", action="store_true", help="print results.json")

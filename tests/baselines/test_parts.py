@@ -59,6 +59,7 @@ def test_other_methods_are_the_same_comparison_and_without_a_folder_nothing_is_k
     assert "going on" not in capsys.readouterr().err
     assert parts_of(tmp_path, "pendulum", CompareConfig(methods=("adaptsim",))).get("udr") == [1]
     assert f"{tmp_path / FOLDER} holds 1 part of" in capsys.readouterr().err
+    assert parts_of(str(tmp_path), "pendulum", CompareConfig()).get("udr") == [1]
     make = Counted([1])
     for _ in range(2):
         assert Parts().of("udr", make) == [1]
