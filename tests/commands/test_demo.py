@@ -2,23 +2,20 @@
 
 import json
 import re
-import shlex
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig, load_run
-from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig
-from adaptsim_jax.cli import main, parse
+from adaptsim_jax.cli import main
 from adaptsim_jax.commands import demo_pendulum, demo_tour
 from adaptsim_jax.commands.demo import TITLES, _show
-from adaptsim_jax.commands.demo_config import FULL, HINGE, PENDULUM, SHORT, DemoConfig, commands
+from adaptsim_jax.commands.demo_config import SHORT, DemoConfig
 from adaptsim_jax.commands.demo_contact import Before, Pushes
 from adaptsim_jax.commands.demo_diagnosis import Diagnosed
 from adaptsim_jax.commands.demo_tour import demo
@@ -170,30 +167,6 @@ def test_a_tour_killed_before_its_first_config_is_taken_up(tmp_path, monkeypatch
         with pytest.raises(KeyboardInterrupt):
             demo(tmp_path, 5, config=SIZES)
         assert RunFolder.open(tmp_path / "runs" / "seed-5").config["seed"] == 5
-
-
-@pytest.mark.parametrize("sizes", [SHORT, FULL, SIZES])
-def test_its_commands_ask_for_the_same(tmp_path, sizes):
-    from adaptsim_jax.commands import compare as compare_command
-    from adaptsim_jax.commands import train as train_command
-
-    args = {k: parse(shlex.split(line)[1:]) for k, line in commands(tmp_path, 5, sizes).items()}
-    assert train_command.config_of({}, args["train"]) == replace(sizes.train, seed=5)
-    assert args["adapt"].folder == args["train"].folder and args["adapt"].target == "ood-1"
-    assert (args["adapt"].starts, args["adapt"].iterations, args["adapt"].seed) == (sizes.starts, sizes.iterations, 5)
-    asked = compare_command.config_of(args["compare"])
-    wanted = {name: getattr(sizes, name) for name in ("seeds", "starts", "iterations", "train", "sysid")}
-    assert asked == CompareConfig(("adaptsim", *sizes.baselines), ("ood-1",), seed=5, **wanted)
-    for task, sized in (("pushing", sizes.push), ("scooping", sizes.scoop)):
-        train, adapt = args[f"train_{task}"], args[f"adapt_{task}"]
-        assert train_command.config_of({}, train) == sized.train(task, 5)
-        assert adapt.folder == train.folder and (adapt.target, adapt.seed) == (sized.target, 5)
-        assert (adapt.starts, adapt.iterations) == (sized.starts, sized.iterations)
-    for name, data in (("diagnose", HINGE), ("double", PENDULUM)):
-        assert args[name].data == str(data) and (data / "meta.toml").exists() and args[name].seed == 5
-    for name in ("train", "train_pushing", "train_scooping", "compare", "diagnose", "double"):
-        folder = Path(getattr(args[name], "folder", None) or args[name].out)
-        assert tmp_path / "runs" not in folder.parents and folder.is_relative_to(tmp_path / "again")
 
 
 def test_other_sizes_in_the_same_folder_are_refused(tour):
