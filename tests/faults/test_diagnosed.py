@@ -25,8 +25,8 @@ COULOMB = 0.06
 
 
 def names_the_friction(report):
-    """Coulomb friction at joint 2 by its size, and nothing else."""
-    assert report["verdict"] == "explained", report["message"]
+    """Coulomb friction at joint 2 by its size, and nothing else (where it slides alone, drift and Stribeck do as well)."""
+    assert report["verdict"] in ("explained", "explained_class"), report["message"]
     (effect,) = report["effects"]
     assert (effect["name"], effect["where"]) == ("coulomb", "joint2")
     assert effect["parameters"]["level"]["value"] == pytest.approx(COULOMB, rel=0.05)
@@ -99,12 +99,13 @@ def late(c, share):
     return out
 
 
-@pytest.mark.parametrize("ms", [8.0, 2.0])
-def test_readings_that_are_late_are_told_by_how_much(tmp_path, ms):
-    """8 or 2 ms of rows of 10: a delay of the sensors or of the command, or the class of both."""
-    report, _ = diagnosed(tmp_path, [late(c, ms / 10.0) for c in arm()])
+def test_readings_that_are_late_are_told_by_how_much(tmp_path):
+    """8 ms of rows of 10: a delay of the sensors or of the command, or the class of both; 2 ms are how a log is read."""
+    report, _ = diagnosed(tmp_path, [late(c, 0.8) for c in arm(count=6)])
     assert {e["name"] for e in report["effects"]} <= {"delay", "sensor_delay"} and report["effects"], report["message"]
     assert [1e3 * e["parameters"]["delay"]["value"] for e in report["effects"]] == pytest.approx(
-        [ms] * len(report["effects"]), rel=0.1
+        [8.0] * len(report["effects"]), rel=0.1
     )
-    assert ms < 5.0 or any("late" in w for w in report["warnings"])
+    assert any("late" in w for w in report["warnings"])
+    report, _ = diagnosed(tmp_path / "little", [late(c, 0.2) for c in arm(count=6)])
+    assert report["effects"] == [] and any(n.startswith("Commands act 2 ms after their row") for n in report["notes"])

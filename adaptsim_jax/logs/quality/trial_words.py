@@ -12,6 +12,8 @@ LOUD = 3.0
 """Times the sensors' noise that must be left, on left-out trials, for a difference between trials to be told of."""
 ODD = 2.0
 """Times the middle trial's error that an odd trial's must be in the final model."""
+SPOILS = 30.0
+"""Times the middle trial's unexplained torque with which a trial spoils the fit of all, where errors are as many times the noise."""
 KINDS = {
     "zero": "the zeros of the angles",
     "torque_scale": "the scale of the torques",
@@ -47,13 +49,15 @@ def add_trials(report: dict[str, Any], evidence: dict[str, Any], differ: Differ 
 
 
 def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
-    """What of it the final model leaves: nothing where its error is about the noise, no odd trial that it simulates as the others."""
+    """What of it the final model leaves: nothing where its error is about the noise, no odd trial that it simulates as the others,
+    unless that is because the trial spoiled the fit of all."""
     left, floor = error.get("after") or error.get("before"), error.get("noise_floor")
     if left is not None and floor and left < LOUD * floor:
         return Differ(differ.names, differ.error)
     own = _errors(error)
     usual = float(np.median(list(own.values()))) if own else 0.0
-    odd = tuple(o for o in differ.odd if own.get(o.trial, np.inf) > ODD * usual)
+    spoilt = bool(floor) and usual > SPOILS * floor
+    odd = tuple(o for o in differ.odd if own.get(o.trial, np.inf) > ODD * usual or (spoilt and o.times > SPOILS))
     return Differ(differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, odd)
 
 

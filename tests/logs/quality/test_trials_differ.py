@@ -66,6 +66,16 @@ def test_a_trial_of_other_columns_is_no_load_and_no_zero(tmp_path, kind):
     assert odd.trial == "03" and odd.kind == ""
 
 
+def test_a_trial_that_spoils_the_fit_of_all_stays_odd(tmp_path):
+    trials = arm(count=COUNT, seed=5)
+    trials[3] = tripped(trials[3])
+    found = differ_of(tmp_path, trials)
+    rows = [{"trial": f"{k:02d}", "before": 0.1, "after": 0.1} for k in range(COUNT)]
+    error = {"unit": "rad", "before": 0.1, "after": 0.1, "noise_floor": 2e-4, "per_trial": rows}
+    assert found.odd[0].times > 30.0 and confirmed(found, error).odd == found.odd
+    assert not confirmed(found, error | {"noise_floor": 0.01}).odd  # no fit is spoilt that leaves ten times the noise
+
+
 def test_what_the_mended_model_explains_is_not_told(tmp_path):
     trials = arm(count=COUNT, seed=5)
     trials[3] = tripped(trials[3])
