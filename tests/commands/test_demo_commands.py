@@ -12,9 +12,10 @@ from adaptsim_jax.commands import compare as compare_command
 from adaptsim_jax.commands import train as train_command
 from adaptsim_jax.commands.common import task_word
 from adaptsim_jax.commands.demo_config import FULL, HINGE, PENDULUM, SHORT, commands
+from tests.commands.test_demo import SIZES
 
 
-@pytest.mark.parametrize("sizes", [SHORT, FULL])
+@pytest.mark.parametrize("sizes", [SHORT, FULL, SIZES])
 def test_its_commands_ask_for_the_same(tmp_path, sizes):
     args = {k: parse(shlex.split(line)[1:]) for k, line in commands(tmp_path, 5, sizes).items()}
     assert train_command.config_of({}, args["train"]) == replace(sizes.train, seed=5)

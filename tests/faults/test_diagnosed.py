@@ -22,16 +22,18 @@ def diagnosed(tmp_path, trials, *more):
 
 
 COULOMB = 0.06
+CLASS = pytest.mark.xfail(reason="named right, by its size, and told as a class with friction_drift and stribeck")
 
 
 def names_the_friction(report):
-    """Coulomb friction at joint 2 by its size, and nothing else (where it slides alone, drift and Stribeck do as well)."""
-    assert report["verdict"] in ("explained", "explained_class"), report["message"]
+    """Coulomb friction at joint 2 by its size, and nothing else."""
+    assert report["verdict"] == "explained", report["message"]
     (effect,) = report["effects"]
     assert (effect["name"], effect["where"]) == ("coulomb", "joint2")
     assert effect["parameters"]["level"]["value"] == pytest.approx(COULOMB, rel=0.05)
 
 
+@CLASS
 def test_friction_is_named_whatever_files_are_called_and_the_terminal_takes(tmp_path):
     """Names with brackets, quotes and spaces, and a pipe that takes ASCII alone."""
     data = write(tmp_path / "data", arm(count=6, coulomb=COULOMB))
@@ -48,7 +50,7 @@ def test_friction_is_named_whatever_files_are_called_and_the_terminal_takes(tmp_
     assert "4 &lt;b&gt;x" in page and "4 <b>x" not in page
 
 
-@pytest.mark.parametrize("lost", [0, 4])
+@pytest.mark.parametrize("lost", [pytest.param(0, marks=CLASS), 4])
 def test_friction_is_named_where_angles_wrap_and_rows_are_lost_just_there(tmp_path, lost):
     trials = [wrapped(c, lost) for c in arm(count=6, scale=3.0, coulomb=COULOMB)]
     assert sum(len(c["time"]) < 250 for c in trials) >= 2 or not lost
@@ -99,13 +101,24 @@ def late(c, share):
     return out
 
 
-def test_readings_that_are_late_are_told_by_how_much(tmp_path):
-    """8 ms of rows of 10: a delay of the sensors or of the command, or the class of both; 2 ms are how a log is read."""
-    report, _ = diagnosed(tmp_path, [late(c, 0.8) for c in arm(count=6)])
+@pytest.mark.xfail(
+    reason="of four short trials: 8 ms are told in a warning and not named (p 0.02); 2 ms are a note on how the log is read"
+)
+@pytest.mark.parametrize("ms", [8.0, 2.0])
+def test_readings_that_are_late_are_told_by_how_much(tmp_path, ms):
+    """8 or 2 ms of rows of 10: a delay of the sensors or of the command, or the class of both."""
+    report, _ = diagnosed(tmp_path, [late(c, ms / 10.0) for c in arm()])
     assert {e["name"] for e in report["effects"]} <= {"delay", "sensor_delay"} and report["effects"], report["message"]
     assert [1e3 * e["parameters"]["delay"]["value"] for e in report["effects"]] == pytest.approx(
-        [8.0] * len(report["effects"]), rel=0.1
+        [ms] * len(report["effects"]), rel=0.1
     )
-    assert any("late" in w for w in report["warnings"])
+    assert ms < 5.0 or any("late" in w for w in report["warnings"])
+
+
+def test_late_readings_of_six_trials_are_named_and_little_is_how_a_log_is_read(tmp_path):
+    report, _ = diagnosed(tmp_path, [late(c, 0.8) for c in arm(count=6)])
+    assert {e["name"] for e in report["effects"]} <= {"delay", "sensor_delay"} and report["effects"], report["message"]
+    sizes = [1e3 * e["parameters"]["delay"]["value"] for e in report["effects"]]
+    assert sizes == pytest.approx([8.0] * len(sizes), rel=0.02) and any("late" in w for w in report["warnings"])
     report, _ = diagnosed(tmp_path / "little", [late(c, 0.2) for c in arm(count=6)])
     assert report["effects"] == [] and any(n.startswith("Commands act 2 ms after their row") for n in report["notes"])
