@@ -15,8 +15,8 @@ from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.examine import Examined, examine, report_of
-from adaptsim_jax.attribution.inertias_told import otherwise
+from adaptsim_jax.attribution.examine import Examined, examine, report_of, told_of
+from adaptsim_jax.attribution.inertias_told import named_by, otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
@@ -24,7 +24,17 @@ from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Ve
 from adaptsim_jax.attribution.problem import Problem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
-from adaptsim_jax.attribution.servo import calibrated, friction_first, servo_entries, servo_notes, servo_rows, span_of
+from adaptsim_jax.attribution.select import declared as fitted_null
+from adaptsim_jax.attribution.servo import (
+    calibrated,
+    friction_first,
+    servo_entries,
+    servo_notes,
+    servo_rows,
+    span_of,
+    still_off,
+    with_gains,
+)
 from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
@@ -78,19 +88,30 @@ def diagnose(
         horizon = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     machine = scaled(machine, horizon)
     declared = machine
-    machine, off = calibrated(machine, horizon)
-    horizon = span_of(machine, off, horizon) if off and yardstick is None else horizon
+    machine, off = calibrated(declared, horizon)
     folder = None if out is None else cleared(output_folder(out))
     keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
-    report, evidence, whole = examined(
-        machine, criteria or Criteria(), horizon, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
-        narrow=lambda vector: vector.with_entries(servo_entries(off)),
-        first=(lambda problem, null: friction_first(problem, null, off)) if off else None,
-    )  # fmt: skip
+    while True:
+        span = span_of(machine, off, horizon) if off and yardstick is None else horizon
+        report, evidence, whole = examined(
+            machine, criteria or Criteria(), span, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
+            narrow=lambda vector, off=off: vector.with_entries(servo_entries(off)),
+            first=(lambda problem, null, off=off: friction_first(problem, null, off)) if off else None,
+            filed=declared if off else None,
+        )  # fmt: skip
+        stays = still_off(machine, off, whole.found.final.fit.vector)
+        if len(stays) == len(off):
+            break
+        say(0.05, 1.0, "again with the gains of the file, to which the fit came back")
+        machine, off = with_gains(declared, stays), stays
     problem, found = whole.problem, whole.found
-    report["notes"] += [*otherwise(report["declared"]["after"]), *gains_told(machine), *lost(machine, problem, found)]
+    unlike = otherwise(report["declared"]["after"])
+    report["notes"] += [*unlike, *gains_told(machine), *lost(machine, problem, found)]
     report["notes"] += servo_notes(machine, declared, off)
     with_rows(report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread))
+    if unlike and report["verdict"] == "within_noise":
+        report["unlike_file"] = unlike[0]
+        report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
@@ -114,8 +135,10 @@ def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
         remains = report["verdict"] in ("structured_unattributed", "partly_explained")
         report["verdict"] = "partly_explained" if remains else report["verdict"]
         report["verdict"] = "explained" if report["verdict"] == "within_noise" else report["verdict"]
-        where = ", ".join(f"{row['where']} {row['parameters']['kp']['value']:.3g}" for row in rows)
-        report["message"] = f"kp is not the file's: {where} N m/rad. {report['message']}"
+        sizes = [(row["where"], row["parameters"]["kp"]) for row in rows]
+        where = ", ".join(f"{joint} {kp['value']:.3g} {kp['unit']}" for joint, kp in sizes)
+        rest = report["message"].replace("Nothing need be added", "Nothing more need be added")
+        report["message"] = f"kp is not the file's: {where}. {rest}"
 
 
 def mjcf_files(machine: Machine, whole: Examined, criteria: Criteria) -> dict[str, Callable[[], str]]:
@@ -141,11 +164,13 @@ def examined(
     yardstick: str | None = None,
     torques: bool = True,
     first: Callable[[Problem, Vector], Hint] | None = None,
+    filed: Machine | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Examined]:
     """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is fitted, what is kept; effects: the
     catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes;
     yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at; first: makes
-    what the search goes on from."""
+    what the search goes on from; filed: the machine by the gains of its file, where `machine` has others: what the declared model
+    leaves is told of it."""
     fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
     fitted = (*fitted, "position_gain") if machine.servo_times else fitted
     known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
@@ -153,12 +178,7 @@ def examined(
     if strange := sorted(set(exclude) - names):
         raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
     chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
-    problem = prepare(
-        machine.tree, machine.tracks, chosen, machine.actuator, machine.gear, horizon, declared=machine.declared,
-        look_back=LOOK_BACK, ties=machine.ties,
-    )  # fmt: skip
-    names = machine.tree.joint_names
-    problem = replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
+    problem = posed(machine, chosen, horizon)
     step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows
     say(0.05, 1.0, "declared model")
     with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
@@ -167,8 +187,23 @@ def examined(
         factor = factor_of(machine.log.meta) if torques else None
         hint = first(problem, null) if first else None
         found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor, hint)
+        if filed is not None:
+            before = posed(filed, chosen, horizon)
+            found = told_of(found, fitted_null(before, declared_vector(filed, before), criteria), horizon)
+        elif not found.found.named:  # how rows are read is no mend: the declared model is what it is with it
+            found = told_of(found, found.found.final, horizon)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
+
+
+def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> Problem:
+    """The problem of a machine in stretches of `horizon` s."""
+    problem = prepare(
+        machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared,
+        look_back=LOOK_BACK, ties=machine.ties,
+    )  # fmt: skip
+    names = machine.tree.joint_names
+    return replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
 
 
 def factor_of(meta: Any) -> float:

@@ -198,6 +198,12 @@ def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Any]
     return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
 
 
+def told_of(e: Examined, null: Model, horizon: float) -> Examined:
+    """With `null` as the model of which the report says what it leaves."""
+    before = e.before | _simulated(e.problem, null, horizon)
+    return replace(e, found=replace(e.found, null=null), before=before)
+
+
 def report_of(
     machine: Machine, e: Examined, criteria: Criteria, horizon: float
 ) -> tuple[dict[str, Any], dict[str, Any]]:

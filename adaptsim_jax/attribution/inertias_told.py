@@ -109,6 +109,16 @@ def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
     return [f"Unlike the model file, by these data: {', '.join(told)}."] if told else []
 
 
+def named_by(unlike: str) -> str:
+    """What has it named that fitted bodies or damping take up. unlike: a note of `otherwise`."""
+    key, like = (
+        ("inertias", "a load that the file does not know")
+        if " mass " in unlike or "inertia" in unlike or "moment" in unlike
+        else ("damping", "a bearing or a grease that is not the file's")
+    )
+    return f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it is named as an effect."
+
+
 def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Covariance [P, P] of the vector by data and prior together, and the prior's standard deviations [P] (0 where it has none)."""
     lin, vector = model.lin, model.fit.vector

@@ -55,7 +55,7 @@ def reported(
         declared={"before": _declared(machine, problem, found.null), "after": after_rows},
         fit_coordinates={"before": _coordinates(problem, found.null), "after": _coordinates(problem, found.final)},
         not_established=doubts(problem, found), remaining=remaining,
-        notes=[*log.notes, *machine.notes, *unused(machine), *standing(machine), *fixed, *soft_friction(named, kind, over),
+        notes=[*log.notes, *machine.notes, *unused(machine), *standing(machine), *fixed, *soft_friction(problem, named, kind, over),
                *read_so(problem, found),
                *shorter(found, criteria, horizon)],
         stages=[{"added": [f"{c.effect} at {place(problem, c)}" for c in m.added], "error": _numbers(held_error(problem, m))}
@@ -128,7 +128,6 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
 
 def _error(problem: Problem, found: Selection, before, after, noise, floor: float, horizon: float) -> dict[str, Any]:
     rng = np.random.default_rng(0)
-    some = bool(found.named)
     pair = lambda pick: {"before": float(np.median(pick(before))), "after": float(np.median(pick(after)))}
     channels = {}
     for j, name in enumerate(problem.joint_names):
@@ -142,12 +141,13 @@ def _error(problem: Problem, found: Selection, before, after, noise, floor: floa
             per_trial.append({"trial": name, **pair(lambda e, mine=mine: e[mine]), "per_channel": own})
     draws = rng.integers(0, len(before), (400, len(before)))
     interval = lambda e: [float(z) for z in np.quantile([np.median(e[d]) for d in draws], [0.025, 0.975])]
-    hinge = all(k == "hinge" for k in problem.kinds)
+    kinds = set(problem.kinds)
+    unit = "rad" if kinds == {"hinge"} else "m" if kinds == {"slide"} else "1"
     return {
         "metric": f"median over left-out stretches of {horizon:g} s and joints of the RMS error of simulated angles, starts fitted",
-        "unit": "rad" if hinge else "1", "stretch_s": horizon, **pair(lambda e: e), "noise_floor": floor, "ceiling": None,
+        "unit": unit, "stretch_s": horizon, **pair(lambda e: e), "noise_floor": floor, "ceiling": None,
         "per_channel": channels, "per_trial": per_trial, "noise_floor_source": "third differences of the angles",
-        "intervals": {"before": interval(before), "after": interval(after) if some else interval(before)},
+        "intervals": {"before": interval(before), "after": interval(after)},
     }  # fmt: skip
 
 
@@ -161,7 +161,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
             why[s.candidate.effect, s.candidate.joints] = (
                 f"{s.action}: {s.why} (held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g})"
             )
-    total = max(found.null.fit.total, 1e-12)
+    total = max(found.stages[0].fit.total, 1e-12)
     other = "predicts left-out trials less well than what was chosen" if names else "no clear gain on left-out trials"
     row = lambda c, gain, p, status, why: {
         "name": c.effect, "where": place(problem, c), "held_out_gain": float(np.clip(gain, -1.0, 1.0)), "p_value": float(p),

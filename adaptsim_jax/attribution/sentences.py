@@ -12,6 +12,7 @@ from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 SURE = 3.0  # times its standard error, from which on the step is told by which damping acts late
+READ = "Read so; no effect is named for it. model.toml keeps it, for which model.xml has no place."
 SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
 
 
@@ -56,13 +57,14 @@ def message(
 def _found(
     problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool, explained: float
 ) -> str:
-    unit = "mrad" if all(k == "hinge" for k in problem.kinds) else "10^-3 rad or m"
+    kinds = set(problem.kinds)
+    unit = "mrad" if kinds == {"hinge"} else "mm" if kinds == {"slide"} else "10^-3 rad or m"
     size = lambda e: f"{1e3 * np.median(e):.3g}"
     median = np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)
     worst = int(np.argmax(median))
     many = f", most of it at {problem.joint_names[worst]}" if over > explained and problem.joints > 1 else ""
     if not found.named:
-        told = f"{_model(found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
+        told = f"{_model(problem, found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
         if over <= explained:
             return f"{told}." if odd else f"{told}. Nothing need be added."
         at = f"{many} ({median[worst]:.0f} times)" if many else ""
@@ -80,14 +82,18 @@ def _found(
     return f"{told}. {rest}{many}."
 
 
-def _model(found: Selection) -> str:
-    filed = all(e.owner not in (INERTIA, "viscous") for e in found.null.fit.vector.entries)
-    return "The model file as it is" if filed else "The declared model, fitted,"
+def _model(problem: Problem, found: Selection) -> str:
+    if any(e.owner in (INERTIA, "viscous") for e in found.final.fit.vector.entries):
+        return "The declared model, fitted,"
+    read = read_so(problem, found)
+    return "The model file as it is, rows read as the notes say," if read else "The model file as it is"
 
 
 def _closest(problem: Problem, found: Selection) -> str:
     """The candidates that a score test favours, where none holds out."""
-    near = [s for s in found.first if s.p * len(found.first) < 0.01 and s.held_out > 0.05 * found.null.fit.total][:3]
+    near = [s for s in found.first if s.p * len(found.first) < 0.01 and s.held_out > 0.05 * found.stages[0].fit.total][
+        :3
+    ]
     names = ", ".join(f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}" for s in near)
     return f" Closest by a linear test, though no fit bears them out: {names}." if near else ""
 
@@ -118,8 +124,10 @@ def standing(machine: Machine) -> list[str]:
     ]
 
 
-def soft_friction(named: tuple[Named, ...], kind: str, over: float) -> list[str]:
-    """That a simulated log may be the reason why a little more is left."""
+def soft_friction(problem: Problem, named: tuple[Named, ...], kind: str, over: float) -> list[str]:
+    """That a simulated log may be the reason why a little more is left, where friction is not simulated as soft as the file has it."""
+    if any(np.any(g.model.tree.rub) for g in problem.groups):
+        return []
     if kind != "partly_explained" or over > SOFT or all(n.candidate.effect != "coulomb" for n in named):
         return []
     return [
@@ -145,7 +153,7 @@ def _implicit(found: Selection) -> list[str]:
     steps = sorted(steps, key=abs)[-1:]  # groups of joints that share no body have one each
     return [
         f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms {'later' if z > 0 else 'earlier'}: "
-        "as the steps of a simulator or of a controller make it. Read so; no effect is named for it."
+        f"as the steps of a simulator or of a controller make it. {READ}"
         for z in steps
     ]
 
@@ -163,7 +171,9 @@ def _early_commands(problem: Problem, found: Selection) -> list[str]:
             f"{-at:.2g} ms before {apart}: they changed between rows, by a faster controller, or were logged that late"
         )
         late = f"{at:.2g} ms after {apart}, or angles were logged that late: less than the log resolves"
-        return [f"Commands act {early if at < 0.0 else late}. Read so; no effect is named for it."]
+        return [
+            f"Commands act {early}. {READ}" if at < 0.0 else f"Commands act {late}. Read so; no effect is named for it."
+        ]
     return [
         "a delay below zero is the log's, not the machine's: commands were logged late, or changed between two rows (of a controller "
         "that runs faster than its log, half of the difference of both intervals)"

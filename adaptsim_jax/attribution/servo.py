@@ -5,6 +5,7 @@ judged
 about it. So the gains come first, as the torque of a volt does of a drive whose constant nobody wrote down.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from adaptsim_jax.attribution.score import Candidate, entries_of
 
 SPANS = (0.5, 1.0, 2.0, 4.0)  # s
 RUBS = "coulomb"
+GAIN = "position_gain"
 WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
 
 
@@ -32,21 +34,37 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
         machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
     )
     found = [s for b in balances(problem, machine.tracks, trusted=False) for s in servos(problem, b)]
+    file = {s.joint: -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
+    far = lambda s: s.apart > TOLD and not _near(s.kp / file[s.joint])
+    off = [s for s in found if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and far(s)]
+    return with_gains(machine, off), tuple(off)
+
+
+def _near(times: float) -> bool:
+    """Whether a gain is so near to the file's, of which it is `times`, that the search tells it as any other effect."""
+    return 1 / TIMES < times < TIMES
+
+
+def with_gains(machine: Machine, off: Sequence[Servo]) -> Machine:
+    """With the gains of `off`."""
+    if not off:
+        return machine
     law = machine.actuator.copy()
     damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
-    file = {s.joint: -law[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
-    far = lambda s: s.apart > TOLD and not 1 / TIMES < s.kp / file[s.joint] < TIMES
-    off = [s for s in found if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and far(s)]
+    times = {s.joint: float(s.kp / (-law[2, s.joint] * machine.gear[s.joint] ** 2)) for s in off}
     for s in off:
-        times = s.kp / file[s.joint]
-        law[:3, s.joint] *= times
+        law[:3, s.joint] *= times[s.joint]
         law[3, s.joint] = 0.0  # what damps is one with the joint's own friction
         damping[s.joint] = s.damping
-    if not off:
-        return machine, ()
-    times = {s.joint: float(s.kp / file[s.joint]) for s in off}
     declared = machine.declared | {("viscous", "damping"): damping}
-    return replace(machine, actuator=law, declared=declared, servo_times=times), tuple(off)
+    return replace(machine, actuator=law, declared=declared, servo_times=times)
+
+
+def still_off(machine: Machine, off: tuple[Servo, ...], final: Vector) -> tuple[Servo, ...]:
+    """Those of `off` whose gains the whole fit leaves far from the file's. A regression of command errors can be misled (by a payload,
+    for one), and a gain that the fit brings back is the file's."""
+    left = {e.joints[0]: 1.0 + float(z) for e, z in zip(final.entries, final.values, strict=True) if e.owner == GAIN}
+    return tuple(s for s in off if not _near(machine.servo_times[s.joint] * left.get(s.joint, 1.0)))
 
 
 def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
@@ -69,7 +87,7 @@ def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
 
 def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
     """What is fitted of such gains whatever is named."""
-    return [Entry("position_gain", "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
+    return [Entry(GAIN, "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
 
 
 def friction_first(problem: Problem, null: Vector, off: tuple[Servo, ...]) -> tuple[Vector, tuple[Candidate, ...]]:
@@ -90,7 +108,7 @@ def servo_rows(
 ) -> list[dict[str, Any]]:
     """Rows of the report's effects: kp as fitted, with its interval, beside the file's."""
     rows = []
-    at = {e.joints[0]: i for i, e in enumerate(final.entries) if e.owner == "position_gain"}
+    at = {e.joints[0]: i for i, e in enumerate(final.entries) if e.owner == GAIN}
     for s in off:
         name = machine.tree.joint_names[s.joint]
         gain, wide = (float(final.values[at[s.joint]]), float(spread[at[s.joint]])) if s.joint in at else (0.0, 0.0)
@@ -105,12 +123,16 @@ def servo_rows(
         if not s.scale:
             told += ". Only ratios to it are fixed by these data: no weight or inertia gives the scale at this joint"
         rows.append({
-            "name": "position_gain", "where": name, "joints": [name],
-            "parameters": {"kp": ends | {"unit": "N m/rad", "meaning": told}},
+            "name": GAIN, "where": name, "joints": [name],
+            "parameters": {"kp": ends | {"unit": _unit(machine, s.joint), "meaning": told}},
             "physics": "the stiffness of the position controller is not the file's", "alternatives": [],
             "held_out_gain": 1.0 - (s.left / s.file) ** 2, "p_value": s.p,
         })  # fmt: skip
     return rows
+
+
+def _unit(machine: Machine, joint: int) -> str:
+    return "N/m" if machine.tree.kinds[joint] == "slide" else "N m/rad"
 
 
 def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> list[str]:
@@ -119,10 +141,10 @@ def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> 
         return []
     kp = lambda m, j: -m.actuator[2, j] * m.gear[j] ** 2
     each = ", ".join(
-        f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} (file {kp(declared, s.joint):.4g}"
+        f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} {_unit(machine, s.joint)} (file {kp(declared, s.joint):.4g}"
         + ("" if s.scale else "; only a ratio is told") + ")"
         for s in off
     )  # fmt: skip
     return [
-        f"kp by the command error along the motion, N m/rad, before the fit: {each}. kv of the file is in the joints' damping."
+        f"kp by the command error along the motion, before the fit: {each}. kv of the file is in the joints' damping."
     ]

@@ -144,7 +144,7 @@ def _verdict(report: Mapping) -> str:
         found = f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
         return f"{found} something more that no candidate explains." if names else f"{found} no candidate explains it."
     return {
-        "within_noise": _nothing_more(report["error"]),
+        "within_noise": _nothing_more(report),
         "underpowered": "These data cannot decide whether the declared model is complete.",
         "data_fault": "The data must be mended before a model can be judged.",
     }[verdict]
@@ -158,11 +158,12 @@ def _rest(error: Mapping) -> str:
     return f", yet {after / floor:.0f} times the sensors' noise is left: its size is not sure"
 
 
-def _nothing_more(error: Mapping) -> str:
+def _nothing_more(report: Mapping) -> str:
     """`within_noise` in a sentence: a torque that wanders by chance may leave many times what the sensors do."""
-    before, floor = error.get("before"), error.get("noise_floor")
+    before, floor = report["error"].get("before"), report["error"].get("noise_floor")
     if before is None or not floor or before < LOUD * floor:
-        return "The declared model explains these data to within the noise."
+        unlike = ", with fitted values unlike its file's," if report.get("unlike_file") else ""
+        return f"The declared model{unlike} explains these data to within the noise."
     return f"The declared model leaves {before / floor:.0f} times the sensors' noise, and nothing in it but chance was found."
 
 
@@ -233,6 +234,8 @@ def todo(report: Mapping) -> str:
             f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % better than what needs no model. "
             "Look where the rest sits."
         )
+    if report["verdict"] == "within_noise" and not report["declared"]["after"]:
+        return "Add no effect, and keep the file's values: nothing was fitted."
     return NEXT[report["verdict"]] + (" See the next experiment below." if there and not nameless else "")
 
 
