@@ -116,7 +116,9 @@ def named_by(unlike: str) -> str:
         if " mass " in unlike or "inertia" in unlike or "moment" in unlike
         else ("damping", "a bearing or a grease that is not the file's")
     )
-    return f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it is named as an effect."
+    return (
+        f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it is named as an effect."
+    )
 
 
 def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:

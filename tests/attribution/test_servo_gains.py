@@ -8,9 +8,12 @@ import pytest
 
 from adaptsim_jax.attribution import servo
 from adaptsim_jax.attribution.diagnose import diagnose, with_rows
+from adaptsim_jax.attribution.equation import commands
+from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.sentences import soft_friction
 from adaptsim_jax.report.diagnosis_words import headline, todo
+from tests.attribution.test_equation import SERVO, prepared, servo_log
 
 BELT = """<mujoco><option timestep="0.001"/><worldbody><body name="carriage">
 <joint name="belt" type="slide" axis="1 0 0" damping="4"/><geom type="box" size=".05 .05 .03" mass="0.8"/></body></worldbody>
@@ -77,3 +80,21 @@ def test_where_nothing_was_fitted_no_fitted_value_is_recommended():
     assert "keep the file's values" in todo(report)
     assert "unlike its file's" not in headline(report)
     assert "unlike its file's" in headline(report | {"unlike_file": "mass 2 kg (file 1)"})
+
+
+def test_a_limit_that_the_file_lacks_is_no_softer_servo(tmp_path):
+    """What its command errors show is told by the file's gains, cut off, far better than by any others."""
+    own = {"kp": 30.0, "kv": 2.0, "friction": 0.0}
+    folder = servo_log(tmp_path / "servo", **own, limit='forcerange="-0.4 0.4"')
+    (folder / "model.xml").write_text(SERVO.format(**own, limit=""))
+    machine, problem, _ = prepared(folder)
+    (every,) = balances(problem, machine.tracks, trusted=False)
+    (found,) = commands.servos(problem, every)
+    assert found.file < 0.2 * found.left
+    assert servo.calibrated(machine, 0.5)[1] == ()
+
+
+def test_a_limit_is_told_from_a_gain():
+    asked, clear = 10.0 * np.sin(np.linspace(0.0, 20.0, 500)), np.ones(500)
+    assert np.abs(commands._limited(asked, np.clip(asked, -4.0, 4.0), clear)).max() < 0.1
+    assert np.sqrt(np.mean(np.square(commands._limited(asked, 0.3 * asked, clear)))) > 0.5

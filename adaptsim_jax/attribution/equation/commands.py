@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import Balance, actuator_force
+from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of, means
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
@@ -21,9 +21,7 @@ SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
 STUCK = 0.1  # of its command's motion, below which a joint does not follow it
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
-CLIPPED = (
-    0.01  # of an actuator's largest force, by which its law would be beyond what it does, were it not for its limits
-)
+LIMITS = np.linspace(0.3, 1.0, 15)  # quantiles of the torque that a motion needs, at which a limit may lie
 MISSED = 0.1  # of the command errors, that the file's gains must leave at least: what is less is for the search to tell
 LESS = 0.7  # of what the file's gains leave of the command errors, that others must leave at most to be taken
 
@@ -58,7 +56,6 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     takes = balance.regressor @ values.inertial[..., 0].ravel() - balance.known
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
     speed, sign = balance.averaged(balance.v), balance.averaged(balance.sign)
-    acts = balance.averaged(actuator_force(balance, values)[0])
     out = []
     usual = []
     for k, j in enumerate(balance.group.joints):
@@ -80,10 +77,11 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
             usual.append(1.0 / (x[0] * kp))
         needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]
         file = error - (needs + kv * speed[:, k]) / kp
-        if scale and np.any(np.abs(kp * error - kv * speed[:, k] - acts[:, k]) > CLIPPED * np.abs(acts[:, k]).max()):
-            file = np.minimum(
-                np.abs(file), np.abs(acts[:, k] - needs) * x[0]
-            )  # at its limits the error says nothing of kp
+        if scale:
+            size = lambda z, k=k: np.average(np.square(z), weights=balance.clear[:, k])
+            # at a limit, the file's or another, the error says nothing of kp
+            limited = x[0] * _limited(kp * error - kv * speed[:, k], needs, balance.clear[:, k])
+            file = limited if size(limited) < min(size(file), size(left)) else file
         p = _better(balance, file, left)
         sizes = [float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k]))) for z in (error, left, file)]
         apart = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
@@ -95,6 +93,13 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
         made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), float(apart), error, left, file, p))
     return made
+
+
+def _limited(asked: np.ndarray, needs: np.ndarray, clear: np.ndarray) -> np.ndarray:
+    """What a motion needs, less what the file's gains ask for, cut off at a limit [N m]: at the level that leaves least."""
+    levels = np.quantile(np.abs(needs), LIMITS)
+    left = np.abs(np.clip(asked, -levels[:, None], levels[:, None]) - needs)
+    return left[int(np.argmin(np.average(np.square(left), axis=1, weights=clear)))]
 
 
 def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.ndarray):
