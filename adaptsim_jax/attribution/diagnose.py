@@ -27,6 +27,7 @@ from adaptsim_jax.attribution.select import Hint
 from adaptsim_jax.attribution.select import declared as fitted_null
 from adaptsim_jax.attribution.servo import (
     calibrated,
+    damped_by_file,
     friction_first,
     servo_entries,
     servo_notes,
@@ -105,6 +106,7 @@ def diagnose(
         say(0.05, 1.0, "again with the gains of the file, to which the fit came back")
         machine, off = with_gains(declared, stays), stays
     problem, found = whole.problem, whole.found
+    damped_by_file(report["declared"]["after"], declared, off)
     unlike = otherwise(report["declared"]["after"])
     report["notes"] += [*unlike, *gains_told(machine), *lost(machine, problem, found)]
     report["notes"] += servo_notes(machine, declared, off)

@@ -131,6 +131,14 @@ def servo_rows(
     return rows
 
 
+def damped_by_file(rows: dict[str, dict[str, Any]], declared: Machine, off: Sequence[Servo]) -> None:
+    """Put kv of the file to the damping that rows of fitted ones have beside them: of servos with gains of their own both are one."""
+    for s in off:
+        kv = -declared.actuator[3, s.joint] * declared.gear[s.joint] ** 2
+        if row := rows.get(f"damping of {declared.tree.joint_names[s.joint]}"):
+            row["file"] += float(kv)
+
+
 def _unit(machine: Machine, joint: int) -> str:
     return "N/m" if machine.tree.kinds[joint] == "slide" else "N m/rad"
 

@@ -62,6 +62,9 @@ def test_a_gain_that_stays_far_from_the_files_is_told_in_its_own_unit(belt):
     (row,) = servo.servo_rows(found, machine, (own,), at(0.5), np.array([0.01]))
     kp = row["parameters"]["kp"]
     assert kp["unit"] == "N/m" and kp["value"] == pytest.approx(60.0) and "400" in kp["meaning"]
+    rows = {"damping of belt": {"value": 24.1, "file": 4.0}}
+    servo.damped_by_file(rows, machine, (own,))
+    assert rows["damping of belt"]["file"] == pytest.approx(24.0)  # kv is 20
     report = {"effects": [], "verdict": "within_noise", "message": "It simulates. Nothing need be added."}
     with_rows(report, [row])
     assert report["message"] == "kp is not the file's: belt 60 N/m. It simulates. Nothing more need be added."
