@@ -32,6 +32,9 @@ FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3
 UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}
 WILD = 30.0
 """Times that all torques are those of the declared masses from which on that is refused; below `NEAR` not a word is said."""
+ANGLES = ((180.0 / np.pi, "radians, not degrees", "rad"), (np.pi / 180.0, "degrees, not radians", "deg"))
+SAME, SLIGHT = 1.5, 0.01
+"""Times the share of the torque's square, and beyond that, that angles in another unit may leave to be told."""
 ALIKE = 0.99
 
 
@@ -88,10 +91,42 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     unit = f" ({UNITS[near]}?)" if 1.0 / NEAR < found.scale / near < NEAR else ""
     times = f"{float(f'{found.scale:.2g}'):g} times those that the masses of {machine.mechanism.path} need"
     says = f"the torques that make this motion are {times}{unit}"
-    mend = "write masses in kg and torques in N m, or the torques' unit under [units]"
+    mend = f"write masses in kg and torques in N m, or {_torque_unit(machine, found.scale)}"
+    if angle := _angle_unit(machine, motion, declared, found.left):
+        says = f"{says}; they are of the right size if the angles are in {angle[0]}"
+        keys = [key for key, unit in machine.log.meta.units.items() if unit in ("deg", "rad")] or ["angle"]
+        lines = " and ".join(f'{key} = "{angle[1]}"' for key in keys)
+        mend = f"write {lines} under [units] in meta.toml; or else {mend}"
     if 1.0 / WILD < found.scale < WILD:
         return (Finding("masses", "warn", "", "masses", f"{says}; {mend}", found.scale),)
     raise BadInput(f"{machine.log.path}: {says}; {mend}; {AS_DECLARED}")
+
+
+def _torque_unit(machine: Machine, scale: float) -> str:
+    """What to write where logged torques are `scale` times too large, by what they are called in the log."""
+    tree, log = machine.tree, machine.log
+    driven = {tree.kinds[tree.joint_names.index(name)] for name in log.driven if name in tree.joint_names}
+    quantities = [name for kind, name in (("hinge", "torque"), ("slide", "force")) if kind in driven]
+    keys = ["ctrl"] if log.input_kind == "command" else quantities or ["torque"]
+    number = f"{float(f'{1.0 / scale:.3g}'):g}"
+    known = any(key in log.meta.units for key in keys)
+    lines = " and ".join(key if known else f"{key} = {number}" for key in keys)
+    return f"{'the commands' if keys == ['ctrl'] else 'the torques'}' unit under [units] ({lines})"
+
+
+def _angle_unit(machine: Machine, motion: Motion, declared: Design, left: float) -> tuple[str, str] | None:
+    """In words, and for `[units]`, the unit of all angles of hinges that brings the torques to their size, explaining no less."""
+    hinges = np.array([kind == "hinge" for kind in machine.tree.kinds])
+    if not hinges.any():
+        return None
+    for factor, words, unit in ANGLES:
+        size = np.where(hinges, factor, 1.0)
+        other = linear_fit(
+            replace(motion, q=motion.q * size, v=motion.v * size, a=motion.a * size), declared, first=machine.tree.n
+        )
+        if other.left <= SAME * left + SLIGHT and 1.0 / NEAR < other.scale < NEAR:
+            return words, unit
+    return None
 
 
 def mechanism_trials(machine: Machine) -> Differ | None:

@@ -34,7 +34,9 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in kept])
     log_trials = tuple(_trial(columns, names, meta, inputs, kept) for columns in trials)
     log_trials, evened = _evened(log_trials)
-    suspected = scales + check_log_units(log_trials, names.only(kept), meta.units)
+    headed = tuple(dict.fromkeys(note for columns in trials for note in columns.notes))
+    known = {names.joints[j] for columns in trials for j in columns.declared}
+    suspected = headed + scales + check_log_units(log_trials, names.only(kept), meta.units, known)
     turns = [columns.raw.name for columns in trials if columns.turns]
     turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
     return Log(
@@ -203,7 +205,7 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
             if name not in names.joints:
                 raise BadInput(f"{meta.path}: commands.{key} names {name!r}, no joint; {suggest(name, names.joints)}")
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
-    stems = ("q", "v", "tau", "target", "u", "i", "tau_commanded")
+    stems = ("q", "v", "tau", "target", "ctrl", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
     for table, given in (("units", meta.units), ("noise", meta.noise)):
         for name in given:

@@ -41,15 +41,16 @@ class Begun:
 def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is one, or no data."""
     folder = _folder(data, out)
-    names = names_of(str(model))[1] if model else None
+    told = model or _only_model(data)
+    names = names_of(str(told))[1] if model else _names_beside(told)
     columns, ros_topics, chosen = _columns(data, topics, names.joints if names else ())
-    found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
     arrays = next(map(_lists, _state_files(data)), {})
+    named = {ours: array for array, ours in arrays.items() if ours}
+    found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False, named)
     found = replace(
         found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
         ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
     )  # fmt: skip
-    told = model or _only_model(data)
     here = folder.resolve()
     text = meta_text(
         found,
@@ -94,6 +95,14 @@ def _only_model(data: Path) -> Path | None:
         return None
     found = [p for p in data.iterdir() if p.suffix.lower() in MODELS and p.is_file()]
     return found[0] if len(found) == 1 else None
+
+
+def _names_beside(model: Path | None) -> ModelNames | None:
+    """What a model file that nobody named has; None where it cannot be read."""
+    try:
+        return names_of(str(model))[1] if model else None
+    except BadInput:
+        return None
 
 
 def _from(path: Path, folder: Path) -> str:

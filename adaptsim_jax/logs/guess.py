@@ -1,4 +1,4 @@
-"""A `meta.toml` guessed from the data: which column is what, in which units. Every guess is marked as one.
+"""A `meta.toml` guessed from the data: which column is what, in which units (`unit_guess`). Every guess is marked as one.
 
 Nothing here decides anything for good: a person reads the text, mends it, and takes the marks away.
 """
@@ -13,13 +13,12 @@ import numpy as np
 
 from adaptsim_jax.core.config import dumps, nearest
 from adaptsim_jax.logs.columns import STEMS, TIME, role
+from adaptsim_jax.logs.headings import Heading, heading
 from adaptsim_jax.logs.log import ModelNames
-from adaptsim_jax.logs.log_checks import LARGE
-from adaptsim_jax.logs.quality.consistency import velocity_agreement
-from adaptsim_jax.logs.scales import Scale, scales_of
-from adaptsim_jax.logs.table_checks import SLOWEST
+from adaptsim_jax.logs.log_units import quantity_of, units_of
+from adaptsim_jax.logs.scales import Scale
+from adaptsim_jax.logs.unit_guess import Question, Units, guess_units
 
-TIME_STEPS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "angle": "q", "angles": "q", "positions": "q", "qpos": "q", "theta": "q", "state": "q",
     "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
@@ -28,38 +27,54 @@ WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
     "commands": "target", "targets": "target", "actions": "target",
     "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
 }  # fmt: skip
+STEM_OF_UNIT = {
+    unit: stem
+    for stem in ("q", "v", "tau", "u", "i")
+    for slides in (False, True)
+    for unit in units_of(quantity_of(stem, slides), slides)
+}
 TARGETS = {word for word, stem in WORDS.items() if stem == "target"}
 CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
 
 
 @dataclass(frozen=True)
 class Guess:
-    """`columns`: our name -> the file's, those that need it; `units`: quantity -> (unit, why), or a whole line of [units], known
-    but for words in capitals; `ignored`: columns."""
+    """`columns`: our name -> the file's, those that need it; `units`: see `unit_guess.guess_units`; `ignored`: columns."""
 
     columns: dict[str, str]
-    units: dict[str, tuple[str | Scale, str]]
+    units: Units
     ignored: tuple[str, ...]
     unknown_joints: tuple[str, ...]
 
 
-def guess(columns: dict[str, np.ndarray], model: ModelNames | None, lerobot: bool = False) -> Guess:
+def guess(
+    columns: dict[str, np.ndarray],
+    model: ModelNames | None,
+    lerobot: bool = False,
+    lists: Mapping[str, str] | None = None,
+) -> Guess:
     """What the columns of one trial (by the file's names, as written) seem to be. `model`: its joints, where known; lerobot: whether
-    they are of a LeRobot data set."""
+    they are of a LeRobot data set; lists: our stem -> the file's name of a list or array, whose places are columns by our name."""
     joints = model.joints if model else ()
     actuators = {a.name for a in (model.actuators or ())} if model else set()
     names: dict[str, str] = {}
     ignored: list[str] = []
     unknown: list[str] = []
     for name in columns:
-        told = role(name, joints)
+        read = heading(name, joints)
+        bare = (
+            name if role(name) is not None and role(name) == role(read.name) else read.name
+        )  # `time_s` is ours as it is
+        told = role(bare, joints)
         named = told and (told.joint in joints or (told.stem == "ctrl" and told.joint in actuators))
         known = told and (not isinstance(told.joint, str) or not joints or named)
-        ours = name if known else _ours(name, joints)
+        ours = bare if known else _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints)
+        ours = "time" if known and bare != name and told and told.stem == "time" else ours
         if ours is not None and ours not in names.values():
             names[name] = ours
         elif told and isinstance(told.joint, str):
-            unknown.append(name if told.joint in actuators else told.joint)  # ctrl_ACTUATOR is kept
+            # ctrl_ACTUATOR is kept; a joint is left out by its name as the reader tells it
+            unknown.append(name if told.joint in actuators or bare != name else told.joint)
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
@@ -68,9 +83,13 @@ def guess(columns: dict[str, np.ndarray], model: ModelNames | None, lerobot: boo
             names[clock] = "time"
             ignored = [name for name in ignored if name != clock]
     by_ours = {ours: columns[name] for name, ours in names.items()}
+    written = {ours: name for name, ours in names.items()}
+    for ours in by_ours:
+        if (found := role(ours, joints)) and (array := (lists or {}).get(found.stem)) and written[ours] == ours:
+            written[ours] = array
     return Guess(
         columns={ours: name for name, ours in names.items() if ours != name},
-        units=guess_units(by_ours, joints, lerobot, model),
+        units=guess_units(by_ours, joints, lerobot, model, written),
         ignored=tuple(ignored),
         unknown_joints=tuple(dict.fromkeys(unknown)),
     )
@@ -78,6 +97,7 @@ def guess(columns: dict[str, np.ndarray], model: ModelNames | None, lerobot: boo
 
 def array_name(name: str) -> str | None:
     """Our name of an array `[T, n]` such as `joint_positions`, whose columns are joints in order; None where it is none of ours."""
+    name = heading(name).name
     ours = name if role(name) else _ours(name, ())
     told = role(ours) if ours else None
     return ours if told and told.joint is None and told.stem not in ("time", "trial") else None
@@ -123,71 +143,19 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     return stem if len(joints) == 1 and not rest else None
 
 
+def _by_unit(read: Heading, joints: Sequence[str]) -> str | None:
+    """Our name of a column that is called as a joint and nothing else: what is measured, its unit tells (`elbow (Nm)`)."""
+    stem = STEM_OF_UNIT.get(read.unit or "")
+    inside = [joint for joint in joints if _tokens(joint) == [t for t in _tokens(read.name) if t != "joint"]]
+    return f"{stem}_{inside[0]}" if stem and len(inside) == 1 else None
+
+
 def _contains(tokens: list[str], part: list[str]) -> bool:
     return any(tokens[i : i + len(part)] == part for i in range(len(tokens) - len(part) + 1))
 
 
 def _increases(values: np.ndarray) -> bool:
     return bool(np.all(np.diff(values) > 0))
-
-
-def guess_units(
-    columns: dict[str, np.ndarray], joints: Sequence[str] = (), lerobot: bool = False, model: ModelNames | None = None
-) -> dict[str, tuple[str | Scale, str]]:
-    """Units that the numbers betray, and by what; a quantity that looks SI is not listed."""
-    out: dict[str, tuple[str | Scale, str]] = {}
-    time = next((columns[name] for name in TIME if name in columns), None)
-    scale = 1.0
-    if time is not None and len(time) > 2:
-        step = float(np.median(np.diff(time)))
-        name, scale = next(((n, s) for n, s in TIME_STEPS if step * s <= SLOWEST), TIME_STEPS[-1])
-        if name != "s":
-            out["time"] = (name, f"a row every {step:.4g}")
-    roles = {name: r for name in columns if (r := role(name, joints)) is not None}
-    angles = {r.joint: columns[name] for name, r in roles.items() if r.stem == "q"}
-    speeds = {r.joint: columns[name] for name, r in roles.items() if r.stem == "v"}
-    scales = _scales(columns, roles, joints, lerobot, model)
-    out |= {scale.line.partition(" ")[0]: (scale, scale.why) for scale in scales.values()}
-    angles = {joint: x for joint, x in angles.items() if str(joint) not in scales}
-    reach = max((float(np.nanmax(np.abs(q))) for q in angles.values() if np.isfinite(q).any()), default=0.0)
-    gain = None if time is None else _gain(time * scale, angles, speeds)
-    if gain is not None and abs(np.log(gain / (np.pi / 180))) < 0.1:
-        out |= {"angle": ("deg", "speeds fit rad/s, angles are 57 times larger"), "velocity": ("rad/s", "see angle")}
-    elif gain is not None and abs(np.log(gain / (180 / np.pi))) < 0.1:
-        out |= {"velocity": ("deg/s", "speeds are 57 times the angles' slopes")}
-    elif gain is not None and abs(np.log(gain * 2 * np.pi / 60)) < 0.1:
-        out |= {"velocity": ("rpm", "speeds are 9.5 times the angles' slopes")}
-    elif reach > LARGE:
-        out["angle"] = (
-            "deg",
-            f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times",
-        )
-    return out
-
-
-def _scales(
-    columns: dict[str, np.ndarray], roles: dict, joints: Sequence[str], lerobot: bool, model: ModelNames | None
-) -> dict[str, Scale]:
-    """Scales that are no units of angle, by joint as the columns name it."""
-    by_joint: dict[str, list[np.ndarray]] = {}
-    for name, found in roles.items():
-        if found.stem in ("q", "target") and found.joint is not None:
-            by_joint.setdefault(str(found.joint), []).append(columns[name])
-    ranges = {j: limits for k, j in enumerate(joints) if model and (limits := model.limits_of(k))}
-    return scales_of(by_joint, tuple(by_joint), lerobot, ranges)
-
-
-def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
-    """Logged speed over the slope of the angle, where joints agree on it."""
-    gains = []
-    for joint, v in speeds.items():
-        q = angles.get(joint)
-        if q is not None and np.isfinite(q).all() and np.isfinite(v).all() and len(q) > 20:
-            told = velocity_agreement(time, q, v)
-            gains += [told.gain] if told.enough and told.r2 > 0.9 and told.gain > 0 else []
-    if not gains or max(gains) > 1.2 * min(gains):
-        return None
-    return float(np.median(gains))
 
 
 # ---------------------------------------------------------------- the text
@@ -233,9 +201,16 @@ def meta_text(
             lines.append(
                 f"{'' if unit.known else '# '}{unit.line}   # guess: {why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}"
             )
+        elif isinstance(unit, Question):
+            lines.append(f"# {line(key, unit.unit)}   # guess, not taken: {why}")
         else:
             lines.append(f"{line(key, unit)}   # guess: {why}")
-    if "angle" not in found.units and not any(isinstance(unit, Scale) for unit, _ in found.units.values()):
+    only_slides = model_names is not None and set(model_names.joints) <= set(model_names.slides)
+    if (
+        "angle" not in found.units
+        and not only_slides
+        and not any(isinstance(unit, Scale) for unit, _ in found.units.values())
+    ):
         lines.append('# angle = "rad"   # guess: the numbers look like radians')
     lines += [
         "",

@@ -11,9 +11,10 @@ from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import finite_without_turns
 from adaptsim_jax.logs.columns import BASE, Role, role
+from adaptsim_jax.logs.headings import compared, said
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.log_units import ANGLE_UNITS, column_unit
+from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
 from adaptsim_jax.logs.quality.turns import followed_turns
 from adaptsim_jax.logs.table_checks import check_size, check_time_unit, from_zero
 from adaptsim_jax.logs.tables import RawTrial
@@ -25,7 +26,8 @@ class Columns:
 
     `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
     `named`: (stem, joint) -> its column; `scaled`: joints whose angles are declared in a scale that is no unit of angle;
-    `base [T, 7]`: place and orientation of a free base; `channels`: by sensor of the model `[T]`.
+    `base [T, 7]`: place and orientation of a free base; `channels`: by sensor of the model `[T]`; `declared`: joints for whose angles
+    `[units]` has a unit; `notes`: what is to be told of headings.
     """
 
     raw: RawTrial
@@ -38,6 +40,8 @@ class Columns:
     scaled: dict[int, bool] = field(default_factory=dict)
     base: np.ndarray | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
+    declared: frozenset[int] = frozenset()
+    notes: tuple[str, ...] = ()
 
     def stacked(self, stem: str, n: int) -> np.ndarray:
         """`[T, n]` of a quantity, NaN for joints without."""
@@ -54,6 +58,14 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     time = next(name for name, r in roles.items() if r.stem == "time")
     where = f"{trial.path}: column {time}"
     scale = column_unit(where, meta.units, "time", (time,), slides=False).scale
+    headed = []
+
+    def head(name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False) -> None:
+        written = meta.columns.get(name) or meta.columns.get(found.stem, name)
+        if one := said(name, written, found, slides, names.joints):
+            headed.append((one, unit, words, found.stem))
+
+    head(time, roles[time], (time,), Affine(scale))
     seconds = trial.columns[time] * scale
     check_time_unit(trial.path, seconds, scale)
     by_joint: dict[str, dict[int, np.ndarray]] = {}
@@ -61,11 +73,16 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
     taken: dict[tuple[str, int], str] = {}
     written: dict[tuple[str, int], np.ndarray] = {}
     scaled: dict[int, bool] = {}
+    known: set[int] = set()
     for name, found in roles.items():
         if found.stem in ("time", "trial", "base", "channel"):
             continue
         if found.stem == "ctrl":
-            ctrl[_place(found, zero_based)] = trial.columns[name]
+            place = _place(found, zero_based)
+            words = found.words(name, _actuator(place, names))
+            unit = command_unit(f"{trial.path}: column {name}", meta.units, words)
+            head(name, found, words, unit)
+            ctrl[place] = unit.of(trial.columns[name])
             continue
         j = _joint(trial, name, found, names, zero_based)
         if (found.stem, j) in taken:
@@ -79,11 +96,15 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         unit = column_unit(
             f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides, limits=names.limits_of(j)
         )
+        head(name, found, words, unit, slides)
+        if found.stem == "q" and declared(meta.units, "q", words, slides=slides) is not None:
+            known.add(j)
         if found.stem in ("q", "target"):
             written[found.stem, j] = trial.columns[name]
             scaled[j] = scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
         values = check_size(trial.path, name, unit.of(trial.columns[name]), trial.lines, trial.row_word)
         by_joint.setdefault(found.stem, {})[j] = values
+    notes = compared(trial.path, headed, meta.units)
     angles = by_joint.get("q", {})
     whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
     targets = {
@@ -103,6 +124,8 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         scaled,
         _base(trial, roles),
         {str(found.joint): trial.columns[name] for name, found in roles.items() if found.stem == "channel"},
+        frozenset(known),
+        notes,
     )
 
 
@@ -121,6 +144,12 @@ def _place(found: Role, zero_based: bool) -> int | str:
     if isinstance(found.joint, str):
         return found.joint
     return (found.joint - (not zero_based)) if found.joint is not None else 0
+
+
+def _actuator(place: int | str, names: ModelNames) -> str:
+    """The name of the actuator at this place, '' where the model's are not known."""
+    actuators = names.actuators or ()
+    return place if isinstance(place, str) else actuators[place].name if 0 <= place < len(actuators) else ""
 
 
 def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import LogTrial, ModelNames
+from adaptsim_jax.logs.log_units import LENGTH_UNITS
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
 from adaptsim_jax.logs.units import speed_mistake
 
@@ -17,12 +18,23 @@ FAST = 20.0
 """rad/s beyond which such angles may be degrees where speeds agree with them."""
 ODD = 15.0
 """Times that one trial's angles may reach as far as those of the others."""
+FAR, HINT = 20.0, 3.0
+"""Times its declared range that a joint may move, before its unit is doubted, and before that is hinted at."""
+INSIDE = 1.2
+"""Times its declared range that a joint may move in the unit that is suspected instead."""
+LONG = 10.0
+"""m that a sliding joint without a range may move, before millimetres are hinted at."""
+WORDS = {"mm": "millimetres", "cm": "centimetres"}
 
 
 def check_log_units(
-    trials: Sequence[LogTrial], names: ModelNames, units: Mapping[str, object] | None = None
+    trials: Sequence[LogTrial],
+    names: ModelNames,
+    units: Mapping[str, object] | None = None,
+    known: Collection[str] = (),
 ) -> tuple[str, ...]:
-    """Notes about suspicious units. units: as declared; angles that are degrees already are not asked about.
+    """Notes about suspicious units. units: as declared; angles that are degrees already are not asked about; known: joints for whose
+    angles or ways a unit is declared.
 
     Raises `BadInput` naming the trial and the line for meta.toml where the data are sure.
     """
@@ -31,8 +43,45 @@ def check_log_units(
         if what := _speed_suspect(trial, hinges):
             why = f"velocities and angles differ by a unit: suspected are {what}"
             raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
+    slides = [j for j, joint in enumerate(names.joints) if joint in names.slides]
+    far = tuple(note for j in slides if (note := _far(trials, j, names, names.joints[j] in known)))
     degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
-    return () if degrees else tuple(note for j in hinges if (note := _large(trials, j, names)))
+    return (
+        far
+        if degrees
+        else far + tuple(note for j in hinges if (note := _large(trials, j, names, names.joints[j] in known)))
+    )
+
+
+def lengths_within(times: float) -> tuple[str, ...]:
+    """Units of length that bring a sliding joint, which moves `times` as far as its range, into it; metres are not asked about."""
+    return tuple(unit for unit in ("mm", "cm") if times >= HINT and times * LENGTH_UNITS[unit] <= INSIDE)
+
+
+def times_range(reach: float, limits: tuple[float, float] | None) -> float:
+    """How many times as far from 0 as its declared range a joint moves; 0 where it has none."""
+    span = max(map(abs, limits)) if limits else 0.0
+    return reach / span if span > 0.0 else 0.0
+
+
+def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
+    """A note on ways too long for metres; BadInput where the declared range is surely passed, and no unit is declared."""
+    reach = float(np.median([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials]))
+    limits, joint = names.limits_of(j), names.joints[j]
+    times = times_range(reach, limits)
+    units = lengths_within(times)
+    if known or (limits and not units) or (not limits and reach < LONG):
+        return ""
+    ask = " or ".join(f'length = "{unit}"' for unit in units or ("mm",))
+    if limits is None:
+        return f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under [units]"
+    says = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
+    if times < FAR:
+        return f"{says}: if that is no metres, write {ask} under [units]"
+    raise BadInput(
+        f"{trials[0].path}: {says}, as {' or '.join(WORDS[unit] for unit in units)} would; write {ask} under [units] in meta.toml, "
+        'or length = "m" if they are metres and the range is not the machine\'s'
+    )
 
 
 def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
@@ -47,7 +96,8 @@ def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
     )
 
 
-def _large(trials: Sequence[LogTrial], j: int, names: ModelNames) -> str:
+def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
+    """A note on angles that may be degrees; where a unit is declared, on a trial that is unlike the others alone."""
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
     reach = float(np.median(reaches))
     odd = int(reaches.argmax())
@@ -57,7 +107,7 @@ def _large(trials: Sequence[LogTrial], j: int, names: ModelNames) -> str:
             "are degrees there, convert that file"
         )
     speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
-    if reach < LARGE or (speeds and np.median(speeds) < FAST):
+    if known or reach < LARGE or (speeds and np.median(speeds) < FAST):
         return ""
     more = "; LeRobot may write per cent of a range, too" if trials[0].path.endswith(".parquet") else ""
     return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]{more}'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,24 +43,19 @@ QUANTITIES = {
     "current": AMPERE_UNITS,
 }
 SPELT = {
-    "seconds": "s",
-    "milliseconds": "ms",
-    "microseconds": "us",
-    "radians": "rad",
-    "degrees": "deg",
-    "revolutions": "rev",
-    "meters": "m",
-    "millimeters": "mm",
-    "metres": "m",
-    "millimetres": "mm",
-    "volts": "V",
-    "amperes": "A",
-}
+    "seconds": "s", "second": "s", "secs": "s", "sec": "s", "milliseconds": "ms", "msec": "ms", "microseconds": "us", "usec": "us",
+    "nanoseconds": "ns", "nsec": "ns", "radians": "rad", "radian": "rad", "degrees": "deg", "degree": "deg", "°": "deg",
+    "revolutions": "rev", "turns": "rev", "meters": "m", "metres": "m", "centimeters": "cm", "centimetres": "cm", "millimeters": "mm",
+    "millimetres": "mm", "volts": "V", "volt": "V", "amperes": "A", "amps": "A", "newtons": "N", "N-m": "Nm", "mN-m": "mNm",
+    "radps": "rad/s", "degps": "deg/s", "dps": "deg/s", "°/s": "deg/s", "mps": "m/s", "minute": "min",
+}  # fmt: skip
 """Units written out, as people do; `degrees/s` is read too."""
 HINGE = {"q": "angle", "v": "velocity", "tau": "torque", "tau_commanded": "torque", "target": "angle"}
 SLIDE = {"q": "length", "v": "velocity", "tau": "force", "tau_commanded": "force", "target": "length"}
 INPUT = {"u": "voltage", "i": "current"}
-"""Stem -> quantity, for joints that turn and joints that slide; `ctrl` goes to the actuator as it is."""
+"""Stem -> quantity, for joints that turn and joints that slide; `ctrl` goes to the actuator as it is, but for `command_unit`."""
+_EVERY = {unit: scale for table in QUANTITIES.values() for unit, scale in table.items()}
+_FOLDED = {unit.casefold(): unit for unit in _EVERY}
 
 
 @dataclass(frozen=True)
@@ -89,15 +85,47 @@ def check_unit(path: Path, key: str, value: Any) -> Unit:
         return _affine(path, key, value)
     if not isinstance(value, str):
         raise BadInput(f"{path}: units.{key} must be text in quotes, {FORMS}, not {brief(value)}")
-    words = "".join(c for c in value if c not in " *.·").split("/")
-    name = "/".join(SPELT.get(w, w) for w in words)
+    name = spelt(value)
     if name in (PERCENT, "%", "percents"):
         return PERCENT
-    every = {unit: None for table in QUANTITIES.values() for unit in table}
-    known = QUANTITIES.get(key, every)
+    known = QUANTITIES.get(key, _EVERY)
     if name not in known:
         raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(known))}")
     return name
+
+
+def spelt(text: str) -> str:
+    """A unit as the tables above spell it; what is none of them nearly as it was: `Degrees/sec` is `deg/s`, `N·m` is `Nm`."""
+    bare = re.sub(r"(?<=[a-z])\s*[.*·]?\s*s(?:\^?-1|⁻¹)$", "/s", text.strip()).replace("µ", "u").replace("μ", "u")
+    words = "".join(c for c in bare if c not in " *.·").split("/")
+    name = "/".join(SPELT.get(w, SPELT.get(w.casefold(), w)) for w in words)
+    name = {"rev/min": "rpm"}.get(name, name)
+    return name if name in _EVERY or len(name) == 1 else _FOLDED.get(name.casefold(), name)
+
+
+def unit_of(text: str) -> str | None:
+    """The unit that a text is, as the tables above spell it; None where it is none."""
+    name = spelt(text) if text.strip() else ""
+    return name if name in _EVERY else None
+
+
+def quantity_of(stem: str, slides: bool) -> str | None:
+    """What is measured in a column of this stem; None for `ctrl`, whose unit is its actuator's, and for what has no unit."""
+    return "time" if stem == "time" else INPUT.get(stem) or (SLIDE if slides else HINGE).get(stem)
+
+
+def units_of(quantity: str | None, slides: bool) -> Mapping[str, float]:
+    """Units that a column of a joint may be in, by what each is in SI; quantity: by `quantity_of`, None for any."""
+    if quantity is None:
+        return _EVERY
+    if quantity == "velocity":
+        return SPEED_UNITS if slides else VELOCITY_UNITS
+    return QUANTITIES[quantity]
+
+
+def si_of(quantity: str | None, slides: bool) -> str:
+    """The SI unit of a quantity, as the tables above spell it; '' for none."""
+    return "" if quantity is None else next(name for name, scale in units_of(quantity, slides).items() if scale == 1.0)
 
 
 def _affine(path: Path, key: str, value: Any) -> Affine:
@@ -146,14 +174,12 @@ def column_unit(
     A velocity, and a target, follow the angle of their joint unless they are declared. BadInput where the declared unit
     belongs to another quantity; `where` opens its message.
     """
-    quantity = "time" if stem == "time" else INPUT.get(stem) or (SLIDE if slides else HINGE).get(stem)
+    quantity = quantity_of(stem, slides)
     if quantity is None:
         return Affine(1.0)
-    joint = tuple(word.replace(stem, "q", 1) for word in words if word.startswith(stem))
+    joint = _as_angle(stem, words)
     angle = (HINGE if not slides else SLIDE)["q"]
-    # a target is in its angle's unit, whose own word is closer than that of all angles
-    order = (*words, stem, *((*joint, "q") if stem == "target" else ()), quantity)
-    name = next((units[word] for word in order if word in units and _fits(units, word, quantity)), None)
+    name = declared(units, stem, words, slides=slides)
     rate = name is None and stem == "v"
     if rate:
         name = next((units[w] for w in (*joint, "q", angle) if w in units), None)
@@ -167,6 +193,28 @@ def column_unit(
     if name not in QUANTITIES[quantity]:
         raise BadInput(f"{where} is in {name}, which is no unit of {quantity}; {suggest(name, QUANTITIES[quantity])}")
     return Affine(QUANTITIES[quantity][name])
+
+
+def declared(units: Mapping[str, Unit], stem: str, words: tuple[str, ...], *, slides: bool) -> Unit | None:
+    """What `[units]` says of a column itself; None where nothing, though a velocity may follow its angle then (`column_unit`)."""
+    quantity = quantity_of(stem, slides)
+    if quantity is None:
+        return next((units[word] for word in (*words, stem) if word.startswith(stem) and word in units), None)
+    # a target is in its angle's unit, whose own word is closer than that of all angles
+    order = (*words, stem, *((*_as_angle(stem, words), "q") if stem == "target" else ()), quantity)
+    return next((units[word] for word in order if word in units and _fits(units, word, quantity)), None)
+
+
+def command_unit(where: str, units: Mapping[str, Unit], words: tuple[str, ...]) -> Affine:
+    """What makes a column `ctrl` what its actuator takes: as it is, but where `[units]` names this column, or `ctrl` for all."""
+    name = declared(units, "ctrl", words, slides=False)
+    if name == PERCENT:
+        name = _of_range(where, words[0], None)
+    return name if isinstance(name, Affine) else Affine(1.0 if name is None else _EVERY[name])
+
+
+def _as_angle(stem: str, words: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(word.replace(stem, "q", 1) for word in words if word.startswith(stem))
 
 
 def _of_range(where: str, word: str, limits: tuple[float, float] | None) -> Affine:

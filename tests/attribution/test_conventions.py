@@ -1,5 +1,6 @@
 """A mechanism's log that contradicts its model is told with what to write; the healthy one is not doubted."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
 from tests.generators.mechanism_worlds import write_world
+from tests.logs.log_files import folder
 
 SAME = lambda x: x
 
@@ -92,3 +94,39 @@ def test_masses_that_are_somewhat_off_and_late_logs_are_warned_of(healthy):
 def test_inertias_a_little_off_are_no_lengths_far_off(tmp_path):
     write_world(tmp_path / "world", "null", 10043)
     assert check_conventions(load(tmp_path / "world/recording", None)) == ()
+
+
+WHEEL = """<mujoco><worldbody><body><joint name="axle" axis="0 1 0" damping="0.01" armature="0.002"/>
+  <geom type="cylinder" size="0.12 0.02" euler="90 0 0" mass="1.2"/></body></worldbody>
+  <actuator><motor name="drive" joint="axle" gear="30"/></actuator></mujoco>"""
+
+
+def wheel(path, units, size=1.0):
+    """A wheel that turns five times under a torque command: rad and N m / 30, or `size` times that command."""
+    time = np.arange(1200) * 0.005
+    inertia = 0.5 * 1.2 * 0.12**2 + 0.002
+    columns = []
+    for rate in (0.4, 0.7):
+        q = 16.0 * (1 - np.cos(2 * rate * time)) + np.sin(5 * time) - 5 * time
+        v = 32.0 * rate * np.sin(2 * rate * time) + 5 * np.cos(5 * time) - 5
+        a = 64.0 * rate**2 * np.cos(2 * rate * time) - 25 * np.sin(5 * time)
+        columns.append({"time": time, "q_axle": q, "ctrl_drive": size * (inertia * a + 0.01 * v) / 30})
+    folder(path, f'model = "wheel.xml"\n[units]\n{units}\n', **{f"spin{k}": c for k, c in enumerate(columns)})
+    (path / "wheel.xml").write_text(WHEEL)
+    return load(path)
+
+
+def test_torques_off_by_the_unit_of_angles_say_so_and_each_mend_works(tmp_path):
+    assert check_conventions(wheel(tmp_path / "rad", "")) == ()
+    with pytest.raises(
+        BadInput, match='right size if the angles are in radians, not degrees; write angle = "rad"'
+    ) as error:
+        check_conventions(wheel(tmp_path / "deg", 'angle = "deg"'))
+    assert check_conventions(wheel(tmp_path / "mended", 'angle = "rad"')) == ()
+    line = re.search(r"the commands' unit under \[units\] \((ctrl = [\d.e-]+)\)", str(error.value))[1]
+    assert check_conventions(wheel(tmp_path / "torques", f'angle = "deg"\n{line}')) == ()
+    with pytest.raises(BadInput, match="masses in tonnes, or torques in mN m") as error:
+        check_conventions(wheel(tmp_path / "milli", "", 1e3))
+    assert "degrees" not in str(error.value)
+    line = re.search(r"ctrl = [\d.e-]+", str(error.value))[0]
+    assert check_conventions(wheel(tmp_path / "newton", line, 1e3)) == ()
