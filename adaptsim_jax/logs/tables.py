@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.archive import read_archive
 from adaptsim_jax.logs.columns import TIME, TRIAL, is_ignored, role
+from adaptsim_jax.logs.csv_rows import rows_of
+from adaptsim_jax.logs.file_bytes import read_bytes
 from adaptsim_jax.logs.list_cells import STEMS, is_list, stem_and_place
-from adaptsim_jax.logs.table import MIN_ROWS, Table, read_archive, read_bytes, read_table, rows_of
+from adaptsim_jax.logs.table import MIN_ROWS, Table, read_table
 from adaptsim_jax.logs.table_checks import check_clock
 
 ENDINGS = (".csv", ".npz")
-__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
+__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_file", "read_files", "table_files"]
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,9 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
 def list_columns(path: Path) -> list[str]:
     """Columns of a CSV whose cells hold lists; arrays `[T, n]` of numbers in an archive."""
     if path.suffix.lower() == ".npz":
-        return [name for name, array in read_archive(path).items() if array.ndim == 2 and array.dtype.kind in "fiu"]
+        return [
+            name for name, array in read_archive(path).arrays.items() if array.ndim == 2 and array.dtype.kind in "fiu"
+        ]
     first: dict[str, str] = {}
     rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
     for row in rows[1:]:
@@ -128,7 +133,7 @@ def _no_time(path: Path, header: list[str]) -> BadInput:
 def column_names(path: Path) -> list[str]:
     """The names of a file's columns (CSV) or arrays (NPZ)."""
     if path.suffix.lower() == ".npz":
-        return list(read_archive(path))
+        return list(read_archive(path).arrays)
     rows, _ = _csv_rows(path, 1)
     if not rows:
         read_table(path, TIME)  # says why: empty, unreadable, not text
@@ -157,14 +162,14 @@ class _Named(dict):
 
 
 def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], list[int]]:
-    """See `table.rows_of`; what is no text is found when the table is read."""
+    """See `csv_rows.rows_of`; what is no text is found when the table is read."""
     return rows_of(path, read_bytes(path).decode("utf-8-sig", errors="replace"), most)
 
 
 def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
     """The table cut by its column of trial names, in the order in which they appear."""
     if path.suffix.lower() == ".npz":
-        labels = [str(label) for label in read_archive(path)[column]]
+        labels = [str(label) for label in read_archive(path).arrays[column]]
     else:
         rows, lines = _csv_rows(path)
         place = rows[0].index(column)
