@@ -12,15 +12,17 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs import command_files, lerobot, ros
-from adaptsim_jax.logs.columns import role
-from adaptsim_jax.logs.guess import Guess, array_name, guess, meta_text
+from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
+from adaptsim_jax.logs.guess import Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
 from adaptsim_jax.logs.list_cells import stem_and_place
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.meta import SHORT_TRIALS
 from adaptsim_jax.logs.read import META, names_of, read_log
+from adaptsim_jax.logs.restarts import cuts, naming, restarted
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.tables import ENDINGS, column_names, list_columns, table_files
+from adaptsim_jax.logs.tables import ENDINGS, cells_of, column_names, list_columns, table_files
+from adaptsim_jax.logs.two_part_time import pair, together
 
 MODELS = (".xml", ".mjcf", ".urdf")
 
@@ -43,10 +45,11 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     folder = _folder(data, out)
     names = names_of(str(model))[1] if model else None
     columns, ros_topics, chosen = _columns(data, topics, names.joints if names else ())
+    columns, named = _one_clock(data, columns)
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
     arrays = next(map(_lists, _state_files(data)), {})
     found = replace(
-        found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
+        found, columns=found.columns | named | {o: a for a, o in arrays.items() if o and o != a},
         ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
     )  # fmt: skip
     told = model or _only_model(data)
@@ -117,6 +120,28 @@ def _columns(
     there, chosen = ros.bag_topics(bags[0], topics, joints)
     lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
     return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen
+
+
+def _one_clock(data: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns of the first trial alone, with one time; our name -> the file's of those that are told by how they go together: the two
+    parts of a time, and what names the trials where the clock starts again."""
+    files = _state_files(data)
+    if not files:
+        return columns, {}
+    named: dict[str, str] = {}
+    if TIME[0] not in columns and (found := pair(columns)):
+        time = together(columns[found[0]], columns[found[1]])
+        columns = {TIME[0]: time} | {name: values for name, values in columns.items() if name not in found}
+        named = dict(zip((TIME[0], NANOS), found, strict=True))
+    back = (x for name, x in columns.items() if is_clock(name) and np.all(np.isfinite(x)) and np.any(np.diff(x) < 0))
+    time = next(back, None)
+    if time is None or any(name in TRIAL for name in column_names(files[0])):
+        return columns, named
+    trial = naming(cells_of(files[0]), time)
+    parts = cuts(time) if trial else restarted(time)
+    if parts:
+        columns = {name: x[parts[0]] for name, x in columns.items() if name != trial and len(x) == len(time)}
+    return columns, named | ({"trial": trial} if trial else {})
 
 
 def _state_files(data: Path) -> list[Path]:

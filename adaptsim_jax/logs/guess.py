@@ -63,7 +63,7 @@ def guess(columns: dict[str, np.ndarray], model: ModelNames | None, lerobot: boo
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
-        clock = next((n for n in columns if set(_tokens(n)) & set(CLOCKS) and _increases(columns[n])), None)
+        clock = next((n for n in columns if is_clock(n) and _increases(columns[n])), None)
         if clock is not None:
             names[clock] = "time"
             ignored = [name for name in ignored if name != clock]
@@ -81,6 +81,11 @@ def array_name(name: str) -> str | None:
     ours = name if role(name) else _ours(name, ())
     told = role(ours) if ours else None
     return ours if told and told.joint is None and told.stem not in ("time", "trial") else None
+
+
+def is_clock(name: str) -> bool:
+    """Whether a column is called as a time."""
+    return bool(set(_tokens(name)) & set(CLOCKS))
 
 
 def _tokens(name: str) -> list[str]:

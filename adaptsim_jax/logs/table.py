@@ -15,6 +15,7 @@ from adaptsim_jax.logs.file_bytes import read_bytes
 from adaptsim_jax.logs.joined import apart
 from adaptsim_jax.logs.list_cells import part_name, split
 from adaptsim_jax.logs.table_checks import MIN_ROWS, check_missing, without_blank
+from adaptsim_jax.logs.two_part_time import joined_time
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
@@ -88,7 +89,8 @@ def _checked(
     if n < least:
         raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
     columns, notes = without_blank(path, table.columns, least, ours)
-    lines, notes = table.lines, (*table.notes, *notes)
+    columns, told = joined_time(path, columns, ours)
+    lines, notes = table.lines, (*table.notes, *notes, *told)
     if not gaps and (joined := apart(path, columns, lines, ours)):
         columns, lines, told = joined
         notes = (*notes, *told)
