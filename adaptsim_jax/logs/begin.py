@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs import command_files, lerobot, ros
+from adaptsim_jax.logs.beside import strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
 from adaptsim_jax.logs.guess import Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
@@ -21,7 +22,7 @@ from adaptsim_jax.logs.meta import SHORT_TRIALS
 from adaptsim_jax.logs.read import META, names_of, read_log
 from adaptsim_jax.logs.restarts import cuts, naming, restarted
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.tables import ENDINGS, cells_of, column_names, list_columns, table_files
+from adaptsim_jax.logs.tables import ENDINGS, cells_of, column_names, headers_of, list_columns, table_files
 from adaptsim_jax.logs.two_part_time import pair, together
 
 MODELS = (".xml", ".mjcf", ".urdf")
@@ -44,10 +45,11 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is one, or no data."""
     folder = _folder(data, out)
     names = names_of(str(model))[1] if model else None
-    columns, ros_topics, chosen = _columns(data, topics, names.joints if names else ())
-    columns, named = _one_clock(data, columns)
+    tables = _state_files(data)
+    columns, ros_topics, chosen = _columns(data, tables, topics, names.joints if names else ())
+    columns, named = _one_clock(tables[0], columns) if tables else (columns, {})
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False)
-    arrays = next(map(_lists, _state_files(data)), {})
+    arrays = next(map(_lists, tables), {})
     found = replace(
         found, columns=found.columns | named | {o: a for a, o in arrays.items() if o and o != a},
         ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
@@ -104,16 +106,15 @@ def _from(path: Path, folder: Path) -> str:
 
 
 def _columns(
-    data: Path, topics: dict[str, str], joints: Sequence[str]
+    data: Path, tables: list[Path], topics: dict[str, str], joints: Sequence[str]
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
     if data.is_dir() and lerobot.is_lerobot(data):
         trial = lerobot.read_lerobot(data)[0]
         # numbers whose names do not fit are no joints until a person says which
         return {n: x for n, x in trial.columns.items() if not any(n.startswith(f"{v}[") for v in trial.doubt)}, [], {}
-    files = _state_files(data)
-    if files:
-        return _table_columns(files[0]), [], {}
+    if tables:
+        return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)
     if not bags:
         raise BadInput(f"{data}: holds no recordings ({', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set)")
@@ -122,12 +123,9 @@ def _columns(
     return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen
 
 
-def _one_clock(data: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def _one_clock(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Columns of the first trial alone, with one time; our name -> the file's of those that are told by how they go together: the two
     parts of a time, and what names the trials where the clock starts again."""
-    files = _state_files(data)
-    if not files:
-        return columns, {}
     named: dict[str, str] = {}
     if TIME[0] not in columns and (found := pair(columns)):
         time = together(columns[found[0]], columns[found[1]])
@@ -135,9 +133,9 @@ def _one_clock(data: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np
         named = dict(zip((TIME[0], NANOS), found, strict=True))
     back = (x for name, x in columns.items() if is_clock(name) and np.all(np.isfinite(x)) and np.any(np.diff(x) < 0))
     time = next(back, None)
-    if time is None or any(name in TRIAL for name in column_names(files[0])):
+    if time is None or any(name in TRIAL for name in column_names(path)):
         return columns, named
-    trial = naming(cells_of(files[0]), time)
+    trial = naming(cells_of(path), time)
     parts = cuts(time) if trial else restarted(time)
     if parts:
         columns = {name: x[parts[0]] for name, x in columns.items() if name != trial and len(x) == len(time)}
@@ -145,10 +143,25 @@ def _one_clock(data: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np
 
 
 def _state_files(data: Path) -> list[Path]:
-    """Tables of the data, without those that seem to hold the commands of another."""
+    """Tables of the data from the first that holds numbers on, without those that seem to hold commands of another, or no trial."""
+    if data.is_dir() and lerobot.is_lerobot(data):
+        return []
     files = table_files(data)
-    commands = command_files.suspected(files).values()
-    return [path for path in files if path not in commands]
+    other = {*command_files.suspected(files).values()}
+    if len(files) > 1:
+        headers = headers_of(files)
+        parts = {name for header in headers.values() for name in pair(header) or ()}
+        other |= {*strays(headers, lambda name: is_clock(name) or name in parts)}
+    files = [path for path in files if path not in other]
+    first = next((k for k, path in enumerate(files) if _holds_numbers(path)), 0) if len(files) > 1 else 0
+    return files[first:]
+
+
+def _holds_numbers(path: Path) -> bool:
+    try:
+        return bool(_table_columns(path))
+    except BadInput:
+        return False
 
 
 def _lists(path: Path) -> dict[str, str | None]:

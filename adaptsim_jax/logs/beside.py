@@ -1,9 +1,11 @@
-"""What lies in a folder of recordings and is no trial of its own: copies, and files that are not read."""
+"""What lies in a folder of recordings and is no trial of its own: copies, tables of other things, and files that are not read."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+
+from adaptsim_jax.logs.csv_rows import is_number
 
 PACKED = (".gz", ".zip", ".xz", ".bz2", ".7z", ".tar", ".xlsx", ".xls", ".ods", ".mat", ".pkl")
 """Endings of files that may hold a trial and are not read."""
@@ -19,6 +21,21 @@ def copies(trials: Sequence[tuple[str, np.ndarray]]) -> tuple[str, ...]:
             notes.append(f"{name} holds the angles of {earlier}: a copy? leave it out (--without {name})")
         alike.append((name, q))
     return tuple(notes)
+
+
+def strays(headers: Mapping[Path, Sequence[str]], is_time: Callable[[str], bool]) -> tuple[Path, ...]:
+    """Tables that are no logs, as lists of the trials are: without a time, and without any column of those that have one."""
+    logs = {path for path, header in headers.items() if any(map(is_time, header))}
+    theirs = {name for path in logs for name in headers[path] if name}
+    alike = lambda header: (
+        len(header) < 2 or theirs & set(header) or any(map(is_number, header))
+    )  # a trial cut short, or bare
+    return tuple(path for path, header in headers.items() if logs and path not in logs and not alike(header))
+
+
+def left_out(path: Path) -> str:
+    """A note on one of `strays`."""
+    return f"{path.name} is left out: it has no time and no column of the other files"
 
 
 def unread(folder: str | Path) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import read_archive
+from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.csv_rows import rows_of
 from adaptsim_jax.logs.file_bytes import read_bytes
@@ -59,12 +60,44 @@ def read_files(
     """
     stems = [path.stem for path in files]
     elsewhere = {name for path in others for name in column_names(path)}
-    trials = []
+    trials, notes = [], []
     for path in files:
         here = column_names(path) if elsewhere else []
         own = {ours: theirs for ours, theirs in rename.items() if theirs in here or theirs not in elsewhere}
-        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
-    return trials
+        try:
+            trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
+        except BadInput as error:
+            if path not in strays(headers_of(files), is_time := _is_time(rename)):
+                raise _or_left_out(error, path, files, is_time) from None
+            notes.append(left_out(path))
+    return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]] if notes else trials
+
+
+def _is_time(rename: Mapping[str, str]) -> Callable[[str], bool]:
+    """Whether a column is the time, by its name or by [columns]."""
+    named = {theirs for ours, theirs in rename.items() if ours in TIME}
+    return lambda name: name in named or name in TIME
+
+
+def _or_left_out(error: BadInput, path: Path, files: list[Path], is_time: Callable[[str], bool]) -> BadInput:
+    """What is said of one file of several: how it is left out, where it may be none of the trials."""
+    line = f'[trials] exclude = ["{path.stem}"]'
+    if len(files) == 1:
+        return error
+    if str(error).endswith("leave this file out"):
+        return BadInput(f"{error}: {line}")
+    return error if any(map(is_time, headers_of([path])[path])) else BadInput(f"{error}; or leave it out: {line}")
+
+
+def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
+    """The columns of each file, none of one that cannot be read."""
+    out = {}
+    for path in files:
+        try:
+            out[path] = column_names(path)
+        except BadInput:
+            out[path] = []
+    return out
 
 
 def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
