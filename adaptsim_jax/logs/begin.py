@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs import command_files, lerobot, ros
-from adaptsim_jax.logs.beside import strays
+from adaptsim_jax.logs.beside import instead, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
 from adaptsim_jax.logs.guess import Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
@@ -52,7 +52,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     arrays = next(map(_lists, tables), {})
     found = replace(
         found, columns=found.columns | named | {o: a for a, o in arrays.items() if o and o != a},
-        ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
+        ignored=(*(name for name in found.ignored if name.strip()), *(a for a, o in arrays.items() if not o)),
     )  # fmt: skip
     told = model or _only_model(data)
     here = folder.resolve()
@@ -117,7 +117,8 @@ def _columns(
         return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)
     if not bags:
-        raise BadInput(f"{data}: holds no recordings ({', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set)")
+        read = f"{', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set"
+        raise BadInput(f"{data}: holds no recordings ({read}){instead(data)}")
     there, chosen = ros.bag_topics(bags[0], topics, joints)
     lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
     return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen

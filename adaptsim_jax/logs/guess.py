@@ -94,7 +94,7 @@ def _tokens(name: str) -> list[str]:
 
 def _ours(name: str, joints: Sequence[str]) -> str | None:
     """Our name of a column such as `/joint_states/elbow/position`, `shoulder_vel` or `joint_2_pos`."""
-    tokens = _tokens(name)
+    tokens = [part for token in _tokens(name) for part in _word_and_number(token)]
     found = [token for token in tokens if token in WORDS]
     if not found or (set(tokens) & {"error", "err", "std", "min", "max", "raw"}):
         return None
@@ -126,6 +126,12 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     if near:
         return f"{stem}_{near}"
     return stem if len(joints) == 1 and not rest else None
+
+
+def _word_and_number(token: str) -> tuple[str, ...]:
+    """`position0`, as arrays are exported, is the word and its number; other tokens are whole."""
+    found = re.fullmatch(r"([a-z]{3,})(\d+)", token)
+    return found.groups() if found and found[1] in WORDS else (token,)
 
 
 def _contains(tokens: list[str], part: list[str]) -> bool:

@@ -18,6 +18,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
+from adaptsim_jax.logs.beside import instead
 from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
@@ -130,7 +131,9 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     bags = ros.bags(data)
     if not files and not bags:
         if data.is_dir():
-            raise BadInput(f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there")
+            raise BadInput(
+                f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there{instead(data)}"
+            )
         raise BadInput(
             f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
         )

@@ -1,7 +1,11 @@
 """Tables beside the trials that are none: left out and told, or refused with the line that leaves them out."""
 
+import gzip
+
+import numpy as np
 import pytest
 
+from adaptsim_jax.cli import main
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.begin import begin
 from adaptsim_jax.logs.read import read_log
@@ -69,3 +73,75 @@ def test_a_trial_that_lost_its_header_is_none_either(tmp_path, text, says):
     (data / "run2.csv").write_text(text)
     with pytest.raises(BadInput, match=f"run2.csv: .*({says}|is missing)"):
         read_log(data, ARM)
+
+
+def packed(data):
+    for path in list(data.glob("*.csv")):
+        (data / f"{path.name}.gz").write_bytes(gzip.compress(path.read_bytes()))
+        path.unlink()
+
+
+def unpacked(data):
+    for path in list(data.glob("*.gz")):
+        (data / path.stem).write_bytes(gzip.decompress(path.read_bytes()))
+
+
+def renamed(old, new):
+    return lambda data: [path.rename(path.with_suffix(new)) for path in list(data.glob(f"*{old}"))]
+
+
+def parted(data):
+    for path in list(data.glob("*.csv")):
+        (data / path.stem).mkdir()
+        path.rename(data / path.stem / "states.csv")
+
+
+def together(data):
+    for path in list(data.glob("*/states.csv")):
+        path.rename(data / f"{path.parent.name}.csv")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says", "mend"),
+    [
+        (packed, "not read: run0.csv.gz, run1.csv.gz, run2.csv.gz, run3.csv.gz and 1 more; unpack", unpacked),
+        (renamed(".csv", ".txt"), "run0.txt, .* to .csv", renamed(".txt", ".csv")),
+        (parted, "tables in the folder run0, .* and 1 more; move them up, each by the name", together),
+        (renamed(".csv", ".parquet"), "run0.parquet, .*export as CSV", renamed(".parquet", ".csv")),
+    ],
+)
+def test_a_folder_without_recordings_says_what_lies_there_and_the_mend_works(tmp_path, spoil, says, mend):
+    data = runs(tmp_path / "logs", tuple(f"run{k}" for k in range(5)))
+    (data / "meta.toml").unlink()
+    spoil(data)
+    for refused in (lambda: begin(data, None, None, {}), lambda: read_log(data, ARM)):
+        with pytest.raises(
+            BadInput, match=f"holds no .*; {says}" if spoil is packed else f"holds no .*; not read: .*{says}"
+        ):
+            refused()
+    mend(data)
+    assert len(begin(data, None, None, {}).log.trials) == 5
+
+
+def test_an_empty_folder_has_nothing_to_say_of(tmp_path):
+    with pytest.raises(BadInput, match=r"or a LeRobot data set\)$"):
+        begin(tmp_path, None, None, {})
+
+
+def test_columns_without_a_name_are_not_listed(tmp_path, capsys):
+    write_csv(tmp_path / "run.csv", {"": M["time"]} | numbered(M, "q", "tau"))
+    assert main(["init", str(tmp_path)]) == 0
+    assert "not used" not in capsys.readouterr().out + (tmp_path / "meta.toml").read_text()
+
+
+def test_places_of_exported_arrays_are_joints(tmp_path):
+    """As `rostopic echo -p` names them."""
+    columns = {"%time": 1e9 * (1.7e9 + M["time"]), "field.header.seq": M["time"]}
+    columns |= {f"field.position{j}": M["q"][:, j] for j in range(2)}
+    columns |= {f"field.effort{j}": M["tau"][:, j] for j in range(2)}
+    write_csv(tmp_path / "run.csv", columns)
+    begun = begin(tmp_path, None, None, {})
+    assert begun.log is not None, begun.to_mend
+    np.testing.assert_array_equal(begun.log.trials[0].q, M["q"])
+    np.testing.assert_array_equal(begun.log.trials[0].u, M["tau"])
+    assert begun.unused == ("field.header.seq",)
