@@ -121,3 +121,11 @@ def test_a_clock_that_does_anything_else_is_still_refused(tmp_path, spoil):
     path = write_csv(tmp_path / "all.csv", numbered(M, "q", "tau") | {"time": time})
     with pytest.raises(BadInput, match=r"time runs backwards .*; sort or remove such rows, or cut the file there"):
         read_log(path, ARM)
+
+
+def test_commands_of_several_trials_in_one_file_are_refused(tmp_path):
+    data = folder(tmp_path / "logs", '[trials]\ncommands = {run = "control.csv"}\n', run=numbered(M, "q"))
+    columns = {"time": np.tile(M["time"][:80], 3), "target1": M["q"][:, 0], "target2": M["q"][:, 1]}
+    write_csv(data / "control.csv", columns)
+    with pytest.raises(BadInput, match=r"control.csv: holds commands of 3 trials.*; write each a file"):
+        read_log(data, ARM)
