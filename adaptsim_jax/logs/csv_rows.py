@@ -27,13 +27,18 @@ def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[s
     try:
         for row in reader:
             if any(cell.strip() for cell in row):
-                rows.append(row if rows else _header(row))
+                rows.append(_within(row, len(rows[0])) if rows else _header(row))
                 lines.append(above + reader.line_num)
             if len(rows) == most:
                 break
     except csv.Error as e:
         raise BadInput(f"{path}: line {above + reader.line_num}: not CSV ({e}); mend or remove that line") from None
     return rows, lines
+
+
+def _within(row: list[str], n: int) -> list[str]:
+    """A row without what separators at its end open behind the header's `n` columns."""
+    return row if any(cell.strip() for cell in row[n:]) else row[:n]
 
 
 def _header(row: list[str]) -> list[str]:

@@ -7,6 +7,7 @@ model is read, so that bad input is reported at once.
 from __future__ import annotations
 
 import fnmatch
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -153,11 +154,11 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
         told = command_files.beside(data, table_files(folder))
         tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
     trials = tables + (recorded if files else _renamed(recorded, meta))
-    called = [trial.name for trial in trials]
-    trials = [
-        replace(t, name=Path(t.path).name) if called.count(t.name) > 1 and len(files) < len(trials) else t
-        for t in trials
-    ]
+    called = Counter(trial.name for trial in trials)
+    shared = Counter(trial.path for trial in trials)
+    by_file = lambda t: f"{_stem(Path(t.path))}_{t.name}" if shared[t.path] > 1 else Path(t.path).name
+    if len(files) < len(trials):
+        trials = [replace(t, name=by_file(t)) if called[t.name] > 1 else t for t in trials]
     return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
 
 

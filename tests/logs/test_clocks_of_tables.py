@@ -129,3 +129,11 @@ def test_commands_of_several_trials_in_one_file_are_refused(tmp_path):
     write_csv(data / "control.csv", columns)
     with pytest.raises(BadInput, match=r"control.csv: holds commands of 3 trials.*; write each a file"):
         read_log(data, ARM)
+
+
+def test_trials_of_one_name_in_two_files_are_called_by_their_files(tmp_path):
+    data = folder(tmp_path / "logs", '[columns]\ntrial = "run_id"\n')
+    for name in ("monday", "tuesday"):
+        trials_in_one(data / f"{name}.csv", (0, 1, 2))
+    names = [t.name for t in read_log(data, ARM).trials]
+    assert names == [f"{day}_{k}" for day in ("monday", "tuesday") for k in range(3)]

@@ -97,3 +97,12 @@ def test_arrays_of_other_lengths_are_told_in_a_short_line(tmp_path):
         BadInput, match=r"arrays differ in length \(time 60, q 2 x 59, tau 60 x 2\); save them with one row"
     ):
         read_log(path, ARM)
+
+
+def test_separators_at_the_ends_of_rows_open_no_columns(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,q1\n" + ROWS.replace("\n", ",,\n"))
+    assert list(read_table(path, ("time", "q1")).columns["q1"]) == list(range(30))
+    path.write_text("time,q1\n" + ROWS.replace("5\n", "5,word\n", 1))
+    with pytest.raises(BadInput, match="has 3 values, the header has 2 columns; complete or remove that line"):
+        read_table(path, ("time", "q1"))
