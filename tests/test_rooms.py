@@ -31,11 +31,11 @@ WITHIN = {
         "model_file",
     ),
     "logs": (
-        "extras", "types", "local_motion", "columns", "beside", "declared", "log_units", "headings", "meta", "model_file",
-        "table_checks", "sent", "quality", "log_meta", "noise", "clock", "joined", "list_cells", "table", "units", "log", "tables",
-        "recording", "command_files", "angles", "messages", "stamps", "trajectories", "lerobot", "log_checks", "model_names",
-        "followed", "pendulum_log", "joint_columns", "scales", "unit_guess", "guess", "bag", "mcap_file", "bag_files", "topics",
-        "ros", "inputs", "assemble", "read", "begin",
+        "extras", "types", "local_motion", "columns", "file_bytes", "csv_rows", "beside", "declared", "log_units", "headings", "meta",
+        "model_file", "table_checks", "sent", "quality", "log_meta", "noise", "clock", "joined", "list_cells", "archive",
+        "two_part_time", "restarts", "table", "units", "log", "tables", "recording", "command_files", "angles", "messages", "stamps",
+        "trajectories", "lerobot", "log_checks", "model_names", "followed", "pendulum_log", "joint_columns", "scales", "unit_guess",
+        "guess", "bag", "mcap_file", "bag_files", "topics", "ros", "inputs", "assemble", "read", "begin",
     ),
     "diagnosis": (
         "run", "schema", "criteria", "paired", "folds", "problem", "fit", "select", "simulator", "starts", "power", "experiment",

@@ -77,7 +77,7 @@ def diagnose(
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
     """
-    began = time.monotonic()
+    began, asked = time.monotonic(), horizon
     if yardstick is not None and yardstick not in NAMES:
         raise BadInput(f"--yardstick {yardstick}: is no yardstick; use {', '.join(NAMES)}")
     say = progress or (lambda done, total, note: None)
@@ -119,7 +119,11 @@ def diagnose(
     evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
         "audit"
     ]
-    command = command_of(data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared)
+    command = command_of(
+        data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared, yardstick=yardstick,
+        horizon=None if asked == HORIZON else asked,
+        simulator="tree" if machine.log.meta.simulator == "mujoco" or machine.log.meta.channels else None,
+    )  # fmt: skip
     report["run"] = evidence["run"] = Run(command, began).told()
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]

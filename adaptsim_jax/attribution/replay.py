@@ -106,14 +106,14 @@ def replay(
     """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values, or the file's; asked: which
     yardsticks, beside the simulated stretches."""
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-    span = horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
+    span = min(horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest)
     problem = prepare(
         machine.tree,
         machine.tracks,
         MACHINE,
         machine.actuator,
         machine.gear,
-        min(span, longest),
+        span,
         100_000,
         machine.declared,
         ties=machine.ties,
@@ -128,7 +128,12 @@ def replay(
         measures[WHOLE] = dataclasses.replace(over, name=WHOLE)
     if TORQUE in asked:
         measures[TORQUE] = of_torque(problem, balances(problem, machine.tracks), vector)
-    return dataclasses.replace(found, measures=measures)
+    return dataclasses.replace(found, measures=measures, notes=_shorter(horizon, span))
+
+
+def _shorter(horizon: float, span: float) -> tuple[str, ...]:
+    """A note where stretches of `span` s are not as long as was asked for."""
+    return (f"no trial is {horizon:g} s long: stretches are of {span:.4g} s",) if horizon > span else ()
 
 
 def replayed(problem: Problem, vector: Vector, horizon: float) -> Replay:
@@ -157,9 +162,8 @@ def replay_files(
     machine = load(data, model)
     if asked is None:
         asked = NAMES if follows(machine) else (STRETCHES, TORQUE)
-    return dataclasses.replace(
-        replay(machine, horizon, asked=asked), notes=(*machine.log.notes, *machine.notes, *suspected(machine))
-    )
+    found = replay(machine, horizon, asked=asked)
+    return dataclasses.replace(found, notes=(*found.notes, *machine.log.notes, *machine.notes, *suspected(machine)))
 
 
 def follows(machine: Machine) -> bool:
@@ -173,7 +177,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
     if source is None or log is None:
         raise ValueError("a choice of mujoco has read its files")
     found = mujoco_replayed(source, log, horizon)
-    told = (f"simulated by MuJoCo at the file's own step: {choice.why}",)
+    told = (*_shorter(horizon, found.span), f"simulated by MuJoCo at the file's own step: {choice.why}")
     s, model, names = found.stretches, found.made.model, log.joint_names
     slides = {model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
     kinds, n, error = tuple("slide" if name in slides else "hinge" for name in names), len(names), found.error
@@ -188,7 +192,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         measured = simulated = seen = np.zeros((*s.time.shape, 2))
     line, still = lines_of(s.time, measured, seen)
     return Replay(
-        names, kinds, s.names, s.trial, error, s.time, measured, simulated, seen, horizon,
+        names, kinds, s.names, s.trial, error, s.time, measured, simulated, seen, found.span,
         (*told, *log.notes, *source.notes, *found.made.notes), line, still,
     )  # fmt: skip
 

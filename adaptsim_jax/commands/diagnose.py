@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adaptsim_jax.commands.horizon import stretch
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="of a mechanism, by which effects are judged (default: the one that tells most of this recording)",
     )
     parser.add_argument(
-        "--horizon", type=float, default=0.5, metavar="S", help="length of simulated stretches (default 0.5)"
+        "--horizon", type=stretch, metavar="S", help="of a mechanism, length of simulated stretches (default 0.5)"
     )
     parser.add_argument(
         "--exclude", nargs="+", default=[], metavar="EFFECT",
@@ -152,7 +153,10 @@ def trials(args: argparse.Namespace, without: list[str]) -> Judge:
         recorded = import_module(f"{room}.read").read(data, args.as_declared, without)
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
-    return partial(import_module(f"{room}.diagnose").diagnose, recorded, page=write_diagnosis, named=str(data))
+    asked = {"without": without, "as_declared": args.as_declared}
+    return partial(
+        import_module(f"{room}.diagnose").diagnose, recorded, page=write_diagnosis, named=str(data), asked=asked
+    )
 
 
 def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
@@ -161,6 +165,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
 
     source, log = read_source_and_log(args.data, args.model)
     from adaptsim_jax.attribution.choice import base_moves
+    from adaptsim_jax.diagnosis.run import command_of
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
     needed = "mujoco" if base_moves(log) or log.meta.channels else "tree"
@@ -168,11 +173,18 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
         from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
 
         log = log.pick([t.name for t in log.trials if t.name not in without]) if without else log
-        return partial(by_mujoco, source, log, page=write_diagnosis)
+        command = partial(
+            command_of, args.data, model=args.model, without=without, simulator=args.simulator, horizon=args.horizon
+        )
+        return lambda out, exclude, progress: by_mujoco(
+            source, log, page=write_diagnosis, out=out, exclude=exclude, progress=progress, horizon=args.horizon,
+            command=command(out=out, exclude=exclude),
+        )  # fmt: skip
     joined(source, log)
+    given = {} if args.horizon is None else {"horizon": args.horizon}
     return partial(
-        diagnose, args.data, model=args.model, without=tuple(without), as_declared=args.as_declared, horizon=args.horizon,
-        yardstick=args.yardstick,
+        diagnose, args.data, model=args.model, without=tuple(without), as_declared=args.as_declared, yardstick=args.yardstick,
+        **given,
     )  # fmt: skip
 
 

@@ -8,6 +8,8 @@ import shlex
 import sys
 from pathlib import Path
 
+from adaptsim_jax.commands.horizon import length
+
 EXAMPLES = """
   adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared
   adaptsim replay out/model.toml logs/validation --json   the mended model on other data
@@ -23,7 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("data", metavar="DATA", help="a folder with meta.toml, or one log (CSV, NPZ, bag, MCAP)")
     parser.add_argument(
         "--horizon",
-        type=_horizon,
+        type=length,
         default=0.5,
         metavar="S",
         help="length of the stretches; 0: whole trials (default 0.5)",
@@ -50,16 +52,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print all of it as JSON")
     parser.add_argument("--out", metavar="DIR", help="folder for replay.json and replay.png")
-
-
-def _horizon(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value < 1e4:
-        raise argparse.ArgumentTypeError(f"'{text}' is no length of time; give seconds, or 0 for whole trials")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

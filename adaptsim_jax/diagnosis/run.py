@@ -39,11 +39,16 @@ def command_of(
     exclude: Sequence[str] = (),
     without: Sequence[str] = (),
     as_declared: bool = False,
+    simulator: str | None = None,
+    yardstick: str | None = None,
+    horizon: float | None = None,
 ) -> str:
-    """The command that gives the same answer."""
+    """The command that gives the same answer; what is None is left to the command."""
     words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again"), *(["--seed", str(seed)] if seed else [])]
     words += ["--model", str(model)] if model is not None else []
     words += ["--as-declared"] if as_declared else []
+    for option, value in (("--simulator", simulator), ("--yardstick", yardstick), ("--horizon", horizon)):
+        words += [option, str(value)] if value is not None else []
     for option, names in (("--exclude", exclude), ("--without", without)):
         words += [option, *names] if names else []
     return shlex.join(words)

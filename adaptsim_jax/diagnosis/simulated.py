@@ -36,6 +36,7 @@ def diagnose_simulator(
     page: Page | None = None,
     proposals: Mapping[str, Simulator] | None = None,
     name: str = "simulator",
+    command: str | None = None,
 ) -> dict[str, Any]:
     """Which of a simulator's candidates hold out on left-out stretches.
 
@@ -46,7 +47,7 @@ def diagnose_simulator(
         progress: told of `(done, total, note)`; page: writes the report and its page, a plain `report.json` where None.
         proposals: by name, the same simulator over stretches that could be run (what is measured in them does not matter): the report
             says which tells the look-alikes apart.
-        name: of the model, in the report.
+        name: of the model, in the report; command: what gives the same answer, told there.
 
     Returns:
         The report (`diagnosis.schema`); errors are over each signal's noise. Raises BadInput where sizes or names do not agree.
@@ -62,7 +63,7 @@ def diagnose_simulator(
     found = select(problem, criteria, step, keep=rows.keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     told_of_nothing(report, criteria)
-    report["run"] = evidence["run"] = Run(f"diagnose_simulator({name})", began).told()
+    report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
         model = lambda: config.dumps(model_table(problem, found, name))

@@ -12,15 +12,18 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs import command_files, lerobot, ros
-from adaptsim_jax.logs.columns import role
-from adaptsim_jax.logs.guess import Guess, array_name, guess, meta_text
+from adaptsim_jax.logs.beside import instead, strays
+from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
+from adaptsim_jax.logs.guess import Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
 from adaptsim_jax.logs.list_cells import stem_and_place
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.meta import SHORT_TRIALS
 from adaptsim_jax.logs.read import META, names_of, read_log
+from adaptsim_jax.logs.restarts import cuts, naming, restarted
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.tables import ENDINGS, column_names, list_columns, table_files
+from adaptsim_jax.logs.tables import ENDINGS, cells_of, column_names, headers_of, list_columns, table_files
+from adaptsim_jax.logs.two_part_time import pair, together
 
 MODELS = (".xml", ".mjcf", ".urdf")
 
@@ -43,13 +46,15 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     folder = _folder(data, out)
     told = model or _only_model(data)
     names = names_of(str(told))[1] if model else _names_beside(told)
-    columns, ros_topics, chosen = _columns(data, topics, names.joints if names else ())
-    arrays = next(map(_lists, _state_files(data)), {})
+    tables = _state_files(data)
+    columns, ros_topics, chosen = _columns(data, tables, topics, names.joints if names else ())
+    columns, clock = _one_clock(tables[0], columns) if tables else (columns, {})
+    arrays = next(map(_lists, tables), {})
     named = {ours: array for array, ours in arrays.items() if ours}
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False, named)
     found = replace(
-        found, columns=found.columns | {o: a for a, o in arrays.items() if o and o != a},
-        ignored=(*found.ignored, *(a for a, o in arrays.items() if not o)),
+        found, columns=found.columns | clock | {o: a for a, o in arrays.items() if o and o != a},
+        ignored=(*(name for name in found.ignored if name.strip()), *(a for a, o in arrays.items() if not o)),
     )  # fmt: skip
     here = folder.resolve()
     text = meta_text(
@@ -110,29 +115,63 @@ def _from(path: Path, folder: Path) -> str:
 
 
 def _columns(
-    data: Path, topics: dict[str, str], joints: Sequence[str]
+    data: Path, tables: list[Path], topics: dict[str, str], joints: Sequence[str]
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
     if data.is_dir() and lerobot.is_lerobot(data):
         trial = lerobot.read_lerobot(data)[0]
         # numbers whose names do not fit are no joints until a person says which
         return {n: x for n, x in trial.columns.items() if not any(n.startswith(f"{v}[") for v in trial.doubt)}, [], {}
-    files = _state_files(data)
-    if files:
-        return _table_columns(files[0]), [], {}
+    if tables:
+        return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)
     if not bags:
-        raise BadInput(f"{data}: holds no recordings ({', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set)")
+        read = f"{', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set"
+        raise BadInput(f"{data}: holds no recordings ({read}){instead(data)}")
     there, chosen = ros.bag_topics(bags[0], topics, joints)
     lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
     return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen
 
 
+def _one_clock(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns of the first trial alone, with one time; our name -> the file's of those that are told by how they go together: the two
+    parts of a time, and what names the trials where the clock starts again."""
+    named: dict[str, str] = {}
+    if TIME[0] not in columns and (found := pair(columns)):
+        time = together(columns[found[0]], columns[found[1]])
+        columns = {TIME[0]: time} | {name: values for name, values in columns.items() if name not in found}
+        named = dict(zip((TIME[0], NANOS), found, strict=True))
+    back = (x for name, x in columns.items() if is_clock(name) and np.all(np.isfinite(x)) and np.any(np.diff(x) < 0))
+    time = next(back, None)
+    if time is None or any(name in TRIAL for name in column_names(path)):
+        return columns, named
+    trial = naming(cells_of(path), time)
+    parts = cuts(time) if trial else restarted(time)
+    if parts:
+        columns = {name: x[parts[0]] for name, x in columns.items() if name != trial and len(x) == len(time)}
+    return columns, named | ({"trial": trial} if trial else {})
+
+
 def _state_files(data: Path) -> list[Path]:
-    """Tables of the data, without those that seem to hold the commands of another."""
+    """Tables of the data from the first that holds numbers on, without those that seem to hold commands of another, or no trial."""
+    if data.is_dir() and lerobot.is_lerobot(data):
+        return []
     files = table_files(data)
-    commands = command_files.suspected(files).values()
-    return [path for path in files if path not in commands]
+    other = {*command_files.suspected(files).values()}
+    if len(files) > 1:
+        headers = headers_of(files)
+        parts = {name for header in headers.values() for name in pair(header) or ()}
+        other |= {*strays(headers, lambda name: is_clock(name) or name in parts)}
+    files = [path for path in files if path not in other]
+    first = next((k for k, path in enumerate(files) if _holds_numbers(path)), 0) if len(files) > 1 else 0
+    return files[first:]
+
+
+def _holds_numbers(path: Path) -> bool:
+    try:
+        return bool(_table_columns(path))
+    except BadInput:
+        return False
 
 
 def _lists(path: Path) -> dict[str, str | None]:

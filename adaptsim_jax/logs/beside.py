@@ -1,12 +1,21 @@
-"""What lies in a folder of recordings and is no trial of its own: copies, and files that are not read."""
+"""What lies in a folder of recordings and is no trial of its own: copies, tables of other things, and files that are not read."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax.logs.csv_rows import is_number
+
 PACKED = (".gz", ".zip", ".xz", ".bz2", ".7z", ".tar", ".xlsx", ".xls", ".ods", ".mat", ".pkl")
 """Endings of files that may hold a trial and are not read."""
+TEXTS = (".txt", ".tsv", ".dat", ".asc", ".log")
+"""Those of tables under another name."""
+OTHERS = (".parquet", ".feather", ".h5", ".hdf5", ".json", ".jsonl", ".npy", ".pickle")
+"""Those of tables that are not read."""
+MOST_TOLD = 4
+"""Names that one line lists."""
 
 
 def copies(trials: Sequence[tuple[str, np.ndarray]]) -> tuple[str, ...]:
@@ -21,17 +30,54 @@ def copies(trials: Sequence[tuple[str, np.ndarray]]) -> tuple[str, ...]:
     return tuple(notes)
 
 
+def strays(headers: Mapping[Path, Sequence[str]], is_time: Callable[[str], bool]) -> tuple[Path, ...]:
+    """Tables that are no logs, as lists of the trials are: without a time, and without any column of those that have one."""
+    logs = {path for path, header in headers.items() if any(map(is_time, header))}
+    theirs = {name for path in logs for name in headers[path] if name}
+    alike = lambda header: (
+        len(header) < 2 or theirs & set(header) or any(map(is_number, header))
+    )  # a trial cut short, or bare
+    return tuple(path for path, header in headers.items() if logs and path not in logs and not alike(header))
+
+
+def left_out(path: Path) -> str:
+    """A note on one of `strays`."""
+    return f"{path.name} is left out: it has no time and no column of the other files"
+
+
 def unread(folder: str | Path) -> tuple[str, ...]:
     """A note on packed files, and on folders that hold tables, but for those of a diagnosis."""
     folder = Path(folder)
     if not folder.is_dir():
         return ()
-    packed = sorted(p.name for p in folder.iterdir() if p.is_file() and p.suffix.lower() in PACKED)
     holds = lambda p, pattern: next(p.glob(pattern), None) is not None
     inner = sorted(
         p.name
         for p in folder.iterdir()
         if p.is_dir() and (holds(p, "*.csv") or holds(p, "*.npz")) and not (p / "report.json").exists()
     )
-    notes = [f"not read: {', '.join(packed)}; unpack, or export as CSV"] if packed else []
-    return (*notes, *([f"not read: tables in the folder {', '.join(inner)}; move them up"] if inner else []))
+    packed = _ending(folder, PACKED)
+    notes = [f"not read: {_some(packed)}; unpack, or export as CSV"] if packed else []
+    moved = "move them up, each by the name of its trial"
+    return (*notes, *([f"not read: tables in the folder {_some(inner)}; {moved}"] if inner else []))
+
+
+def instead(folder: Path) -> str:
+    """What lies in a folder without recordings, and how it is read, to follow what is said of that; '' where nothing does."""
+    notes = list(unread(folder))
+    if folder.is_dir() and (texts := _ending(folder, TEXTS)):
+        notes.append(f"not read: {_some(texts)}; rename those that are tables to .csv")
+    if folder.is_dir() and (others := _ending(folder, OTHERS)):
+        notes.append(f"not read: {_some(others)}; export as CSV")
+    return "".join(f"; {note}" for note in notes)
+
+
+def _ending(folder: Path, endings: Sequence[str]) -> list[str]:
+    found = (p.name for p in folder.iterdir() if p.is_file() and p.suffix.lower() in endings and p.name[0] != ".")
+    return sorted(found, key=lambda name: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", name)])
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first of these names, and how many more there are."""
+    more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
+    return f"{', '.join(names[:MOST_TOLD])}{more}"

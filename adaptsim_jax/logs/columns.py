@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 TIME = ("time", "t", "timestamp", "time_s", "stamp")
+NANOS = "time_nanos"
+"""The column of nanoseconds that are added to a time of whole seconds."""
 TRIAL = ("trial", "episode", "episode_index")
 STEMS = {
     "q": ("q", "pos", "position"),
@@ -33,7 +35,8 @@ _PATTERN = re.compile(rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?
 
 @dataclass(frozen=True)
 class Role:
-    """`stem`: time, trial, base, channel, q, v, tau, tau_commanded, target, ctrl, u, i; `joint`: its number as written, name, None."""
+    """`stem`: time, nanos, trial, base, channel, q, v, tau, tau_commanded, target, ctrl, u, i; `joint`: its number as
+    written, name, None."""
 
     stem: str
     joint: int | str | None = None
@@ -49,6 +52,8 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
     """The role that a column's name tells; None for a column that is none of ours. `joints`: the model's, where known."""
     if name in TIME:
         return Role("time")
+    if name == NANOS:
+        return Role("nanos")
     if name in TRIAL:
         return Role("trial")
     if name.startswith(CHANNEL):

@@ -92,7 +92,12 @@ def with_commands(
     if path is None:
         return trial
     header = column_names(path)
-    (told,) = read_file(path, path.stem, {ours: theirs for ours, theirs in rename.items() if theirs in header}, ignore)
+    here = {ours: theirs for ours, theirs in rename.items() if theirs in header}
+    told, *others = read_file(path, path.stem, here, ignore)
+    if others:
+        raise BadInput(
+            f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of trials tells; write each a file"
+        )
     commands = {}
     for name, values in told.columns.items():
         found = role(name)

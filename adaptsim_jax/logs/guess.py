@@ -78,7 +78,7 @@ def guess(
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
-        clock = next((n for n in columns if set(_tokens(n)) & set(CLOCKS) and _increases(columns[n])), None)
+        clock = next((n for n in columns if is_clock(n) and _increases(columns[n])), None)
         if clock is not None:
             names[clock] = "time"
             ignored = [name for name in ignored if name != clock]
@@ -103,13 +103,18 @@ def array_name(name: str) -> str | None:
     return ours if told and told.joint is None and told.stem not in ("time", "trial") else None
 
 
+def is_clock(name: str) -> bool:
+    """Whether a column is called as a time."""
+    return bool(set(_tokens(name)) & set(CLOCKS))
+
+
 def _tokens(name: str) -> list[str]:
     return [token.lower() for token in re.split(r"[^A-Za-z0-9]+", name) if token]
 
 
 def _ours(name: str, joints: Sequence[str]) -> str | None:
     """Our name of a column such as `/joint_states/elbow/position`, `shoulder_vel` or `joint_2_pos`."""
-    tokens = _tokens(name)
+    tokens = [part for token in _tokens(name) for part in _word_and_number(token)]
     found = [token for token in tokens if token in WORDS]
     if not found or (set(tokens) & {"error", "err", "std", "min", "max", "raw"}):
         return None
@@ -148,6 +153,12 @@ def _by_unit(read: Heading, joints: Sequence[str]) -> str | None:
     stem = STEM_OF_UNIT.get(read.unit or "")
     inside = [joint for joint in joints if _tokens(joint) == [t for t in _tokens(read.name) if t != "joint"]]
     return f"{stem}_{inside[0]}" if stem and len(inside) == 1 else None
+
+
+def _word_and_number(token: str) -> tuple[str, ...]:
+    """`position0`, as arrays are exported, is the word and its number; other tokens are whole."""
+    found = re.fullmatch(r"([a-z]{3,})(\d+)", token)
+    return found.groups() if found and found[1] in WORDS else (token,)
 
 
 def _contains(tokens: list[str], part: list[str]) -> bool:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief
-from adaptsim_jax.logs.columns import CHANNEL
+from adaptsim_jax.logs.columns import CHANNEL, NANOS, TIME
 from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
 from adaptsim_jax.logs.log_units import Unit, check_unit
 
@@ -152,11 +152,18 @@ def _beside(path: Path, raw: dict, key: str, mend: str) -> str | None:
 
 
 def _columns(path: Path, table: dict) -> dict[str, str]:
-    """Our name -> the file's. A list under a stem (`q = ["a", "b"]`) names the joints' columns in order."""
+    """Our name -> the file's. A list under a stem (`q = ["a", "b"]`) names the joints' columns in order, of time its two parts."""
     out: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, list):
             names = _texts(path, f"columns.{key}", value)
+            if key in TIME:
+                if len(names) != 2:
+                    raise BadInput(
+                        f"{path}: columns.{key} names {len(names)} columns; name one, or two: whole seconds, and nanoseconds"
+                    )
+                out |= {key: names[0], NANOS: names[1]}
+                continue
             out |= {f"{key}{i}": name for i, name in enumerate(names, start=1)}
         else:
             out[key] = text(path, f"columns.{key}", value)

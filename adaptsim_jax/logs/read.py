@@ -7,6 +7,7 @@ model is read, so that bad input is reported at once.
 from __future__ import annotations
 
 import fnmatch
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs import command_files, lerobot, ros
 from adaptsim_jax.logs.assemble import assemble
+from adaptsim_jax.logs.beside import instead
 from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
@@ -130,7 +132,9 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     bags = ros.bags(data)
     if not files and not bags:
         if data.is_dir():
-            raise BadInput(f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there")
+            raise BadInput(
+                f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there{instead(data)}"
+            )
         raise BadInput(
             f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
         )
@@ -150,11 +154,11 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
         told = command_files.beside(data, table_files(folder))
         tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
     trials = tables + (recorded if files else _renamed(recorded, meta))
-    called = [trial.name for trial in trials]
-    trials = [
-        replace(t, name=Path(t.path).name) if called.count(t.name) > 1 and len(files) < len(trials) else t
-        for t in trials
-    ]
+    called = Counter(trial.name for trial in trials)
+    shared = Counter(trial.path for trial in trials)
+    by_file = lambda t: f"{_stem(Path(t.path))}_{t.name}" if shared[t.path] > 1 else Path(t.path).name
+    if len(files) < len(trials):
+        trials = [replace(t, name=by_file(t)) if called[t.name] > 1 else t for t in trials]
     return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.beside import copies, unread
+from adaptsim_jax.logs.beside import copies, instead, unread
 from adaptsim_jax.logs.meta import Meta, read_meta
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.logs.table_checks import LIMIT, check_clock, check_size, check_time_unit, from_zero
@@ -62,7 +62,7 @@ def read_recording(
 
 def _files(folder: Path) -> list[Path]:
     if not (found := table_files(folder)):
-        raise BadInput(f"{folder}: holds no .csv or .npz file; put one file a trial beside meta.toml")
+        raise BadInput(f"{folder}: holds no .csv or .npz file; put one file a trial beside meta.toml{instead(folder)}")
     return found
 
 

@@ -1,23 +1,22 @@
 """One trial's file (`.csv` or `.npz`) read into named columns, every fault named by file and line."""
 
-import csv
-import io
-import itertools
 import re
 from codecs import BOM_UTF8
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.archive import check_lengths, read_archive
+from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, rows_of
+from adaptsim_jax.logs.file_bytes import read_bytes
 from adaptsim_jax.logs.joined import apart
 from adaptsim_jax.logs.list_cells import part_name, split
 from adaptsim_jax.logs.table_checks import MIN_ROWS, check_missing, without_blank
+from adaptsim_jax.logs.two_part_time import joined_time
 
-DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -90,21 +89,14 @@ def _checked(
     if n < least:
         raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
     columns, notes = without_blank(path, table.columns, least, ours)
-    lines = table.lines
+    columns, told = joined_time(path, columns, ours)
+    lines, notes = table.lines, (*table.notes, *notes, *told)
     if not gaps and (joined := apart(path, columns, lines, ours)):
         columns, lines, told = joined
         notes = (*notes, *told)
     filled = {name: np.where(np.isnan(values), 0.0, values) for name, values in columns.items() if name in gaps}
     check_missing(path, columns | filled, lines, table.row_word, empty, ours)
     return replace(table, columns=columns, lines=lines, notes=notes)
-
-
-def read_bytes(path: Path) -> bytes:
-    """All of a file; BadInput where it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror}); check the path and its permissions") from None
 
 
 def _decode(path: Path) -> str:
@@ -120,49 +112,14 @@ def _decode(path: Path) -> str:
         raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
 
 
-def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[str]], list[int]]:
-    """The first `most` rows (None: all) of a CSV that hold anything, cells as they are but for the header's, and their lines."""
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    header = next((line for line in text.splitlines() if line.strip()), "")
-    reader = csv.reader(io.StringIO(text), delimiter=max(DELIMITERS, key=header.count))
-    rows, lines = [], []
-    try:
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append(row if rows else _header(row))
-                lines.append(reader.line_num)
-            if len(rows) == most:
-                break
-    except csv.Error as e:
-        raise BadInput(f"{path}: line {reader.line_num}: not CSV ({e}); mend or remove that line") from None
-    return rows, lines
-
-
-def _header(row: list[str]) -> list[str]:
-    first, *others = (cell.strip().strip('"') for cell in row)
-    return [first.lstrip("# ").strip(), *others]
-
-
-def _without_remarks(text: str) -> str:
-    """The text with remarks above the header blanked (lines that begin with # and hold one cell), so that lines keep their numbers."""
-    lines = text.splitlines()
-    for k, line in enumerate(lines):
-        if line.strip() and not (line.lstrip().startswith("#") and not any(d in line for d in DELIMITERS)):
-            return "\n".join([""] * k + lines[k:]) if k else text
-    return text
-
-
 def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
     """The table, NaN where a cell is empty, and those cells by column."""
-    text = _without_remarks(_decode(path))
-    rows, lines = rows_of(path, text)
+    rows, lines = rows_of(path, _decode(path))
     if not rows:
         raise BadInput(f"{path}: {EMPTY}")
+    check_header(path, rows[0], lines[0], wanted, len(rows) > 1 and len(rows[1]) > 1)
+    check_widths(path, rows, lines)
     header, rows, lines = rows[0], rows[1:], lines[1:]
-    _check_header(path, header, wanted, bool(rows) and len(rows[0]) > 1)
-    for row, line in zip(rows, lines, strict=True):
-        if len(row) != len(header):
-            _ragged(path, line, row, len(header))
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns: dict[str, np.ndarray] = {}
     empty: dict[str, np.ndarray] = {}
@@ -178,41 +135,6 @@ def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in wanted)
 
 
-def _check_header(path: Path, header: list[str], wanted: tuple[str, ...], more: bool) -> None:
-    if all(_is_number(cell) for cell in header):
-        names = [name for name in wanted if not _is_number(name)] or ["time", "q1", "tau1"]
-        raise BadInput(f"{path}: line 1 holds numbers, not column names; add a header line such as {','.join(names)}")
-    for name in header:
-        if name in wanted and header.count(name) > 1:
-            raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
-    if len(header) == 1 and len(wanted) > 1:
-        mend = "remove the lines above the columns' names" if more else "separate columns by commas"
-        raise BadInput(f"{path}: line 1 is one column {header[0][:60]!r}; {mend}")
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _ragged(path: Path, line: int, row: list[str], n: int) -> None:
-    if len(row) in (2 * n, 2 * n - 1) and all(_is_number(c) for c in row if c.strip()):
-        why = "decimal commas suspected: write decimals with a point"
-    elif len(row) > n and any(_in_thousands(a, b) for a, b in itertools.pairwise(row)):
-        why = "commas between thousands suspected: write 1234.5, nothing between the digits"
-    else:
-        why = "complete or remove that line"
-    raise BadInput(f"{path}: line {line}: has {len(row)} values, the header has {n} columns; {why}")
-
-
-def _in_thousands(before: str, cell: str) -> bool:
-    """Whether two neighbouring cells look like a number that was cut at the comma of its thousands."""
-    return bool(re.fullmatch(r"[-+]?[1-9]\d{0,2}", before.strip()) and re.fullmatch(r"\d{3}(\.\d*)?", cell.strip()))
-
-
 def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> tuple[np.ndarray, np.ndarray | None]:
     """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none of them)."""
     try:
@@ -221,7 +143,7 @@ def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) ->
         pass
     empty = np.array([cell.strip().lower() in NOTHING for cell in cells])
     for row, cell in enumerate(cells):
-        if empty[row] or _is_number(cell):
+        if empty[row] or is_number(cell):
             continue
         raise BadInput(f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, {_no_number(cell, cells)}")
     return np.array([np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]), empty
@@ -251,31 +173,19 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
     return "not a number; mend or remove that row"
 
 
-def read_archive(path: Path, wanted: Collection[str] | None = None) -> dict[str, Any]:
-    """Arrays of an archive by name, those `wanted` (None: all), None for the others; nothing in it is ever executed (no pickles)."""
-    raw = read_bytes(path)
-    try:
-        with np.load(io.BytesIO(raw), allow_pickle=False) as data:
-            return {name: data[name] if wanted is None or name in wanted else None for name in data.files}
-    except Exception as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
-        why = " ".join(str(e).split())[:80] or type(e).__name__
-        raise BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez") from None
-
-
 def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> Table:
     """Arrays by column name, each `[T]`; lists: those `[T, n]` are columns by `part_name`."""
     archive = read_archive(path, wanted)
-    columns: dict[str, np.ndarray] = {}
-    for name in (name for name in wanted if name in archive):
-        array = archive[name]
+    arrays = {name: archive.arrays[name] for name in wanted if name in archive.arrays}
+    for name, array in arrays.items():
         if array.ndim not in ((1, 2) if lists else (1,)) or array.dtype.kind not in "fiu":
             what = f"has shape {array.shape} and type {array.dtype}"
             raise BadInput(f"{path}: array {name!r} {what}; save it as numbers, one for each row")
+    check_lengths(path, arrays)
+    columns: dict[str, np.ndarray] = {}
+    for name, array in arrays.items():
         parts = {name: array} if array.ndim == 1 else {part_name(name, k): x for k, x in enumerate(array.T)}
         columns |= {part: x.astype(np.float64) for part, x in parts.items()}
-    lengths = {name: len(column) for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        sizes = ", ".join(f"{k} {v}" for k, v in lengths.items())
-        raise BadInput(f"{path}: arrays differ in length ({sizes}); save them with one row per sample")
-    n = max(lengths.values(), default=0)
-    return Table(columns, np.arange(1, n + 1), _others(list(archive), wanted), row_word="row")
+    n = max(map(len, arrays.values()), default=0)
+    others = _others(list(archive.arrays), wanted)
+    return Table(columns, np.arange(1, n + 1), others, row_word="row", notes=archive.notes)

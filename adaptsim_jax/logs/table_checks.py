@@ -118,12 +118,15 @@ def from_zero(time: np.ndarray) -> np.ndarray:
     return time - time[0] if abs(time[0]) > EPOCH else time
 
 
-def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word: str) -> None:
-    """BadInput at the first row at which `time [T]` does not increase, with what clocks and files do to cause it."""
+def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word: str, mend: str = "") -> None:
+    """BadInput at the first row at which `time [T]` does not increase, with what clocks and files do to cause it.
+
+    mend: what to do, where more is known than that rows are out of order."""
     bad = np.flatnonzero(np.diff(time) <= 0)
     if not bad.size:
         return
-    named = "" if np.ptp(time) else 'call the one that does time, in a log by [columns] time = "..." in meta.toml'
+    other = mend or 'call the one that does time, in a log by [columns] time = "..." in meta.toml'
+    named = "" if np.ptp(time) else other
     if lost := lost_digits(time):
         raise BadInput(f"{path}: {lost}{', or, as it never changes, ' if named else ''}{named}")
     if named:
@@ -132,10 +135,9 @@ def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word:
     where = f"{path}: {row_word} {lines[i]}"
     pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
     if time[i] == time[i - 1]:
-        raise BadInput(f"{where}: time repeats ({pair}); sort or remove such rows")
-    raise BadInput(
-        f"{where}: time runs backwards ({pair}); sort or remove such rows, or cut the file there if the clock was set"
-    )
+        raise BadInput(f"{where}: time repeats ({pair}); {mend or 'sort or remove such rows'}")
+    usual = "sort or remove such rows, or cut the file there if the clock was set"
+    raise BadInput(f"{where}: time runs backwards ({pair}); {mend or usual}")
 
 
 def lost_digits(time: np.ndarray) -> str:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.columns import TIME, TRIAL, is_ignored, role
+from adaptsim_jax.logs.archive import read_archive
+from adaptsim_jax.logs.beside import left_out, strays
+from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
+from adaptsim_jax.logs.csv_rows import rows_of
+from adaptsim_jax.logs.file_bytes import read_bytes
 from adaptsim_jax.logs.list_cells import STEMS, is_list, stem_and_place
-from adaptsim_jax.logs.table import MIN_ROWS, Table, read_archive, read_bytes, read_table, rows_of
+from adaptsim_jax.logs.restarts import naming, restarted
+from adaptsim_jax.logs.table import MIN_ROWS, Table, read_table
 from adaptsim_jax.logs.table_checks import check_clock
+from adaptsim_jax.logs.two_part_time import both, pair
 
 ENDINGS = (".csv", ".npz")
-__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_archive", "read_file", "read_files", "table_files"]
+__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_file", "read_files", "table_files"]
 
 
 @dataclass(frozen=True)
@@ -54,12 +60,44 @@ def read_files(
     """
     stems = [path.stem for path in files]
     elsewhere = {name for path in others for name in column_names(path)}
-    trials = []
+    trials, notes = [], []
     for path in files:
         here = column_names(path) if elsewhere else []
         own = {ours: theirs for ours, theirs in rename.items() if theirs in here or theirs not in elsewhere}
-        trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
-    return trials
+        try:
+            trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
+        except BadInput as error:
+            if path not in strays(headers_of(files), is_time := _is_time(rename)):
+                raise _or_left_out(error, path, files, is_time) from None
+            notes.append(left_out(path))
+    return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]] if notes else trials
+
+
+def _is_time(rename: Mapping[str, str]) -> Callable[[str], bool]:
+    """Whether a column is the time, by its name or by [columns]."""
+    named = {theirs for ours, theirs in rename.items() if ours in TIME}
+    return lambda name: name in named or name in TIME
+
+
+def _or_left_out(error: BadInput, path: Path, files: list[Path], is_time: Callable[[str], bool]) -> BadInput:
+    """What is said of one file of several: how it is left out, where it may be none of the trials."""
+    line = f'[trials] exclude = ["{path.stem}"]'
+    if len(files) == 1:
+        return error
+    if str(error).endswith("leave this file out"):
+        return BadInput(f"{error}: {line}")
+    return error if any(map(is_time, headers_of([path])[path])) else BadInput(f"{error}; or leave it out: {line}")
+
+
+def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
+    """The columns of each file, none of one that cannot be read."""
+    out = {}
+    for path in files:
+        try:
+            out[path] = column_names(path)
+        except BadInput:
+            out[path] = []
+    return out
 
 
 def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
@@ -85,10 +123,15 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise _no_time(path, header)
-    by_label = _labelled(path, labels, table) if labels else [(name, table)]
+    if labels:
+        parts = _labelled(path, labels, table)
+    else:
+        parts = _restarted(path, name, table, table.columns[time])
     trials = []
-    for label, part in by_label:
-        check_clock(path, part.columns[time], part.lines, part.row_word)
+    for label, part in parts:
+        clock = part.columns[time]
+        mend = "" if np.all(np.diff(clock) > 0) else _mend(path, header, rename.get(time, time), rename, part, clock)
+        check_clock(path, clock, part.lines, part.row_word, mend)
         notes = part.notes
         if lists:
             said = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
@@ -97,10 +140,34 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     return trials
 
 
+def _restarted(path: Path, name: str, table: Table, time: np.ndarray) -> list[tuple[str, Table]]:
+    """The table, cut where its clock starts again."""
+    parts = restarted(time)
+    if not parts:
+        return [(name, table)]
+    who = naming(cells_of(path, table.lines), time)
+    told = f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {name}_{len(parts)}"
+    more = f'; [columns] trial = "{who}" in meta.toml calls them by that column' if who else ""
+    table = replace(table, notes=(*table.notes, told + more))
+    return [(f"{name}_{k}", _rows(table, part)) for k, part in enumerate(parts, 1)]
+
+
+def _mend(path: Path, header: list[str], theirs: str, rename: Mapping[str, str], table: Table, time: np.ndarray) -> str:
+    """What meta.toml may say of a clock that does not increase; nothing where that is not known. theirs: its column."""
+    found = pair(header)
+    if found and theirs in found and NANOS not in rename:
+        return f"it has two parts, write {both(*found)} in meta.toml"
+    if who := naming(cells_of(path, table.lines), time):
+        return f'column {who} seems to name trials, write [columns] trial = "{who}" in meta.toml'
+    return ""
+
+
 def list_columns(path: Path) -> list[str]:
     """Columns of a CSV whose cells hold lists; arrays `[T, n]` of numbers in an archive."""
     if path.suffix.lower() == ".npz":
-        return [name for name, array in read_archive(path).items() if array.ndim == 2 and array.dtype.kind in "fiu"]
+        return [
+            name for name, array in read_archive(path).arrays.items() if array.ndim == 2 and array.dtype.kind in "fiu"
+        ]
     first: dict[str, str] = {}
     rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
     for row in rows[1:]:
@@ -119,6 +186,10 @@ def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str
 
 
 def _no_time(path: Path, header: list[str]) -> BadInput:
+    if found := pair(header):
+        return BadInput(
+            f"{path}: column 'time' is missing; it seems to have two parts, write {both(*found)} in meta.toml"
+        )
     some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})" if header else ""
     return BadInput(
         f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = \"...\" in meta.toml"
@@ -128,7 +199,7 @@ def _no_time(path: Path, header: list[str]) -> BadInput:
 def column_names(path: Path) -> list[str]:
     """The names of a file's columns (CSV) or arrays (NPZ)."""
     if path.suffix.lower() == ".npz":
-        return list(read_archive(path))
+        return list(read_archive(path).arrays)
     rows, _ = _csv_rows(path, 1)
     if not rows:
         read_table(path, TIME)  # says why: empty, unreadable, not text
@@ -157,28 +228,40 @@ class _Named(dict):
 
 
 def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], list[int]]:
-    """See `table.rows_of`; what is no text is found when the table is read."""
+    """See `csv_rows.rows_of`; what is no text is found when the table is read."""
     return rows_of(path, read_bytes(path).decode("utf-8-sig", errors="replace"), most)
 
 
 def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
     """The table cut by its column of trial names, in the order in which they appear."""
-    if path.suffix.lower() == ".npz":
-        labels = [str(label) for label in read_archive(path)[column]]
-    else:
-        rows, lines = _csv_rows(path)
-        place = rows[0].index(column)
-        at = {line: row[place].strip().strip('"') for row, line in zip(rows, lines, strict=True) if place < len(row)}
-        labels = [at.get(int(line), "") for line in table.lines]
+    labels = cells_of(path, table.lines)[column]
     parts = []
     array = np.array(labels)
     for label in dict.fromkeys(labels):
         rows = np.flatnonzero(array == label)
         if not label:
             raise BadInput(f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name the trial")
-        columns = {name: values[rows] for name, values in table.columns.items()}
-        parts.append((_plain(label), replace(table, columns=columns, lines=table.lines[rows])))
+        parts.append((_plain(label), _rows(table, rows)))
     return parts
+
+
+def _rows(table: Table, rows: np.ndarray | slice) -> Table:
+    columns = {name: values[rows] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=table.lines[rows])
+
+
+def cells_of(path: Path, lines: np.ndarray | None = None) -> dict[str, list[str]]:
+    """What each column holds in these lines (None: in all), as written; of an archive arrays that are columns, in these rows."""
+    if path.suffix.lower() == ".npz":
+        arrays = {name: x for name, x in read_archive(path).arrays.items() if x.ndim == 1}
+        arrays = {name: x if lines is None else x[lines[lines <= len(x)] - 1] for name, x in arrays.items()}
+        return {name: [str(value) for value in x] for name, x in arrays.items()}
+    rows, numbers = _csv_rows(path)
+    at = dict(zip(numbers, rows, strict=True))
+    header = {name: place for place, name in reversed(list(enumerate(rows[0])))}
+    cell = lambda row, place: row[place].strip().strip('"') if place < len(row) else ""
+    here = numbers[1:] if lines is None else [int(line) for line in lines]
+    return {name: [cell(at.get(line, []), place) for line in here] for name, place in header.items()}
 
 
 def _plain(label: str) -> str:

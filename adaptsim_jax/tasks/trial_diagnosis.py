@@ -42,10 +42,11 @@ class Diagnose:
         progress: Callable[[float, float, str], None] | None = None,
         page: Page | None = None,
         named: str = "DATA",
+        asked: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
         """The report on a folder of trials (or on a recording of them); with `out` it is written there, with `model.toml`, and with
-        `next_experiment.csv` where names cannot be told apart. exclude: effects that are not considered; named: what a recording came
-        of. Raises BadInput."""
+        `next_experiment.csv` where names cannot be told apart. exclude: effects that are not considered; named, asked: what a
+        recording came of, and what of `command_of` it was read with. Raises BadInput."""
         began, given = time.monotonic(), isinstance(data, self.recording)
         recorded = data if given else self.read(data)
         effects = rows.check_exclude(exclude, self.effects(recorded), self.trial)
@@ -53,7 +54,7 @@ class Diagnose:
         report, evidence, plan, model, more = self.judged(
             recorded, effects, criteria or self.criteria, progress, folder
         )
-        run = Run(command_of(named if given else data, out=out, exclude=exclude), began)
+        run = Run(command_of(named if given else data, out=out, exclude=exclude, **(asked or {})), began)
         return rows.finished(report, evidence, run, plan, folder, model, self.columns, page, more)
 
 

@@ -164,8 +164,11 @@ def diagnose(
     exclude: Sequence[str] = (),
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
+    command: str | None = None,
 ) -> dict[str, Any]:
-    """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo simulates; the report."""
+    """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo simulates; the report.
+
+    horizon: s of the stretches, None: as the base needs; command: what gives the same answer, for the report."""
     made = simulator(source, log, horizon)
     notes = ["simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.made.notes]
     coarse: dict[str, list[str]] = {}
@@ -188,6 +191,7 @@ def diagnose(
         progress=progress,
         page=told,
         name=name,
+        command=command,
     )
     return report if out is not None else with_notes(report)
 

@@ -18,7 +18,8 @@ FEWEST = 8  # stretches, whatever they cost
 @dataclass(frozen=True)
 class Replayed:
     """error [W, n] rad or m by stretch and joint; measured and simulated angles, seen [W, L, n]; base [W, 2] m and rad of a free
-    base, None where none was logged; time [W, L] s; trial [W]; stretches in all, of which these are `count`."""
+    base, None where none was logged; time [W, L] s; trial [W]; stretches in all, of which these are `count`;
+    span: s of a stretch."""
 
     made: Stepped
     stretches: Stretches
@@ -26,6 +27,7 @@ class Replayed:
     base: np.ndarray | None
     simulated: np.ndarray
     total: int
+    span: float
 
 
 def replayed(source: Source, log: Log, horizon: float, most: int | None = None) -> Replayed:
@@ -49,4 +51,4 @@ def replayed(source: Source, log: Log, horizon: float, most: int | None = None) 
     if made.base >= 0:
         mean = np.square(off[..., -6:]).reshape(*off.shape[:2], 2, 3).sum(-1).mean(1)
         base = np.sqrt(mean)
-    return Replayed(made, stretches, error, base, stretches.measured[..., :n] - off[..., :n], total)
+    return Replayed(made, stretches, error, base, stretches.measured[..., :n] - off[..., :n], total, span)

@@ -1,0 +1,91 @@
+"""Arrays of a NumPy archive, rows first: `[T, 1]` and `[1, T]` are columns, `[n, T]` beside a column of T is turned to `[T, n]`."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.file_bytes import read_bytes
+from adaptsim_jax.logs.list_cells import STEMS
+from adaptsim_jax.logs.table_checks import MIN_ROWS
+
+MOST_TOLD = 6
+"""Arrays whose shapes one line may list."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """`arrays`: those that are wanted, None for the others; `turned`: names of those that had a joint a row."""
+
+    arrays: dict[str, Any]
+    turned: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to read it, a line each."""
+        return (f"arrays with a row for each joint turned to a row for each sample: {', '.join(self.turned)}",) * bool(
+            self.turned
+        )
+
+
+def read_archive(path: Path, wanted: Collection[str] | None = None) -> Archive:
+    """Arrays of an archive, those `wanted` (None: all); nothing in it is ever executed (no pickles). Raises `BadInput`."""
+    raw = read_bytes(path)
+    try:
+        with np.load(io.BytesIO(raw), allow_pickle=False) as data:
+            shapes = {name: _shape(data, name) for name in data.files}
+            arrays = {name: data[name] if wanted is None or name in wanted else None for name in data.files}
+    except Exception as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
+        why = " ".join(str(e).split())[:80] or type(e).__name__
+        raise BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez") from None
+    lengths = {max(shape) for shape in shapes.values() if _is_column(shape)}
+    turned = tuple(name for name, x in arrays.items() if x is not None and _has_rows(x.shape, lengths))
+    out = {name: x if x is None else x.T if name in turned else _flat(name, x) for name, x in arrays.items()}
+    return Archive(out, turned)
+
+
+def _shape(data: Any, name: str) -> tuple[int, ...]:
+    """The shape of an array, which is not loaded for it."""
+    if f"{name}.npy" not in data.zip.namelist():
+        return data[name].shape
+    with data.zip.open(f"{name}.npy") as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        return read(file)[0]
+
+
+def _is_column(shape: tuple[int, ...]) -> bool:
+    return bool(shape) and sum(size != 1 for size in shape) == 1
+
+
+def _has_rows(shape: tuple[int, ...], lengths: Collection[int]) -> bool:
+    """Whether an array has the samples along its second axis, as columns of these lengths tell."""
+    if len(shape) != 2 or 1 in shape or not shape[0] < shape[1]:
+        return False
+    return shape[1] in lengths and (shape[0] not in lengths or shape[0] < MIN_ROWS)
+
+
+def _flat(name: str, array: np.ndarray) -> np.ndarray:
+    """A column as `[T]`; of what is called as an array of all joints is, `[T, 1]`, so that its joint is the first."""
+    if array.ndim < 2 or not _is_column(array.shape):
+        return array
+    told = role(name)
+    joints = name.lower() in STEMS or (told is not None and told.joint is None and told.stem not in ("time", "trial"))
+    return array.reshape(-1, 1) if joints else array.ravel()
+
+
+def check_lengths(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """BadInput where arrays `[T, ...]` have not one T."""
+    if len({len(array) for array in arrays.values()}) < 2:
+        return
+    some = list(arrays.items())[:MOST_TOLD]
+    sizes = ", ".join(f"{name} {' x '.join(map(str, array.shape))}" for name, array in some)
+    more = f" and {len(arrays) - MOST_TOLD} more" if len(arrays) > MOST_TOLD else ""
+    raise BadInput(f"{path}: arrays differ in length ({sizes}{more}); save them with one row per sample")
