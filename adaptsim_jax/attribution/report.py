@@ -108,6 +108,7 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
             held = next(p for p in problem.effect(c.effect).parameters if p.name == e.name)
             if held.held and held.meaning:
                 numbers[key]["meaning"] = held.meaning
+    numbers = with_limits(numbers) if c.effect == "saturation" else numbers
     if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
         body = next(iter(c.joints))
         of = f" of {machine.tree.body_names[body]}"
@@ -124,6 +125,17 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
         "held_out_gain": n.test.gain, "p_value": n.test.p, "better": n.test.better, "folds": n.test.folds,
         "size_over_scatter": min(n.steady, 1e3),
     }  # fmt: skip
+
+
+def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """With limits of force as a data sheet has them [N m or N] before the share that is cut off the largest torque."""
+    limits = {}
+    for key in [k for k in numbers if k.startswith("cut")]:
+        cut, peak = numbers[key], numbers[key.replace("cut", "peak", 1)]
+        at = lambda share, peak=peak: (1.0 - share) * peak["value"]
+        limit = {"value": at(cut["value"]), "low": at(cut["high"]), "high": at(cut["low"]), "unit": peak["unit"]}
+        limits[key.replace("cut", "limit", 1)] = limit
+    return limits | numbers
 
 
 def _error(problem: Problem, found: Selection, before, after, noise, floor: float, horizon: float) -> dict[str, Any]:

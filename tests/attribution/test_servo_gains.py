@@ -11,6 +11,7 @@ from adaptsim_jax.attribution.diagnose import diagnose, with_rows
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.report import with_limits
 from adaptsim_jax.attribution.sentences import soft_friction
 from adaptsim_jax.report.diagnosis_words import headline, todo
 from tests.attribution.test_equation import SERVO, prepared, servo_log
@@ -101,3 +102,11 @@ def test_a_limit_is_told_from_a_gain():
     asked, clear = 10.0 * np.sin(np.linspace(0.0, 20.0, 500)), np.ones(500)
     assert np.abs(commands._limited(asked, np.clip(asked, -4.0, 4.0), clear)).max() < 0.1
     assert np.sqrt(np.mean(np.square(commands._limited(asked, 0.3 * asked, clear)))) > 0.5
+
+
+def test_a_limit_is_told_in_newton_metres():
+    row = lambda value, low, high, unit: {"value": value, "low": low, "high": high, "unit": unit}
+    numbers = {"cut[lift]": row(0.95, 0.94, 0.97, "1"), "peak[lift]": row(80.0, 80.0, 80.0, "N m")}
+    told = with_limits(numbers)
+    assert told["limit[lift]"] == pytest.approx(row(4.0, 2.4, 4.8, "N m"))
+    assert list(told) == ["limit[lift]", *numbers]
