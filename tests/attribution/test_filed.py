@@ -138,6 +138,7 @@ def test_a_delay_of_rows_has_no_lag_beside_it(tmp_path):
     assert values["delay"] == pytest.approx(0.0137, abs=5e-4)
 
 
+@pytest.mark.long
 def test_a_body_that_is_not_the_files_is_named(tmp_path):
     problem, free, held = searched(arm_log(tmp_path / "payload", mass=3.0))
     assert good(problem, held, free)
@@ -174,6 +175,7 @@ def test_windows_within_an_encoders_offset_of_the_end_of_a_range_are_left_out():
     assert inside(tree, q).tolist() == [[True, False], [True, False], [True, True]]
 
 
+@pytest.mark.long
 def test_nothing_is_added_to_a_file_that_is_right(tmp_path):
     report = diagnose(arm_log(tmp_path / "null"), out=tmp_path / "out")
     assert report["verdict"] == "within_noise" and not report["effects"]

@@ -49,6 +49,7 @@ def shown(folder) -> bool:
     return rubbing(problem, machine.tree, told, lambda b: part_of(null, b), reach, Criteria(), True)[0] is not problem
 
 
+@pytest.mark.long
 def test_a_simulators_friction_is_simulated(tmp_path):
     """Half a second from the best start: 0.12 mrad beside MuJoCo, and 0.32 with sharp friction."""
     machine, problem = prepared(finger_log(tmp_path / "log", near=0.4, noise=0.0, declared=(0.4, 0.3)))

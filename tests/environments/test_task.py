@@ -106,6 +106,7 @@ def test_what_is_observed_tells_worlds_apart_and_rewards_have_their_scale(made):
 PHASE1 = Phase1Config(trajectories=20, parallel=10, horizon=3, updates=4, capacity=60, archive=60, hidden=(16,))
 
 
+@pytest.mark.long
 def test_phase_1_and_2_run_and_a_session_told_the_same_goes_the_same_way(made):
     *_, task, _ = made
     phase1, hyper = make_phase1(task, PHASE1), Phase1Hyper()
